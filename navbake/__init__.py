@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from navbake.arena.map_descriptor import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
-    from navbake.baker.update.baker import Baker
-    from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
+    from navbake.baker.update import Baker
+    from navbake.baker.voxelize import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
     from navbake.formats.nav2 import read_nav2 as from_nav2
     from navbake.formats.navgrid import read_navgrid as load
@@ -87,14 +87,14 @@ _LAZY = {
     "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
-    "Baker": "navbake.baker.update.baker:Baker",
+    "Baker": "navbake.baker.update:Baker",
     "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
     "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
-    "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
-    "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
+    "Voxelizer": "navbake.baker.voxelize:Voxelizer",
+    "create_voxel_grid": "navbake.baker.voxelize:create_voxel_grid",
     "from_grscenes": "navbake.formats.simulators:read_grscenes",
     "from_nav2": "navbake.formats.nav2:read_nav2",
     "from_npz": "navbake.formats.npz:read_grid_npz",

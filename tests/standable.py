@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from navbake.baker.blocks import Blocks
 from navbake.baker.columns import ColumnSource
 from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.surfaces import SurfaceStore
@@ -16,7 +15,7 @@ def sheets_of(stages: Stages, columns: ColumnSource | None = None) -> Sheets:
     for block in found.blocks():
         store.add(block, stages.tiled.shapes.planes)
     store.finish()
-    sheets = Sheets(store, Blocks(found.lattice), stages.config.agent)
+    sheets = Sheets(store, stages.config.agent)
     every = sheets.blocks.all()
     sheets.update(every, every)
     return sheets

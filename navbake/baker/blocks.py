@@ -83,16 +83,19 @@ class Blocks:
 
     def cells(self, mask: Bool) -> Int:
         """The cells of some blocks."""
-        height, width = self.lattice.shape
-        found = [np.empty(0, dtype=np.int64)]
-        for block in np.flatnonzero(mask).tolist():
-            row, col = block // self.cols * SIZE, block % self.cols * SIZE
-            rows, cols = (
-                np.arange(row, min(row + SIZE, height)),
-                np.arange(col, min(col + SIZE, width)),
-            )
-            found.append(np.add.outer(rows * width, cols).ravel())
-        return np.concatenate(found)
+        (height, width), along = self.lattice.shape, np.arange(SIZE)
+        row, col = (
+            SIZE * place[:, None] + along for place in np.divmod(np.flatnonzero(mask), self.cols)
+        )
+        inside = (row < height)[:, :, None] & (col < width)[:, None, :]
+        cells: Int = (row[:, :, None] * width + col[:, None, :])[inside]
+        return cells
+
+    def rim(self, mask: Bool) -> Int:
+        """The cells next to some blocks, outside of them."""
+        cells = self.cells(self.around(mask) & ~mask)
+        row, col = np.divmod(cells, self.lattice.width)
+        return cells[np.isin(row % SIZE, (0, SIZE - 1)) | np.isin(col % SIZE, (0, SIZE - 1))]
 
 
 def fit(array: NDArray[Any], length: int) -> NDArray[Any]:
@@ -173,6 +176,9 @@ class BlockTable:
     def fill(self, kernel: Callable[..., int], blocks: Int, *args: Any) -> Int:
         """List the rows of some blocks again, as `list_rows`; returns how many each block has."""
         counts, columns = list_rows(kernel, blocks, self._empty, *args)
+        if len(blocks) == len(self._counts):
+            self._counts, self._columns = counts, columns
+            return counts
         last = np.cumsum(self._counts)[blocks]
         runs, start = (last - self._counts[blocks], last), np.append(0, np.cumsum(counts))
         pairs = zip(self._columns, columns, strict=True)

@@ -3,7 +3,7 @@
 scipy has such functions, but takes longer to load than the apartment to bake.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,17 +43,12 @@ def ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
     return which, np.arange(len(which)) + np.repeat(begin - np.cumsum(count) + count, count)
 
 
-class Runs(NamedTuple):
-    """Runs of cells with one value in rows, by rows, shape (n,)."""
+def list_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
+    """The runs of values other than 0 in the rows of an array, bool or integer, by rows.
 
-    row: Int
-    first: Int  # column
-    end: Int  # past the last column
-    value: NDArray[Any]  # of its cells
-
-
-def list_runs(values: NDArray[Any]) -> Runs:
-    """The runs of values other than 0 in the rows of an array, bool or integer."""
+    Returns for each its row, its first column and the one past its last, and the value of its
+    cells, shape (n,).
+    """
     rows, width = values.shape[0], values.shape[1] + 1
     line = np.zeros(rows * width + 1, dtype=values.dtype)  # each row ends with a 0
     line[1:].reshape(rows, width)[:, :-1] = values
@@ -61,7 +56,7 @@ def list_runs(values: NDArray[Any]) -> Runs:
     value = line[1 + bounds]
     inside = np.flatnonzero(value)
     row, first = np.divmod(bounds[inside], width)
-    return Runs(row, first, bounds[inside + 1] - row * width, value[inside])
+    return row, first, bounds[inside + 1] - row * width, value[inside]
 
 
 def count_cells(labels: Int32, count: int) -> Int:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.lists import number_lists
+from navbake.baker.kernels.connect import number_lists
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from navbake.baker.blocks import Blocks, BlockTable, Seen, list_rows
+from navbake.baker.column_blocks import list_once
 from navbake.baker.floors.kernels import growth as kernels
 from navbake.baker.floors.kernels.growth import Growing
+from navbake.baker.floors.kernels.members import Labelled
 from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
-from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings
-from navbake.threads import run_in_bands
+from navbake.threads import LEAST_CELLS
 from navbake.types import Bool, Float, Int, Int32
 
-NO_OPTIONS = np.empty(0, dtype=np.int16), np.empty(0)
-# So many blocks are worth a call on another thread
-LEAST_BLOCKS = 16
+NO_CELLS = np.empty(0, dtype=np.int64)
 
 
 class FloorGrowth:
@@ -58,7 +55,7 @@ class FloorGrowth:
             num = sheets.lattice.width * sheets.lattice.height
             self.levels = [(np.empty(num), np.empty(num, np.int32)) for _ in placed.grounds]
         found = [self._grow(k, placed, bars, stale, is_new) for k in range(len(self.levels))]
-        self.changed = None if is_new else np.unique(np.concatenate(found))
+        self.changed = None if is_new else list_once(sheets.lattice, np.concatenate(found))
         self.links = self.links[:0]
         if len(self.levels) > 1 or self._by_slopes:
             near = np.flatnonzero(sheets.blocks.before(stale))
@@ -73,10 +70,11 @@ class FloorGrowth:
         A region grows by the blocks around it until its outermost cells keep floors and rings.
         """
         sheets, agent, (floor, ring) = self._sheets, self._agent, self.levels[k]
-        lattice, blocks = sheets.lattice, sheets.blocks
+        blocks = sheets.blocks
         growing = Growing(
             sheets.surfaces, placed.level, placed.number, k, agent.height,
             agent.traversable_floor_height, floor, ring,
+            np.empty(len(sheets.surfaces.z), dtype=np.uint8),
         )  # fmt: skip
         asked, region = stale, stale.copy()
         cell = changed = np.empty(0, dtype=np.int64)
@@ -86,35 +84,25 @@ class FloorGrowth:
                 more = blocks.cells(asked)
                 cell, was = np.append(cell, more), np.append(was, floor[more])
                 was_in = np.append(was_in, ring[more])
-            known = sheets.labelled(bars), growing
-            options = list_rows(kernels.list_options, np.flatnonzero(region), NO_OPTIONS, *known)
-            grow_in(blocks, region, options, growing)
+            grow_in(blocks, region, growing, sheets.labelled(bars))
             is_other = was.view(np.int64) != floor[cell].view(np.int64)  # to the last bit
             changed, differs = cell[is_other], cell[is_other | (was_in != ring[cell])]
-            row, col = (place % SIZE for place in np.divmod(differs, lattice.width))
-            at_edge = (row == 0) | (row == SIZE - 1) | (col == 0) | (col == SIZE - 1)
-            asked = blocks.around(blocks.holding(differs[at_edge])) & ~region
+            asked = blocks.near(differs, 1) & ~region
             region |= asked
         return changed
 
 
-def grow_in(blocks: Blocks, region: Bool, options: tuple[Int, list[Any]], growing: Growing) -> None:
-    """Grow a floor in some blocks, ring by ring, from where one can stand and what is around.
-
-    `options` are the blocks' counts and columns, see `list_options`.
-    """
-    counts, (place, height) = options
-    start, floors = np.zeros(blocks.num + 1, dtype=np.int64), (growing.floor, growing.ring)
-    start[1:][region] = counts
-    np.cumsum(start, out=start)
-    left = np.zeros(blocks.num, dtype=np.int64), np.empty(len(place), dtype=np.int32)
-    around = blocks.cells(blocks.around(region) & ~region)
-    last, edge = growing.ring[around].max(initial=-1), blocks.around(~region) & region
-    now, active = 1, region
-    while active.any():
-        chosen, grown = np.flatnonzero(active), np.zeros_like(region)
-        asked = blocks.lattice, floors, now, growing.step, (start, place, height), left
-        run_in_bands(kernels.grow, len(chosen), *asked, chosen, grown, least=LEAST_BLOCKS)
+def grow_in(blocks: Blocks, region: Bool, growing: Growing, labelled: Labelled) -> None:
+    """Grow a floor in some blocks, from where one can stand and from what is around them."""
+    ring, known, now = growing.ring, (blocks.lattice, growing), 1
+    chosen = np.flatnonzero(region)
+    _, (options,) = list_rows(kernels.stand, chosen, (NO_CELLS,), labelled, growing)
+    cells = options
+    while region.all() and len(cells) >= LEAST_CELLS:
+        asked = cells, (NO_CELLS,), *known, now
+        _, (cells,) = list_rows(kernels.grow_ring, *asked, least=LEAST_CELLS)
         now += 1
-        # cells at the region's edge may have neighbours of the next ring outside of it
-        active = blocks.around(grown) & (left[0] > 0) | (edge & (now <= last + 1))
+    rim = blocks.rim(region)
+    rim = rim[ring[rim] > 0]
+    kernels.grow(*known, now, cells, rim[np.argsort(ring[rim], kind="stable")])
+    ring[options[ring[options] < -1]] = -1  # what the floor did not reach

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbake.baker.blocks import BlockAnswers, Blocks, BlockTable, Seen
-from navbake.baker.columns import ColumnSource
+from navbake.baker.blocks import BlockAnswers, BlockTable, Seen
+from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
 from navbake.baker.floors.kernels.surfaces import HELD
@@ -26,7 +26,6 @@ from navbake.baker.floors.rejected import are_told, find_rejected
 from navbake.baker.floors.sheets import Patch, SheetFacts, Sheets, area_test
 from navbake.baker.floors.storeys import Placed, Storeys, given_spans
 from navbake.baker.floors.surfaces import SurfaceStore
-from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.shapes import Planes, Shapes
@@ -103,11 +102,11 @@ class FloorFinder:
     ) -> None:
         self._store, self._agent, self._settings, self._given = store, agent, settings, given
         self._spans, self._lattice = given_spans(given or ()), store.lattice
-        self._blocks = Blocks(store.lattice)
-        self._sheets = Sheets(self._store, self._blocks, agent)
+        self._blocks = store.blocks
+        self._sheets = Sheets(store, agent)
         # surfaces that closed meshes hold: their sheets, and the floors found there, which may be
         # others where `_held_stale` has any of the blocks with such surfaces
-        self._held = Sheets(self._store, self._blocks, agent)
+        self._held = Sheets(store, agent)
         self._held_stale, self._has_held = self._blocks.all(), self._blocks.all()
         self._enclosed = list[Patch]()
         self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
@@ -135,9 +134,9 @@ class FloorFinder:
         """The cells where the last update changed a floor; None where all may be new."""
         return None if self._settings.fill else self._growth.changed
 
-    def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
+    def replace(self, cells: Int, columns: Columns, planes: Planes) -> None:
         """Replace the columns of some cells, see `SurfaceStore.replace`."""
-        replaced, held = self._store.replace(cells, crossings, planes)
+        replaced, held = self._store.replace(cells, columns, planes)
         self._stale |= self._blocks.holding(replaced)
         self._near |= self._blocks.near(cells, self._reach + 1)
         self._upright.stale |= self._blocks.holding(cells)
@@ -225,7 +224,11 @@ class FloorFinder:
         # the parts of a stale block are numbered anew, so that others may have the same keys
         other = sheets.stale | self._large.differ(sheets.labels.count, keys)
         other = blocks.around(other, reach + 1) | (sheets.last_near == sheets.now)
-        asked = sheets.labelled(is_large), self._agent.traversable_floor_height, reach
+        lowest, step = (
+            sheets.low[is_large].min(initial=np.inf),
+            self._agent.traversable_floor_height,
+        )
+        asked = sheets.labelled(is_large), lowest, step, reach
         self._edges.fill(list_edges, np.flatnonzero(other), *asked)
         self._last[other] = sheets.now
         block, (rows,) = self._edges.take()

@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from navbake.baker.blocks import BlockAnswers, list_rows
 from navbake.baker.columns import ColumnSource
-from navbake.baker.floors.kernels.members import ITSELF, Edges, Labelled, list_edges, look_below
-from navbake.baker.floors.kernels.rims import mark_holes
+from navbake.baker.floors.kernels.members import (
+    ITSELF,
+    Edges,
+    Labelled,
+    list_edges,
+    look_below,
+    mark_holes,
+)
 from navbake.baker.floors.sheets import SheetFacts, Sheets
 from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.arrays import Band
@@ -96,7 +102,8 @@ class Site(NamedTuple):
         block, rows = self.edges
         if among is not None:
             blocks = np.flatnonzero(sheets.blocks_of(chosen))
-            counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), labelled, step, reach)
+            asked = labelled, float(sheets.low[among].min(initial=np.inf)), step, reach
+            counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), *asked)
             block = np.repeat(blocks, counts)
         sheet = sheets.sheet_at(block, rows[:, 0])
         kept = chosen[sheet]

@@ -124,6 +124,8 @@ def _find_tops(site: Site) -> Bool:
 
 def _are_wide(site: Site, asked: Bool, width: float) -> Bool:
     """Which sheets are somewhere wider than a width [m]."""
+    if not asked.any():
+        return asked
     wide = {"min_area": site.sheets.lattice.cell_size**2, "shrink": width / 2}
     settings = site.settings.model_copy(update=wide)
     return site.facts.mask(f"wider than {width}", asked, lambda s: site.sheets.left(s, settings))

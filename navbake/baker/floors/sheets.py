@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.blocks import Blocks, BlockTable, fit
 from navbake.baker.connect import connect, ranges
@@ -17,8 +16,8 @@ from navbake.baker.floors.kernels.members import (
     AreaTest,
     Labelled,
     Members,
+    disc_rows,
     find_large,
-    near_offsets,
 )
 from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.floors.surfaces import SurfaceStore, slopes_may_join
@@ -26,13 +25,13 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 NO_KEY = np.empty(0, dtype=np.int32)
 # An empty array of rows that count, see `navbake.baker.floors.kernels.labels`
 NO_ROWS, NO_HEIGHTS = np.empty((0, 4), dtype=np.int64), np.empty(0)
 # Empty columns of `label_blocks`
-NO_PARTS = *np.empty((3, 0), dtype=np.int64), NO_ROWS, np.empty(0, np.uint64)
+NO_PARTS = np.empty((0, 8), dtype=np.int64), NO_HEIGHTS
 
 
 class Labels:
@@ -94,7 +93,8 @@ class Sheets:
         size: how many surfaces each has, int64.
         tops: over how many of these nothing lies.
         box: its first row and column, and past its last ones, shape (sheets, 4).
-        digest: a hash of the sheet's surfaces, shape (sheets,), uint64.
+        low: its lowest height [m].
+        digest: a hash of the sheet's surfaces, shape (sheets,), int64.
     """
 
     of_part: Int32
@@ -102,15 +102,16 @@ class Sheets:
     size: Int
     tops: Int
     box: Int
-    digest: NDArray[np.uint64]
+    low: Float
+    digest: Int
 
-    def __init__(self, store: SurfaceStore, blocks: Blocks, agent: AgentSettings) -> None:
-        self.lattice, self.blocks, self.store = store.lattice, blocks, store
+    def __init__(self, store: SurfaceStore, agent: AgentSettings) -> None:
+        self.lattice, self.blocks, self.store = store.lattice, store.blocks, store
         by_slopes = slopes_may_join(store.lattice, agent)
         self.joining = Joining(agent.traversable_floor_height, by_slopes=by_slopes)
-        self.labels = Labels(blocks, self.joining)
+        self.labels = Labels(self.blocks, self.joining)
         self.now = 0
-        self.last, self.last_near = np.zeros((2, blocks.num), dtype=np.int64)
+        self.last, self.last_near = np.zeros((2, self.blocks.num), dtype=np.int64)
 
     @property
     def surfaces(self) -> Surfaces:
@@ -134,22 +135,19 @@ class Sheets:
         self.now += 1
         self.last[stale] = self.last_near[near] = self.now
         labels.update(surfaces, stale, key)
-        _, (size, tops, first_key, box, digest) = labels.measures.take()
+        _, (measures, low) = labels.measures.take()
         whole, _ = labels.merge()
         num = int(whole.max(initial=-1)) + 1
-        first = np.full(num, np.iinfo(np.int64).max)
-        np.minimum.at(first, whole, first_key)
-        order = np.argsort(first)
-        self.of_part, self.key = np.argsort(order).astype(np.int32)[whole], first[order]
-        self.size, self.tops = (
-            np.bincount(self.of_part, values, num).astype(np.int64) for values in (size, tops)
+        together = np.argsort(whole, kind="stable")
+        start, measures = np.searchsorted(whole[together], np.arange(num)), measures[together]
+        sums, least, most = (
+            op.reduceat(measures, start) for op in (np.add, np.minimum, np.maximum)
         )
-        self.box = np.zeros((num, 4), dtype=np.int64)
-        self.box[:, :2] = np.iinfo(np.int64).max
-        np.minimum.at(self.box[:, :2], self.of_part, box[:, :2])
-        np.maximum.at(self.box[:, 2:], self.of_part, box[:, 2:])
-        self.digest = np.zeros(num, dtype=np.uint64)
-        np.add.at(self.digest, self.of_part, digest)
+        order = np.argsort(least[:, 2])
+        self.of_part, self.key = np.argsort(order).astype(np.int32)[whole], least[order, 2]
+        self.size, self.tops, _, self.digest = sums[order, :4].T
+        self.box = np.hstack([least[order, 4:6], most[order, 6:]])
+        self.low = np.minimum.reduceat(low[together], start)[order]
 
     def labelled(self, chosen: Bool) -> Labelled:
         """The surfaces with the numbers of their sheets, -1 for those that are not chosen."""
@@ -215,8 +213,8 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     """The test of `min_area` after shrinking, which leaves centres `shrink` from the set's edge."""
     needed = int(np.ceil(max((settings.min_area - SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
-    disc = near_offsets(limit, min(lattice.width, lattice.height))
-    return AreaTest(needed, int(np.abs(disc).max(initial=0)), disc)
+    half = disc_rows(limit, min(lattice.width, lattice.height))
+    return AreaTest(needed, len(half) // 2, half)
 
 
 def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
@@ -224,8 +222,9 @@ def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
     test = area_test(lattice, settings)
     mask = np.pad(marked.reshape(lattice.shape), test.reach)
     left = np.flatnonzero(mask)
-    for row, col in test.disc.tolist():
-        left = left[mask.ravel()[left + row * mask.shape[1] + col]]
+    for row, half in enumerate(test.half.tolist(), start=-test.reach):
+        for col in range(-half, half + 1):
+            left = left[mask.ravel()[left + row * mask.shape[1] + col]]
     return len(left) >= test.needed
 
 

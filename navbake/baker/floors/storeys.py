@@ -39,7 +39,7 @@ TIMES_LARGER = 4
 # Decimals of the grounds that are found
 DECIMALS = 9
 # Shrinks nothing
-UNSHRUNK = AreaTest(0, 0, np.empty((0, 2), dtype=np.int64))
+UNSHRUNK = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
@@ -345,8 +345,10 @@ class Storeys:
             leave_floors: whether floors make way for treads.
             name: of the places, see `_recall`.
         """
-        sheets, test = self._sheets, area_test(self._sheets.lattice, self._settings)
-        settings = self._settings
+        if not members:
+            return True
+        sheets, settings = self._sheets, self._settings
+        test = area_test(sheets.lattice, settings)
         if not leave_floors:
             rim = {"min_area": sheets.lattice.cell_size**2, "shrink": settings.shrink / 2}
             settings = settings.model_copy(update=rim)
@@ -355,8 +357,6 @@ class Storeys:
             marked[one.cell[level[one.place] <= LOST]] = True
             if is_large(sheets.lattice, settings, marked):
                 return False
-        if not members:
-            return True
         num_walks, every = [0, 0], kept.key.astype(np.int32)
         for n, key in enumerate((every, np.where(level <= LOST, np.int32(-1), every))):
             labels, stale = self._recall(

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import fit, join_parts, list_rows
+from navbake.baker.blocks import Blocks, fit, join_parts, list_rows
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels import surfaces as kernels
 from navbake.baker.floors.kernels.surfaces import Surfaces
-from navbake.baker.kernels.arrays import AgentLimits, Crossings
+from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.tiles import SIZE
 from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
@@ -42,42 +43,46 @@ class SurfaceStore:
     surfaces: Surfaces
 
     def __init__(self, lattice: Lattice, agent: AgentSettings) -> None:
-        self.lattice, self._limits = lattice, agent_limits(agent)
+        self.lattice, self.blocks, self._limits = lattice, Blocks(lattice), agent_limits(agent)
         axes = 3 if slopes_may_join(lattice, agent) else 0
         # empty columns of `list_surfaces`
         empty = np.empty(0), np.empty(0, np.int32), np.empty(0, np.uint8)
         self._empty = *empty, np.empty((0, axes), np.float32)
         self.num_surfaces = self.num_floor_like = 0
         self._parts: list[list[NDArray[Any]]] = []
-        self._length = np.zeros(lattice.width * lattice.height, dtype=np.int32)
+        self._first, self._length = np.zeros((2, lattice.width * lattice.height), dtype=np.int32)
+        self._used = 0
 
     def add(self, columns: Columns, planes: Planes) -> None:
-        """Add the columns of a block; blocks come in the order of their rows."""
-        first, end = columns.known_rows.cells(self.lattice)
-        crossings = columns.crossings._replace(start=columns.start[first : end + 1])
-        start, *arrays = self._list(np.arange(first, end), crossings, planes)
-        self._length[first:end] = np.diff(start)
+        """Add some rows of columns.
+
+        The surfaces of a block lie together, which makes its kernels a third faster.
+        """
+        rows, row = columns.known_rows, np.arange(self.blocks.num) // self.blocks.cols * SIZE
+        cells = self.blocks.cells((row < rows.end) & (row + SIZE > rows.first))
+        first, end = rows.cells(self.lattice)
+        cells = cells[(first <= cells) & (cells < end)]
+        start, *arrays = self._list(cells, columns, planes)
+        self._first[cells], self._length[cells] = self._used + start[:-1], np.diff(start)
+        self._used += int(start[-1])
         self.num_surfaces += len(columns.z)
         self.num_floor_like += int(start[-1])
         self._parts.append(arrays)
 
     def finish(self) -> None:
         """Make `surfaces` of what was added."""
-        length, arrays = self._length, join_parts(self._parts)
-        first = np.cumsum(length, dtype=np.int32) - length
-        self._used = len(arrays[0])
-        self.surfaces = Surfaces._make([first, length, length, *arrays])
-        del self._parts, self._length
+        arrays = join_parts(self._parts)
+        self.surfaces = Surfaces._make([self._first, self._length, self._length, *arrays])
+        del self._parts
 
-    def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> tuple[Int, Int]:
+    def replace(self, cells: Int, columns: Columns, planes: Planes) -> tuple[Int, Int]:
         """Replace the surfaces of some cells, ascending.
 
         Returns those that changed, and those with surfaces that something holds; they may repeat.
 
-        A cell's surfaces that exceed the room of its run go behind all others. Crossings are
-        numbered as `cells` are.
+        A cell's surfaces that exceed the room of its run go behind all others.
         """
-        start, *found = self._list(cells, crossings, planes)
+        start, *found = self._list(cells, columns, planes)
         if self.surfaces.room is self.surfaces.length:
             self.surfaces = self.surfaces._replace(room=self.surfaces.length.copy())
         first, length, room = self.surfaces[:3]
@@ -112,9 +117,9 @@ class SurfaceStore:
         """The places of the surfaces of a cell."""
         return np.arange(self.surfaces.length[cell]) + int(self.surfaces.first[cell])
 
-    def _list(self, cells: Int, crossings: Crossings, planes: Planes) -> list[NDArray[Any]]:
+    def _list(self, cells: Int, columns: Columns, planes: Planes) -> list[NDArray[Any]]:
         """The floor-like surfaces of some cells: where those of each begin, and their arrays."""
-        known = self.lattice, crossings, planes, self._limits
+        known = self.lattice, columns.crossings, planes, self._limits
         count, found = list_rows(
             kernels.list_surfaces, cells, self._empty, *known, least=LEAST_CELLS
         )

@@ -15,7 +15,7 @@ from navbake.compiled import UNCOUNTED, kernel, part
 
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
-SIZE = 64  # cells along a block's edge
+SIZE = 32  # cells along a block's edge
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
 HAIR = 1e-3
 # The first column of a tile, all rows of it, as bits

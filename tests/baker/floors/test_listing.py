@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from navbake.baker.blocks import Blocks
 from navbake.baker.columns import Rows
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP
@@ -12,12 +11,10 @@ from navbake.baker.floors.surfaces import SurfaceStore, agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
 from navbake.baker.stages import bake_stages
-from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 
 BOXES = 40
 GRID = {"cell_size": 0.1, "bounds": [-4.0, -3.5, 4.0, 3.5]}
-SMALL = Lattice(0.0, 0.0, 0.1, 1, 1)
 
 
 def scene(seed):
@@ -117,7 +114,7 @@ def test_blocks_that_change_leave_the_sheets_of_a_fresh_bake(tmp_path):
     one, other = bake(tmp_path), bake(tmp_path, seed=6)
     planes, agent = one.tiled.shapes.planes, one.config.agent
     store = store_of(one, [one.columns.known_rows])
-    sheets = Sheets(store, Blocks(one.lattice), agent)
+    sheets = Sheets(store, agent)
     every = sheets.blocks.all()
     sheets.update(every, every)
     check_sheets(sheets, agent.traversable_floor_height)
@@ -125,21 +122,11 @@ def test_blocks_that_change_leave_the_sheets_of_a_fresh_bake(tmp_path):
     order = rng.permutation(num)
     for cells in (order[:5], order[5:400], order[400:2000], order[2000:]):
         cells = np.sort(cells)
-        parts = [other.columns.cut(*place(cell, other.lattice), SMALL).crossings for cell in cells]
-        start = np.concatenate([[0], np.cumsum([len(part.z) for part in parts])])
-        arrays = (
-            np.concatenate(layer) for layer in zip(*(part[1:] for part in parts), strict=True)
-        )
-        changed, _ = store.replace(cells, parts[0]._make([start, *arrays]), planes)
+        changed, _ = store.replace(cells, other.columns, planes)
         stale = sheets.blocks.holding(changed)
         sheets.update(stale, stale)
         check_sheets(sheets, agent.traversable_floor_height)
-    fresh = Sheets(store_of(other, [other.columns.known_rows]), Blocks(other.lattice), agent)
+    fresh = Sheets(store_of(other, [other.columns.known_rows]), agent)
     fresh.update(every, every)
     for name in ("key", "size", "tops", "box", "digest"):
         assert np.array_equal(getattr(sheets, name), getattr(fresh, name)), name
-
-
-def place(cell, lattice):
-    row, col = divmod(int(cell), lattice.width)
-    return slice(row, row + 1), slice(col, col + 1)

@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from navbake.baker.floors.kernels import members
-from navbake.baker.floors.kernels.members import AreaTest, near_offsets
+from navbake.baker.floors.kernels.members import AreaTest, disc_rows
 from navbake.baker.floors.sheets import is_large
 from navbake.config.settings import FloorSettings
 from navbake.navgrid.lattice import Lattice
@@ -17,10 +17,9 @@ shrink = numba.njit(members.shrink.py_func)
 
 
 def count(mask, limit):
-    disc = near_offsets(limit, int(min(mask.shape)))
-    reach = int(np.abs(disc).max(initial=0))
-    left = np.empty_like(mask)
-    shrink(np.pad(mask, reach), AreaTest(0, reach, disc), left)
+    half = disc_rows(limit, int(min(mask.shape)))
+    left, reach = np.empty_like(mask), len(half) // 2
+    shrink(np.pad(mask, reach).astype(np.int32), AreaTest(0, reach, half), left)
     return left.sum()
 
 
@@ -39,16 +38,16 @@ def test_counts_what_a_distance_transform_leaves(seed, limit):
         assert is_large(lattice, settings, mask) == (needed <= expected)
 
 
-def test_asks_far_neighbours_first():
-    squares = (near_offsets(3.0, 10) ** 2).sum(axis=1)
-    assert list(squares) == sorted(squares, reverse=True)
-    assert squares.max() < 9 and squares.min() == 0
+def test_a_disc_is_as_wide_as_its_limit():
+    assert disc_rows(3.0, 10).tolist() == [2, 2, 2, 2, 2]
+    assert disc_rows(3.2, 10).tolist() == [1, 2, 3, 3, 3, 2, 1]
+    assert disc_rows(1.0, 10).tolist() == [0]
 
 
 def test_a_limit_beyond_the_lattice_needs_few_steps():
     """`floors.shrink` in centimetres is a slip, and no reason to take all memory."""
     mask = np.ones((12, 7), dtype=bool)
     for limit in (3.9, 4.0, 4.1, 1e7):
-        assert len(near_offsets(limit, 7)) < 100
+        assert len(disc_rows(limit, 7)) < 100
         # the middle of the middle row
         assert count(mask, limit) == (6 if limit <= 4.0 else 0)

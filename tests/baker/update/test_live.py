@@ -14,7 +14,7 @@ import yaml
 
 import navbake
 from differences import first_difference, fresh
-from navbake.baker.update import stages as stages_module
+from navbake.baker import update as module
 from project_paths import CONFIGS
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
@@ -51,13 +51,13 @@ def test_updates_equal_fresh_bakes(scene, moves):
 def test_only_what_is_near_is_looked_at(monkeypatch):
     baker = open_room()
     asked = []
-    cast = stages_module.cast_at
+    cast = module.cast_at
 
     def spy(*given):
         asked.append(len(given[-1]))
         return cast(*given)
 
-    monkeypatch.setattr(stages_module, "cast_at", spy)
+    monkeypatch.setattr(module, "cast_at", spy)
     changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
     assert changes.reason == ""
     assert asked and asked[0] < 400  # of 1,600 cells

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.columns import Columns, empty_crossings
 from navbake.baker.lattice import cells_near
-from navbake.baker.update.stages import KeptColumns
+from navbake.baker.update import KeptColumns
 from navbake.navgrid.lattice import Lattice
 
 LATTICE = Lattice(-1.0, 2.0, 0.25, 23, 17)

@@ -11,8 +11,7 @@ import pytest
 
 import navbake
 from differences import first_difference, fresh
-from navbake.baker.update import baker as module
-from navbake.baker.update import stages as stages_module
+from navbake.baker import update as module
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -41,7 +40,7 @@ def check(baker: navbake.Baker, settings: dict, **moves) -> str:
 
 @pytest.mark.parametrize("named", [False, True])
 def test_more_appears_than_there_was_room_for(named, monkeypatch):
-    monkeypatch.setattr(stages_module, "MOST_CELLS", 1.0)
+    monkeypatch.setattr(module, "MOST_CELLS", 1.0)
     plates = "".join(
         f'<geom type="box" size="0.4 0.4 0.005" pos="{x} {y} {0.1 + 0.02 * k}"/>'
         for x in (1.5, 3.0, 4.5)

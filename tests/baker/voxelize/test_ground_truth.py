@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE
-from navbake.baker.voxelize.voxelizer import Voxelizer
+from navbake.baker.voxelize import Voxelizer
 from navbake.voxels.grid import Placement
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import Thing, cross_part, part_meets_prisms, part_of, scene_xml

@@ -9,13 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.floors.kernels.members import sheet_of
 from navbake.baker.floors.kernels.surfaces import Surfaces, slope_joins
 from navbake.baker.kernels.constants import SAME, SLACK
-from navbake.baker.kernels.tiles import SIZE, block_window
+from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int, Int32
+
+NO_OPTION, OPTION, LAST_OPTION = 0, 1, 2
 
 
 class Growing(NamedTuple):
@@ -30,6 +33,8 @@ class Growing(NamedTuple):
         step: the highest step [m].
         floor: by cell, float64 [m]; NaN where there is none.
         ring: by cell, int32: the ring of its floor, 0 where one can stand, -1 for none.
+        option: by surface of cells where nobody can stand, uint8: NO_OPTION, or whether the floor
+            may grow there, OPTION, or LAST_OPTION for the highest of its cell.
     """
 
     surfaces: Surfaces
@@ -40,11 +45,12 @@ class Growing(NamedTuple):
     step: float
     floor: Float
     ring: Int32
+    option: NDArray[np.uint8]
 
 
 @part(inline="always")
 def _is_option(labelled, growing, block, last, j, lowest, highest):
-    """Whether the floor may go on at a surface: see `list_options`."""
+    """Whether the floor may go on at a surface: see `stand`."""
     z = growing.surfaces.z
     if growing.level[j] >= 0 or not lowest <= z[j] <= highest or sheet_of(labelled, block, j) >= 0:
         return False
@@ -58,24 +64,24 @@ def _is_option(labelled, growing, block, last, j, lowest, highest):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_options(labelled, growing, blocks, counts, columns, begin, end):
+def stand(labelled, growing, blocks, counts, columns, begin, end):
     """Write the floors that one can stand on in ``blocks[begin:end]``; list where they may grow.
 
     A floor grows at surfaces that have no level and belong to no labelled sheet (a roof, the top of
     furniture), nor lie at most a step below one. Between them and the levels above and below is
-    room for an agent.
+    room for an agent. Until the floor has grown, `ring` has -2 less the place of a cell's first
+    such surface, -1 where there is none.
 
-    The rows, see `navbake.baker.blocks.list_rows`: the cell's place in its block, int16, and a
-    height [m].
+    The rows, see `navbake.baker.blocks.list_rows`: a cell with such a surface, int64.
     """
-    (places, heights), num, lattice = columns, 0, labelled.lattice
+    (cells,), num = columns, 0
     surfaces, floor, ring = growing.surfaces, growing.floor, growing.ring
+    lattice, option = labelled.lattice, growing.option
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            for col in range(col0, col1):
-                cell = row * lattice.width + col
+            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 first, last = surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]
                 floor[cell], ring[cell] = math.nan, -1
                 lowest, highest = -math.inf, math.inf
@@ -91,88 +97,116 @@ def list_options(labelled, growing, blocks, counts, columns, begin, end):
                         highest = z - growing.height + SLACK
                 if ring[cell] == 0:
                     continue
+                final = np.int64(-1)
                 for j in range(first, last):
+                    option[j] = NO_OPTION
                     if _is_option(labelled, growing, blocks[k], last, j, lowest, highest):
-                        if num == places.shape[0]:
-                            return k
-                        places[num], heights[num] = (row - row0) * SIZE + col - col0, surfaces.z[j]
-                        num += 1
+                        option[j] = OPTION
+                        if final < 0:
+                            ring[cell] = -2 - j
+                        final = np.int64(j)
+                if final >= 0:
+                    if num == cells.shape[0]:
+                        return k
+                    option[final], cells[num] = LAST_OPTION, cell
+                    num += 1
         counts[k] = num - before
     return end
 
 
 @part(inline="always")
-def _around(lattice, row, col):
+def _around(lattice, cell):
     """The next cells east, south, west and north, less than 0 for none."""
-    width, cell = lattice.width, row * lattice.width + col
+    width, col = lattice.width, cell % lattice.width
     east = cell + 1 if col + 1 < width else np.int64(-1)
-    south = cell + width if row + 1 < lattice.height else np.int64(-1)
+    south = cell + width if cell + width < width * lattice.height else np.int64(-1)
     west = cell - 1 if col > 0 else np.int64(-1)
     return east, south, west, cell - width
 
 
 @part(**UNCOUNTED)
-def _nearest_height(floor, ring, around, now, heights, step):
-    """The one of a cell's heights at which a floor grows into it, or NaN."""
-    best, best_gap = math.nan, step + SLACK
-    for other in around:
+def _grow_into(lattice, growing, cell, now):
+    """Write the floor that grows into a cell in a ring, if any does; returns whether one does.
+
+    None does where the cell has a floor already, or no surface for one. Else it is that of the
+    surfaces marked by `stand` that is nearest to the floor of a neighbour, and at most a step from
+    it; the lower one if two are equally near.
+    """
+    z, floor, ring, option = growing.surfaces.z, growing.floor, growing.ring, growing.option
+    # read once, as others may grow the same floor into the cell
+    best, best_gap, first = math.nan, growing.step + SLACK, -2 - ring[cell]
+    if first < 0:
+        return False
+    for other in _around(lattice, cell):
         if other < 0 or not 0 <= ring[other] < now:
             continue
-        for z in heights:
-            gap = abs(z - floor[other])
+        j = first
+        while True:
+            gap = abs(z[j] - floor[other]) if option[j] != NO_OPTION else math.inf
             # gaps within SAME are equally near; then the lower height counts
-            if gap < best_gap - SAME or (gap <= best_gap + SAME and z < best):
-                best, best_gap = z, min(gap, best_gap)
+            if gap < best_gap - SAME or (gap <= best_gap + SAME and z[j] < best):
+                best, best_gap = z[j], min(gap, best_gap)
             elif math.isnan(best) and gap <= best_gap:
-                best, best_gap = z, gap
-    return best
+                best, best_gap = z[j], gap
+            if option[j] == LAST_OPTION:
+                break
+            j += 1
+    if math.isnan(best):
+        return False
+    floor[cell], ring[cell] = best, now
+    return True
+
+
+@part(**UNCOUNTED)
+def _list_beside(lattice, ring, cell, cells, num):
+    """List the next cells into which a floor may still grow; returns how many are listed then."""
+    for other in _around(lattice, cell):
+        if other >= 0 and ring[other] < -1:
+            cells[num] = other
+            num += 1
+    return num
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def grow(lattice, floors, now, step, options, left, blocks, changed, begin, end):
-    """Grow the floor by a ring into the cells of ``blocks[begin:end]``, in place.
+def grow_ring(lattice, growing, now, asked, counts, columns, begin, end):
+    """Grow the floor by the ring `now` into ``asked[begin:end]``, and list the cells beside these.
 
-    A cell takes that of its heights that is nearest to the floor of a neighbour, and at most a step
-    from it; the lower one if two are equally near. The floors of a ring count for the next one
-    only. So the order of cells and blocks does not matter, nor whether others are at work.
+    The rows, see `navbake.baker.blocks.list_rows`: a cell, int64; the same may be listed several
+    times. The order of cells does not matter, nor whether others are at work: the floors of a ring
+    count for the next one only.
+    """
+    (cells,), num, ring = columns, 0, growing.ring
+    for k in range(begin, end):
+        before = num
+        if num + 4 > cells.shape[0]:
+            return k
+        if _grow_into(lattice, growing, asked[k], now):
+            num = _list_beside(lattice, ring, asked[k], cells, num)
+        counts[k] = num - before
+    return end
+
+
+@kernel(nogil=True)
+def grow(lattice, growing, now, asked, rim):
+    """Grow the floor by the ring `now` and all later ones.
 
     Args:
-        floors: `floor` and `ring`, see `Growing`.
-        now: the ring, from 1 on.
-        options: where each block's begin, int64; and of all, see `list_options`.
-        left: how many cells are left in each block, int64; and the first option of each of these,
-            int32, in place of the block's options; both are written in ring 1.
-        changed: by block, bool: set where the ring has a cell.
+        asked: the cells into which it may grow in this ring, int64.
+        rim: cells around those that may grow, with floors of later rings than where one can stand,
+            by their rings, int64.
     """
-    (floor, ring), (start, place, height), (count, option) = floors, options, left
-    for k in range(begin, end):
-        block, num = blocks[k], 0
-        first, last = start[block], start[block + 1]
-        row0, _, col0, _ = block_window(lattice, block)
-        if now == 1:
-            for n in range(first, last):
-                if n == first or place[n] != place[n - 1]:
-                    option[first + num] = n
-                    num += 1
-            count[block], num = num, 0
-        for i in range(first, first + count[block]):
-            n = option[i]
-            row, col = row0 + place[n] // SIZE, col0 + place[n] % SIZE
-            around, is_new, z = _around(lattice, row, col), False, math.nan
-            for other in around:
-                is_new |= other >= 0 and ring[other] == now - 1
-            if is_new:
-                past = n + 1
-                while past < last and place[past] == place[n]:
-                    past += 1
-                z = _nearest_height(floor, ring, around, now, height[n:past], step)
-            if math.isnan(z):
-                option[first + num] = n
-                num += 1
-            else:
-                cell = row * lattice.width + col
-                floor[cell], ring[cell] = z, now
-        changed[block], count[block] = num < count[block], num
+    ring, outer = growing.ring, 0
+    while asked.shape[0] > 0 or outer < rim.shape[0]:
+        last = outer
+        while last < rim.shape[0] and ring[rim[last]] == now:
+            last += 1
+        beside, num = np.empty(4 * (asked.shape[0] + last - outer), np.int64), 0
+        for cell in asked:
+            if _grow_into(lattice, growing, cell, now):
+                num = _list_beside(lattice, ring, cell, beside, num)
+        for place in range(outer, last):
+            num = _list_beside(lattice, ring, rim[place], beside, num)
+        asked, outer, now = beside[:num], last, now + 1
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -192,7 +226,7 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * lattice.width + col
-                for way, other in enumerate(_around(lattice, row, col)[:2]):
+                for way, other in enumerate(_around(lattice, cell)[:2]):
                     if other < 0:
                         continue
                     low, last = first[other], first[other] + length[other]

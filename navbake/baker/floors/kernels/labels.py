@@ -107,16 +107,16 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns,
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``; measure them.
 
     The rows are the parts, by their first members, see `navbake.baker.blocks.list_rows`: how many
-    surfaces a part has, and how many of these lie uppermost, int64; its first member, by cell and
-    rank, int64; its first row and column, and past its last ones, (n, 4) int64; and the sum of its
-    members' hashes, uint64.
+    surfaces a part has, and how many of these lie uppermost; its first member, by cell and rank;
+    the sum of its members' hashes; its first row and column, and past its last ones, (n, 8) int64.
+    A column more has the lowest height [m].
 
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
             that one can stand on are one group. Only surfaces of one group are connected.
         part: receives the part of each surface, -1 for none, (n,) int32.
     """
-    size, tops, first_key, box, digest = columns
+    measures, lowest = columns
     first, length, z, width = surfaces.first, surfaces.length, surfaces.z, lattice.width
     far, bits, offset = _far(joining), z.view(np.int64), 0
     for k in range(begin, end):
@@ -156,20 +156,21 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns,
                         root = -2 - part[root]
                     if part[root] < -1:
                         n = offset + num
-                        if n == size.shape[0]:
+                        if n == lowest.shape[0]:
                             return k
-                        size[n], tops[n], digest[n] = 0, 0, 0
-                        first_key[n] = cell * 4096 + min(rank, 4095)
-                        box[n, 0], box[n, 1], box[n, 2], box[n, 3] = row, col, row + 1, col + 1
+                        measures[n, :], lowest[n] = 0, z[j]
+                        measures[n, 2] = cell * 4096 + min(rank, 4095)
+                        measures[n, 4], measures[n, 5] = row, col
                         part[root] = num
                         num += 1
                     part[j] = part[root]
                     n = offset + part[j]
-                    size[n] += 1
-                    tops[n] += 1 if surfaces.marks[j] & TOP else 0
-                    box[n, 1], box[n, 2] = min(box[n, 1], col), row + 1
-                    box[n, 3] = max(box[n, 3], col + 1)
-                    digest[n] += _mix(cell, bits[j], surfaces.geom[j])
+                    measures[n, 0] += 1
+                    measures[n, 1] += 1 if surfaces.marks[j] & TOP else 0
+                    measures[n, 3] += np.int64(_mix(cell, bits[j], surfaces.geom[j]))
+                    measures[n, 5], measures[n, 6] = min(measures[n, 5], col), row + 1
+                    measures[n, 7] = max(measures[n, 7], col + 1)
+                    lowest[n] = min(lowest[n], z[j])
                     rank += 1
         counts[k] = num
         offset += num

@@ -115,17 +115,19 @@ def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, n
                 own, is_lowest = block_of(lattice, row, col) if marks else block, True
                 first = surfaces.first[row * lattice.width + col]
                 for j in range(first, first + surfaces.length[row * lattice.width + col]):
+                    if kept.key[j] < 0:
+                        continue
                     z = surfaces.z[j]
-                    if z >= top:
+                    if z >= top or (ground == -math.inf and not is_lowest):
                         break
-                    if kept.key[j] < 0 or z < ground - SLACK:
+                    if z < ground - SLACK:
                         continue
                     number = _window_of(surfaces, kept, own, j, heights, is_lowest)
                     is_lowest = False
                     if number == NO_WINDOW:
                         continue
                     if marks:
-                        mask[row - row0 + reach, col - col0 + reach] = True
+                        mask[row - row0 + reach, col - col0 + reach] = 1
                         continue
                     at = note_row(rows, before, num, number, bin_of(z), 0)
                     if at < 0:
@@ -150,7 +152,7 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
     """
     num, size = np.int64(0), SIZE + 2 * test.reach
     for k in range(begin, end):
-        masks = np.zeros((size, size), np.bool_), np.empty((SIZE, SIZE), np.bool_)
+        masks = np.zeros((size, size), np.int32), np.empty((SIZE, SIZE), np.bool_)
         after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], masks, columns, num)
         if after < 0:
             return k

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.floors.kernels.labels import note_row
+from navbake.baker.kernels.connect import find_root, unite
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.tiles import block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
@@ -86,46 +87,52 @@ class AreaTest(NamedTuple):
 
     Attributes:
         needed: how many cells have to be left.
-        reach: the radius of `disc` [cells].
-        disc: offsets of the cells around one that is left, and its own, all of the set, the
-            farthest first, shape (n, 2), int64.
+        reach: the radius of the disc around a cell that is left, all of the set [cells].
+        half: of each row of the disc, from ``-reach`` to `reach`, how far it reaches to either
+            side, -1 for a row that need not be looked at, int64.
     """
 
     needed: int
     reach: int
-    disc: Int
+    half: Int
 
 
 @lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
-def near_offsets(limit: float, shorter: int) -> Int:
-    """Offsets of the cells nearer than a limit [cells], the farthest first; don't change it.
+def disc_rows(limit: float, shorter: int) -> Int:
+    """`AreaTest.half` of the cells nearer than a limit [cells]; don't change it.
 
-    Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, four
-    offsets are enough beside its own, of which one always leads out.
+    Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, the
+    disc's own row and its last ones are enough, of which one always leads out.
     """
     out = (shorter + 1) // 2
     if limit > out:
-        return np.array([[0, out], [0, -out], [out, 0], [-out, 0], [0, 0]], dtype=np.int64)
-    reach = int(np.ceil(limit))
-    rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    squares = (rows**2 + cols**2).ravel()
-    order = np.argsort(-squares, kind="stable")
-    squares = squares[order]
-    chosen = order[np.sqrt(squares) < limit]
-    return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
+        half = np.full(2 * out + 1, -1, dtype=np.int64)
+        half[out], half[[0, -1]] = out, 0
+        return half
+    away = np.arange(-int(np.ceil(limit)), int(np.ceil(limit)) + 1)
+    near = np.sqrt(away[:, None] ** 2 + away**2) < limit
+    half = np.where(near, away, np.int64(-1)).max(axis=1, initial=-1)
+    return np.asarray(half[half >= 0], dtype=np.int64)
 
 
 @part(**UNCOUNTED)
 def shrink(mask, test, left):
-    """Mark the cells that are left of a mask, which has a margin of `reach` around them."""
-    left[:] = True
+    """Mark the cells that are left of a mask, which has a margin of `reach` around them.
+
+    The mask is 1 at its cells and 0 elsewhere, int32. It receives how many cells of it end in a row
+    at each cell, so that a row of the disc is one comparison.
+    """
+    for row in range(mask.shape[0]):
+        for col in range(1, mask.shape[1]):
+            mask[row, col] *= mask[row, col - 1] + 1
     for r in range(left.shape[0]):
-        here = left[r]
-        for k in range(test.disc.shape[0]):
-            row, col = r + test.reach + test.disc[k, 0], test.reach + test.disc[k, 1]
-            there = mask[row, col : col + left.shape[1]]
-            for c in range(left.shape[1]):
-                here[c] &= there[c]
+        for c in range(left.shape[1]):
+            left[r, c] = True
+            for k in range(test.half.shape[0]):
+                half = test.half[k]
+                if mask[r + k, c + test.reach + half] <= 2 * half:
+                    left[r, c] = False
+                    break
 
 
 @part(inline="always")
@@ -179,12 +186,12 @@ def _surface_below(labelled, row, col, sheet, limit):
 
 @part(**UNCOUNTED)
 def _mark_sheet(labelled, sheet, window, reach, mask):
-    """Mark a sheet's cells in a window and within reach of it, in a mask that is all False."""
+    """Mark a sheet's cells in a window and within reach of it, in a mask that is all 0."""
     (row0, row1, col0, col1), lattice = window, labelled.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
             if _surface_below(labelled, row, col, sheet, -math.inf) == ITSELF:
-                mask[row - row0 + reach, col - col0 + reach] = True
+                mask[row - row0 + reach, col - col0 + reach] = 1
 
 
 @kernel(nogil=True)
@@ -205,7 +212,7 @@ def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end)
             row0, row1 = max(row0, boxes[sheet, 0]), min(row1, boxes[sheet, 2])
             col0, col1 = max(col0, boxes[sheet, 1]), min(col1, boxes[sheet, 3])
             if row1 > row0 and col1 > col0:
-                mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.bool_)
+                mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.int32)
                 _mark_sheet(labelled, sheet, (row0, row1, col0, col1), reach, mask)
                 left = np.empty((row1 - row0, col1 - col0), np.bool_)
                 shrink(mask, test, left)
@@ -235,11 +242,12 @@ def _drop_at(labelled, row, col, way, sheet, limit, reach):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
+def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
     """List the edges of sheets in ``blocks[begin:end]``, see `navbake.baker.blocks.list_rows`.
 
     The rows: the part in its block, the cell, the surface's place, the way out, and whether a floor
-    of another sheet lies more than a step below within reach, 1 or 0.
+    of another sheet lies more than a step below within reach, 1 or 0. No sheet is lower than
+    `lowest` [m].
     """
     (rows,), num, lattice = columns, 0, labelled.lattice
     for k in range(begin, end):
@@ -260,7 +268,8 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
                         if num == rows.shape[0]:
                             return k
                         rows[num, 0], rows[num, 1], rows[num, 2] = labelled.part[j], cell, j
-                        drops = _drop_at(labelled, row, col, way, sheet, limit, reach)
+                        may_drop = limit > lowest
+                        drops = may_drop and _drop_at(labelled, row, col, way, sheet, limit, reach)
                         rows[num, 3], rows[num, 4] = way, 1 if drops else 0
                         num += 1
         counts[k] = num - before
@@ -280,3 +289,40 @@ def look_below(labelled, cells, sheets, limits, places, below, begin, end):
         j = _surface_below(labelled, row, col, sheets[n], limits[n])
         block = block_of(labelled.lattice, row, col)
         places[n], below[n] = j, sheet_of(labelled, block, j) if j >= 0 else np.int32(-1)
+
+
+@kernel(nogil=True)
+def mark_holes(cells, ways, start, lattice, in_hole):
+    """Mark the edges at the rims of holes, of sheets with the edges ``start[n]:start[n + 1]``.
+
+    A rim's edges are connected by the cells beyond them, which meet at an edge or a corner. At a
+    corner, either of the two cells between them is none of the sheet's. The outer rim has the first
+    of these cells.
+    """
+    # a margin around the lattice, and an empty column between two rows
+    width, wide = lattice.width, lattice.width + 3
+    out = np.array([1, wide, -1, -wide])  # the ways east, south, west and north
+    # ITSELF on this side of an edge; beyond it, the parents of union-find, by place
+    parent = np.full(wide * (lattice.height + 3), NOTHING, np.int32)
+    inner, outer = np.empty((2, cells.shape[0]), np.int64)
+    for s in range(start.shape[0] - 1):
+        first, end = start[s], start[s + 1]
+        least = np.int64(parent.shape[0])
+        for n in range(first, end):
+            inner[n] = (cells[n] // width + 1) * wide + cells[n] % width + 1
+            outer[n] = inner[n] + out[ways[n]]
+            least = min(least, outer[n])
+            parent[inner[n]], parent[outer[n]] = ITSELF, outer[n]
+        for n in range(first, end):
+            place = outer[n]
+            for beside in (place + 1, place + wide - 1, place + wide, place + wide + 1):
+                if parent[beside] < 0:
+                    continue
+                at_corner = beside != place + 1 and beside != place + wide
+                if at_corner and parent[beside - wide] == ITSELF and parent[place + wide] == ITSELF:
+                    continue
+                unite(parent, place, beside)
+        for n in range(first, end):
+            in_hole[n] = find_root(parent, outer[n]) != least
+        for n in range(first, end):
+            parent[inner[n]] = parent[outer[n]] = NOTHING

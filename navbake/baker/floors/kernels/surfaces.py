@@ -62,26 +62,33 @@ def planes_over(planes, lattice, cell, z):
     return count, geom
 
 
+@part(inline="always")
+def _next_above(crossings, i, last):
+    """The next height above the i-th surface."""
+    for j in range(i + 1, last):
+        if crossings.z[j] - crossings.z[i] > SAME:
+            return crossings.z[j]
+    return math.inf
+
+
 @part(**UNCOUNTED)
-def look_up(crossings, i, last):
-    """How many closed surfaces hold the i-th surface, how many other solids; the next height above.
+def _count_around(crossings, i, last):
+    """How many closed surfaces hold the i-th surface, and how many other solids.
 
     A solid that begins at the surface's height (within SAME) stands on it and holds it; one that
     ends there does not.
     """
     z, normal, closed = crossings.z, crossings.normal, crossings.closed
-    surfaces, others, above = 0, 0, math.inf
+    surfaces, others = 0, 0
     for j in range(i + 1, last):
         if z[j] - z[i] <= SAME:
             continue
-        if above == math.inf:
-            above = z[j]
         turn = 1 if normal[j, 2] > 0.0 else -1
         if closed[j] == CLOSED_SURFACE:
             surfaces += turn
         elif closed[j] != OPEN_SURFACE:
             others += turn
-    return surfaces, others, above
+    return surfaces, others
 
 
 @part(inline="always")
@@ -112,11 +119,11 @@ def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, be
     slope, the floor is that of the lower side, which STANDS.
 
     The rows, see `navbake.baker.blocks.list_rows`: height [m], geom (of HELD surfaces, the one that
-    holds them), marks and normal. Crossings are numbered as `cells` are.
+    holds them), marks and normal.
     """
     (heights, geoms, marks, normals), num = columns, 0
     for n in range(begin, end):
-        first, last, before = crossings.start[n], crossings.start[n + 1], num
+        first, last, before = crossings.start[cells[n]], crossings.start[cells[n] + 1], num
         if num + last - first > heights.shape[0]:
             return n
         previous, held, gentle, at = -math.inf, -math.inf, -math.inf, num
@@ -126,7 +133,8 @@ def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, be
             if not is_gentle and not (up > 0.0 and z - gentle <= limits.step + SLACK):
                 continue
             if not is_gentle and up <= LEANING and gentle - previous > SAME:
-                surfaces, others, above = look_up(crossings, i, last)
+                surfaces, others = _count_around(crossings, i, last)
+                above = _next_above(crossings, i, last)
                 if surfaces + others <= 0 and above - gentle >= limits.headroom - SLACK:
                     previous = gentle
                     marks[at] |= STANDS if above < math.inf else STANDS | TOP
@@ -136,8 +144,9 @@ def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, be
                 normals[num, axis] = crossings.normal[i, axis]
             if is_gentle:
                 gentle, at = z, num
-                surfaces, others, above = look_up(crossings, i, last)
+                above = _next_above(crossings, i, last)
                 if z - previous > SAME and above - z >= limits.headroom - SLACK:
+                    surfaces, others = _count_around(crossings, i, last)
                     behind, plane = planes_over(planes, lattice, cells[n], z)
                     if surfaces + others + behind <= 0:
                         marks[num] |= STANDS

@@ -64,12 +64,15 @@ class FollowedScene:
 
     def keep(self, scene: Scene) -> None:
         """Take a scene for the one that the next pose is compared with."""
-        self._chosen = [np.array(getattr(self._model, name)) for name in CHOOSING]
+        self._chosen = self._choices()
         if scene.data is self._next:
             self._next = self.scene.data
         self.scene, self._poses = scene, _poses_of(scene.data)
         # whoever reads it on another thread has the last pose, or this one
         self.kept = tuple(getattr(scene.data, part).copy() for part in PARTS)
+
+    def _choices(self) -> list[bytes]:
+        return [getattr(self._model, name).tobytes() for name in CHOOSING]
 
     def pose(
         self,
@@ -91,9 +94,9 @@ class FollowedScene:
         self._check_finite(data)
         place_geoms(model, data)
         moved = (_poses_of(data) != self._poses).any(axis=1)
-        pairs = zip(self._chosen, CHOOSING, strict=True)
-        choices_hold = all(np.array_equal(one, getattr(model, name)) for one, name in pairs)
-        if not choices_hold or self._may_count_otherwise(moved & (model.geom_type == MESH), data):
+        if self._chosen != self._choices() or self._may_count_otherwise(
+            moved & (model.geom_type == MESH), data
+        ):
             opened, config = self._opened._replace(data=data), self._config
             scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
             differs = find_differing(was.shapes, scene.shapes)
