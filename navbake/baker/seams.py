@@ -64,8 +64,8 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
 
     def drop_thick(first: int, end: int) -> None:
-        low, high = bounds[first:end, :2], bounds[first:end, 3:5]
-        is_over[first:end] &= (high - low <= RIM).any(axis=1)
+        wide, deep = (bounds[first:end, 3 + axis] - bounds[first:end, axis] for axis in (0, 1))
+        is_over[first:end] &= (wide <= RIM) | (deep <= RIM)
 
     run_in_bands(drop_thick, len(bounds), least=4096)
     corners = tiled.facets.corners[is_over]

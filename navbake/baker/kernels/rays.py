@@ -343,6 +343,8 @@ def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
                     count += _hit_solid(solids, s, x, y, ray, hits, place)
             for i in range(items.triangle_start[tile], items.triangle_start[tile + 1]):
                 t, place = items.triangle_item[i], at + count
+                if not is_turned and is_beside(facets.bounds, t, x, y):
+                    continue
                 if not _is_near(facets.corners, t, x, y, lines.axes, turned):
                     continue
                 if hit_triangle(turned, 0, facets, t, x, y, NEVER_FAR, hits, place, writing) > 0:

@@ -27,7 +27,6 @@ spatial = lazy("scipy.spatial")
 # Half-size in place of the infinite side of a plane with a finite one; heights on a tilted one are
 # off by about 1e-16 FAR^2 [m]
 FAR = 1e4
-WIDE = 64  # points in a row
 LEAST, MOST_SHARES = 4096, 8  # points or triangles of a share; shares, each with arrays of its own
 SIDES = 32  # of a round solid that is drawn by triangles
 
@@ -221,9 +220,12 @@ class Shapes:
 def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
     """The meshes of some geoms, by ascending ids, without those of no triangle."""
     some = {geom: one for geom, one in triangles.items() if len(one.faces)}
-    boxes = np.empty((len(some), 6))
+    boxes, known = np.empty((len(some), 6)), dict[int, Bool]()
     for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
-        box[:] = find_box(only_used(vertices, faces)[0])
+        if id(faces) not in known:  # geoms of one mesh share it
+            known[id(faces)] = find_used(len(vertices), faces)
+        is_used = known[id(faces)]
+        box[:] = find_box(vertices if is_used.all() else vertices[is_used])
     return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
 
 
@@ -308,34 +310,32 @@ def find_areas(vertices: Float, faces: Int32) -> Float:
 
 def find_box(points: Float) -> Float:
     """The box round points, (n, 3): lower and upper corner, (6,) [m]; NaN if one has a NaN."""
-    boxes = np.empty((count_shares(len(points)), 6))
+    box = np.empty(6)
 
     def measure(first: int, end: int) -> None:
-        for share in range(first, end):
-            begin, last = (len(points) * k // len(boxes) for k in (share, share + 1))
-            # many points in a row, as numpy takes ten times as long along those of a narrow array
-            middle = begin + (last - begin) // WIDE * WIDE
-            wide, rest = points[begin:middle].reshape(-1, 3 * WIDE), points[middle:last]
-            for k, (least, start) in enumerate(((np.minimum, np.inf), (np.maximum, -np.inf))):
-                ends = least.reduce(wide, axis=0, initial=start).reshape(-1, 3)
-                ends = np.concatenate([ends, rest])
-                boxes[share, 3 * k : 3 * k + 3] = least.reduce(ends, axis=0)
+        for k in range(first, end):  # numpy takes ten times as long along narrow rows
+            box[k], box[3 + k] = points[:, k].min(), points[:, k].max()
 
-    run_in_bands(measure, len(boxes))
-    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+    run_in_bands(measure, 3, least=1 if len(points) > LEAST else 3)
+    return box
 
 
-def only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
-    """The vertices that faces use, and the faces counted in them."""
-    marks = np.zeros((count_shares(len(faces)), len(vertices)), dtype=np.bool_)
+def find_used(num: int, faces: Int32) -> Bool:
+    """Mark which of so many vertices some faces use, shape (num,)."""
+    marks = np.zeros((count_shares(len(faces)), num), dtype=np.bool_)
 
     def mark(first: int, end: int) -> None:
         for share in range(first, end):
             begin, last = (len(faces) * k // len(marks) for k in (share, share + 1))
-            marks[share, faces[begin:last]] = True
+            marks[share][faces[begin:last]] = True
 
     run_in_bands(mark, len(marks))
-    is_used = marks.any(axis=0) if len(marks) > 1 else marks[0]
+    return marks[0] if len(marks) == 1 else np.asarray(marks.any(axis=0))
+
+
+def only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
+    """The vertices that faces use, and the faces counted in them."""
+    is_used = find_used(len(vertices), faces)
     if is_used.all():
         return vertices, faces
     return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
