@@ -73,7 +73,7 @@ class Area:
 
     name: Name  #: Unique in the grid.
     #: By which the weights of its cells are multiplied; inf bars all agents.
-    cost: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    cost: NonNegative = 1.0
     speed: Positive | None = None  #: The highest in it [m/s]; None for the agent's.
     agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
 
@@ -90,20 +90,21 @@ class Area:
 def parse_areas(stated: Any) -> tuple[Area, ...]:
     """Read and check ``metadata.navbake.areas``; None is no area."""
     areas: dict[str, Area] = {}
-    if isinstance(stated, list):  # JSON has no infinite numbers
-        bars = [isinstance(entry, dict) and entry.get("cost") == "inf" for entry in stated]
-        pairs = zip(stated, bars, strict=True)
-        stated = [{**entry, "cost": math.inf} if no else entry for entry, no in pairs]
-    entries: list[Area] = read_table(stated or [], list[Area], AREAS)
+    # JSON has no infinite numbers, and costs that are numbers have a bound
+    stated = stated or []
+    rows = stated if isinstance(stated, list | tuple) else []
+    bars = [isinstance(row, dict) and row.get("cost") == "inf" for row in rows]
+    finite = [{**row, "cost": 1.0} if no else row for row, no in zip(rows, bars, strict=True)]
+    entries: list[Area] = read_table(finite or stated, list[Area], AREAS)
     if len(entries) > MAX_AREAS:
         raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{AREAS}`")
-    for number, area in enumerate(entries):
+    for number, (area, no) in enumerate(zip(entries, bars, strict=True)):
         if area.name in areas:
             raise FormatError(
                 f"expected unique names, got {area.name!r} twice at `{AREAS}[{number}].name`"
             )
-        areas[area.name] = area
-    return tuple(entries)
+        areas[area.name] = replace(area, cost=math.inf) if no else area
+    return tuple(areas.values())
 
 
 # ---------------------------------------------------------------- links

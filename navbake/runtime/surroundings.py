@@ -26,7 +26,7 @@ An agent's centre is on a cell's centre. The rules:
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ kernels = lazy("navbake.runtime.kernels.inflation")
 ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
-TILE = 16  # edge of the squares of cells whose floors are compared first
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
 TOUCH = 1e-9  # share of a radius by which a disc may overlap a square
 
@@ -76,17 +75,8 @@ def find_blocked(
         holes = ~has_floor & (occupied == 0)
         if holes.any():
             offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
-            near = np.nonzero(kernels.dilate(holes.view(np.uint8), widths) & has_floor & ~blocked)
-            reach = int(np.abs(offsets).max())
-            known, floors = np.pad(np.ones_like(has_floor), reach), np.pad(has_floor, reach)
-            within, with_floor = np.zeros((2, len(near[0])), dtype=np.int64)
-            # a ring of equally far cells completes a disc: a radius that fails fails larger ones
-            for ring in np.split(offsets + reach, np.flatnonzero(np.diff(squares)) + 1):
-                for row, col in ring.tolist():
-                    at = near[0] + row, near[1] + col
-                    within += known[at]
-                    with_floor += floors[at]
-                blocked[near] |= with_floor < LEAST_FLOOR * within
+            near = kernels.dilate(holes.view(np.uint8), widths) & has_floor & ~blocked
+            kernels.block_near_holes(has_floor, near, offsets, squares, LEAST_FLOOR, blocked)
     return blocked[inside]
 
 
@@ -114,39 +104,19 @@ def block_by_others(
     least, most = (extreme.reduce(storeys.floor, axis=None) for extreme in (np.fmin, np.fmax))
     if len(storeys.floor) == 1 and not most - least > storeys.step:
         return  # neither higher nor lower floors
-    # Floors are compared cell by cell, but only where the lowest and the highest floor round a tile
-    # make a conflict possible: one step of a min-max pyramid.
-    floor, step = storeys.floor, storeys.step
-    own, others = floor[storeys.level], np.arange(len(floor)) != storeys.level
-    lowest = _near_tiles(np.where(np.isnan(floor), np.inf, floor), offsets, np.minimum, np.inf)
-    highest = _near_tiles(np.where(np.isnan(floor), -np.inf, floor), offsets, np.maximum, -np.inf)
-    overlap, over = storeys.height - step, storeys.height + kernels.SLAB
-    meets = ((lowest < own + overlap) & (highest > own - overlap))[others].any(axis=0)
-    # by the cells of the level that offsets lead to
-    least, most = lowest[storeys.level], highest[storeys.level]
-    higher = lower = np.zeros_like(blocked)
-    if counts_higher:
-        with np.errstate(invalid="ignore"):  # files of other programs may have infinite floors
-            is_above = floor - least > step
-            is_above[others] &= (floor - most < over)[others]
-        higher = is_above.any(axis=0)
-    if ledges == "avoid":
-        # a column that carries agents of all heights near it is no drop
-        carries = (most - step <= floor) & (floor <= least + step)
-        lower = ~carries.any(axis=0) & (floor < most - step).any(axis=0)
-    kernels.block_by_floors(storeys, meets, higher, lower, offsets, blocked)
-
-
-def _near_tiles(values: NDArray[Any], offsets: Int, extreme: np.ufunc, beyond: float) -> Any:
-    """The extreme values of layers in the tiles that offsets lead to, by cell."""
-    rows, cols = values.shape[1:]
-    pads = (0, 0), (0, -rows % TILE), (0, -cols % TILE)
-    padded = np.pad(values, pads, constant_values=beyond)
-    tiles = padded.reshape(len(values), padded.shape[1] // TILE, TILE, -1, TILE)
-    of_window = ndimage.minimum_filter if extreme is np.minimum else ndimage.maximum_filter
-    window = 1, *[2 * -(-int(np.abs(offsets).max()) // TILE) + 1] * 2
-    found = of_window(extreme.reduce(tiles, axis=(2, 4)), size=window, mode="constant", cval=beyond)
-    return found.repeat(TILE, axis=1).repeat(TILE, axis=2)[:, :rows, :cols]
+    # the lowest and the highest floors in the tiles that offsets lead to from each tile
+    window, ranges = 2 * -(-int(np.abs(offsets).max()) // kernels.TILE) + 1, []
+    rows, cols = (np.arange(0, size, kernels.TILE) for size in blocked.shape)
+    for extreme, of_window, beyond in (
+        (np.fmin, ndimage.minimum_filter, np.float32(np.inf)),
+        (np.fmax, ndimage.maximum_filter, np.float32(-np.inf)),
+    ):
+        tiles = extreme.reduceat(extreme.reduceat(storeys.floor, rows, axis=1), cols, axis=2)
+        tiles = np.where(np.isnan(tiles), beyond, tiles)
+        size = (1, window, window)
+        ranges.append(of_window(tiles, size=size, mode="constant", cval=beyond))
+    avoids = ledges == "avoid"
+    kernels.block_by_floors(storeys, *ranges, offsets, counts_higher, avoids, blocked)
 
 
 def disc(

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -120,17 +120,13 @@ def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
-class DoorPose(NamedTuple):
-    """How the doors stand."""
+def pose_doors(scene: Scene, grid: GridBase) -> tuple[Any, set[int], set[int], list[str]]:
+    """Move the doors of a scene into the states that a grid states.
 
-    data: Any  # with the doors' joints moved
-    removed: set[int]  # ids of the geoms of removed doors
-    geoms: set[int]  # and of all doors: no floor is one of them
-    unknown: list[str]  # ids of doors that the scene doesn't have
-
-
-def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
-    """Move the doors of a scene into the states that a grid states."""
+    Returns:
+        data with the doors' joints moved; ids of the geoms of removed doors, and of all doors, as
+        no floor is one of them; and ids of the doors that the scene doesn't have.
+    """
     model, data = scene.model, copy.copy(scene.data)
     numbered = [(body_name(model, body), body) for body in range(1, model.nbody)]
     # doors whose name others share state their number, too
@@ -148,7 +144,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
         elif (position := _position(model, body, door)) is not None:
             data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = position
     mujoco.mj_kinematics(model, data)
-    return DoorPose(data, removed, geoms, unknown)
+    return data, removed, geoms, unknown
 
 
 def _position(model: Any, body: int, door: Door) -> float | None:

@@ -3,6 +3,9 @@
 `dilate` has two passes, as the exact distance transform of Meijster, Roerdink and Hesselink (2000):
 along the columns first, then along the rows, where it unites intervals instead of parabolas.
 
+Floors of several levels are compared cell by cell, but only where ranges of heights in tiles make a
+conflict possible: one step of a min-max pyramid.
+
 Arrays have the shape (rows, cols), those of `LevelStack` (levels, rows, cols); `offsets` are the
 steps from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool and written.
 """
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import EAST, NORTH, SOUTH, WEST
 
+TILE = 4  # edge of the squares of cells by which floors are compared first
 SLAB = 0.3  # [m] how thick the floor of a level above may be
 
 
@@ -70,41 +74,79 @@ def dilate(occupied, half_width):
 
 
 @kernel
-def block_by_floors(storeys, meets, higher, lower, offsets, blocked):
+def block_near_holes(has_floor, near, offsets, squares, least, blocked):
+    """Block cells of `near` with a share under `least` of cells with a floor, within any distance.
+
+    The offsets come with their squared lengths, the nearest first.
+    """
+    rows, cols = has_floor.shape
+    for row in range(rows):
+        for col in range(cols):
+            within, with_floor = 0, 0
+            for k in range(offsets.shape[0] if near[row, col] else 0):
+                r, c = row + offsets[k, 0], col + offsets[k, 1]
+                if 0 <= r < rows and 0 <= c < cols:
+                    within += 1
+                    with_floor += has_floor[r, c]
+                # a ring of equally far cells completes a disc; if that fails, larger ones do
+                is_whole = k + 1 == offsets.shape[0] or squares[k + 1] > squares[k]
+                if is_whole and with_floor < least * within:
+                    blocked[row, col] = True
+                    break
+
+
+@kernel
+def block_by_floors(storeys, lowest, highest, offsets, counts_higher, counts_lower, blocked):
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
-    `blocked` holds what the level's own occupied cells block. `meets` are the cells that may meet
-    another level, `higher` and `lower` those whose floors may be a wall or a drop for cells round
-    them. Floors more than a step higher count, but for those of another level that are higher than
-    an agent and a slab. A floor that a slope leads to is neither.
+    `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
+    if `counts_higher`, but for those of another level that are higher than an agent and a slab;
+    lower ones count if `counts_lower`. A floor that a slope leads to is neither. `lowest` and
+    `highest` are the extreme floors of each level in the tiles that offsets lead to, (levels, tile
+    rows, tile columns): offsets are tried only where these make a conflict possible.
     """
     floor, occupied, slopes, level, step, height = storeys
     levels, rows, cols = floor.shape
     overlap, over = height - step, height + SLAB
-    for row in range(rows):
+    for row in range(rows if levels > 1 else 0):
         for col in range(cols):
-            if meets[row, col] and not occupied[level, row, col]:
+            z, meets = floor[level, row, col], False
+            for other in range(levels):
+                is_low = lowest[other, row // TILE, col // TILE] - z < overlap
+                is_high = z - highest[other, row // TILE, col // TILE] < overlap
+                meets |= other != level and is_low and is_high
+            if meets and not occupied[level, row, col]:
                 blocked[row, col] = _meets_any(floor, occupied, level, row, col, offsets, overlap)
     for row in range(rows):
         for col in range(cols):
-            if not (higher[row, col] or lower[row, col]):
-                continue
+            # of the cells of the level for which this column may be a wall or a drop
+            least = lowest[level, row // TILE, col // TILE]
+            most = highest[level, row // TILE, col // TILE]
+            higher, lower, carries = False, False, False
             bottom, top = np.inf, -np.inf
             for other in range(levels):
                 z = floor[other, row, col]
                 bottom, top = z if z < bottom else bottom, z if z > top else top
+                is_above, is_below = z - least > step, most - z > step
+                higher |= is_above and (other == level or z - most < over)
+                lower |= is_below
+                # no drop for an agent of any of these heights
+                carries |= not (is_above or is_below or np.isnan(z))
+            higher, lower = higher and counts_higher, lower and counts_lower and not carries
+            if not (higher or lower):
+                continue
             for k in range(offsets.shape[0]):
                 r, c = row - offsets[k, 0], col - offsets[k, 1]
                 if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
                     continue
                 z = floor[level, r, c]
-                for other in range(levels if higher[row, col] and top - z > step else 0):
+                for other in range(levels if higher and top - z > step else 0):
                     rise = floor[other, row, col] - z
                     if step < rise and (other == level or rise < over):
                         blocked[r, c] |= slopes.shape[0] == 0 or not _is_slope(
                             floor, slopes, step, level, r, c, other, row, col
                         )
-                if lower[row, col] and z - bottom > step and not blocked[r, c]:
+                if lower and z - bottom > step and not blocked[r, c]:
                     blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
 
 
