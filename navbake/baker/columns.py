@@ -292,17 +292,34 @@ def _cast(
     if len(crossings.z):
         cast(crossings)
     if dropped.any():
-        kept = crossings.geom != DROPPED
-        place, every = np.append(0, np.cumsum(kept)), crossings
-        ends[:] = place[ends]
-        crossings = empty_crossings(start, int(place[-1]))
+        size = GROUP if len(lines.points) else BAND * tiled.lattice.width
+        crossings = _without_dropped(crossings, groups, size, dropped)
+    return crossings
 
-        def keep(first: int, end: int) -> None:
+
+def _without_dropped(every: Crossings, groups: range, size: int, dropped: Int) -> Crossings:
+    """Leave out the crossings that are DROPPED, so many of each group of `size` lines.
+
+    `every.start` is brought up to date in place.
+    """
+    before = np.append(0, np.cumsum(dropped))
+    begin = every.start[groups.start * size :: size][: len(groups)].tolist()
+    begin.append(len(every.z))
+    crossings = empty_crossings(every.start, len(every.z) - int(before[-1]))
+
+    def keep(first: int, end: int) -> None:
+        for group in range(first, end):
+            old = slice(*begin[group - groups.start : group - groups.start + 2])
+            new = slice(old.start - int(before[group]), old.stop - int(before[group + 1]))
+            ends = every.start[group * size + 1 : (group + 1) * size + 1]
+            is_kept = every.geom[old] != DROPPED
+            ends[:] = new.start + np.append(0, np.cumsum(is_kept))[ends - old.start]
+            kept = np.flatnonzero(is_kept)
             layers: Any = zip(every[1:], crossings[1:], strict=True)
-            for old, new in layers:
-                new[place[first] : place[end]] = old[first:end][kept[first:end]]
+            for array, own in layers:
+                np.take(array[old], kept, axis=0, out=own[new], mode="clip")
 
-        run_in_bands(keep, len(kept), least=65536)
+    run_in_bands(keep, len(groups), begin=groups.start)
     return crossings
 
 
