@@ -92,7 +92,7 @@ class Blocks:
         return cells
 
     def rim(self, mask: Bool) -> Int:
-        """The cells next to some blocks, outside of them."""
+        """The border cells of the blocks around some blocks; those next to these are among them."""
         cells = self.cells(self.around(mask) & ~mask)
         row, col = np.divmod(cells, self.lattice.width)
         return cells[np.isin(row % SIZE, (0, SIZE - 1)) | np.isin(col % SIZE, (0, SIZE - 1))]
@@ -177,7 +177,7 @@ class BlockTable:
         """List the rows of some blocks again, as `list_rows`; returns how many each block has."""
         counts, columns = list_rows(kernel, blocks, self._empty, *args)
         if len(blocks) == len(self._counts):
-            self._counts, self._columns = counts, columns
+            self._counts[:], self._columns = counts, columns
             return counts
         last = np.cumsum(self._counts)[blocks]
         runs, start = (last - self._counts[blocks], last), np.append(0, np.cumsum(counts))

@@ -24,7 +24,7 @@ BLOCK_CELLS = 1 << 20
 LEAST_POINTS = 1024
 # Chunks for each thread, where there are more boxes than so many a tile
 CHUNKS, WORTH = 2, 4
-UPRIGHT = np.eye(3)  # the axes of a frame in which vertical lines are upright
+WORLD_AXES = np.eye(3)  # the axes of a frame in which vertical lines are upright
 
 
 class Rows(NamedTuple):
@@ -244,17 +244,20 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     asked = Rows(bands.start * BAND, min(bands.stop * BAND, lattice.height))
     first, end = asked.cells(lattice)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-    none = Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), UPRIGHT)
+    none = Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), WORLD_AXES)
     known = slice(first, end + 1)
     return Columns(lattice, _cast(tiled, none, tiled.by_band, bands, start, known), rows and asked)
 
 
-def cast_points(tiled: TiledShapes, cells: Int, points: Float, axes: Float = UPRIGHT) -> Crossings:
+def cast_points(
+    tiled: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
+) -> Crossings:
     """Cross lines with the geometry near some cells, as `cast_columns` does; one column a line.
 
     Args:
         cells: the cell that each line is near to, by at most the reach of `tile_shapes`, (n,); or
-            two cells, (n, 2), of a line that lies between them.
+            two cells, (n, 2), of a line that lies between them: such a line may cross one thing
+            several times, once in each tile of their rectangle.
         points: x and y of each line, shape (n, 2) [m].
         axes: of a frame in which the lines are upright, its rows. The points, the normals and the
             shapes' solids are in this frame.

@@ -102,7 +102,7 @@ class Site(NamedTuple):
         block, rows = self.edges
         if among is not None:
             blocks = np.flatnonzero(sheets.blocks_of(chosen))
-            asked = labelled, float(sheets.low[among].min(initial=np.inf)), step, reach
+            asked = labelled, np.inf, step, reach  # no edge looks for a drop, which isn't needed
             counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), *asked)
             block = np.repeat(blocks, counts)
         sheet = sheets.sheet_at(block, rows[:, 0])

@@ -331,7 +331,7 @@ def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
     x, y, count, tiles_x = lines.points[n, 0], lines.points[n, 1], 0, -(-lattice.width // TILE)
     row0, row1 = lines.tiles[n, 0] // tiles_x, lines.tiles[n, 1] // tiles_x
     col0, col1 = lines.tiles[n, 0] % tiles_x, lines.tiles[n, 1] % tiles_x
-    is_turned = lines.axes[2, 2] != 1.0
+    is_turned = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
     for p in range(planes.geom.shape[0]):
         count += _hit_plane(planes, p, x, y, heights, ray, hits, at + count if writing else at)
     for row in range(min(row0, row1), max(row0, row1) + 1):

@@ -346,6 +346,7 @@ def _look_at_tile(walk, tiles, tile, entries):
             while t < last_t and facets.geom[items[t]] == geom:
                 t += 1
             end = t
+        # one loop for solids and triangles, as what it calls is compiled where it stands
         for k in range(3):
             box[0, k], box[0, 3 + k] = math.inf, -math.inf
         for i in items[begin : end if kind != PLANE else begin]:
@@ -356,11 +357,11 @@ def _look_at_tile(walk, tiles, tile, entries):
             for k in range(3):
                 box[0, k], box[0, 3 + k] = -math.inf, math.inf
             if (
-                planes.mat[p - 1, 2] == 0.0
-                and planes.mat[p - 1, 5] == 0.0
-                and planes.mat[p - 1, 8] > 0.0
+                planes.mat[items[0], 2] == 0.0
+                and planes.mat[items[0], 5] == 0.0
+                and planes.mat[items[0], 8] > 0.0
             ):
-                box[0, 5] = planes.pos[p - 1, 2]  # of level ground
+                box[0, 5] = planes.pos[items[0], 2]  # of level ground
         count = _ask_geom(walk, kind, items[begin:end], geom, entries, count)
     return count
 

@@ -275,7 +275,11 @@ class WallRays:
         chosen = np.concatenate([np.empty(0, np.int64), *(parts[k] for k in sorted(parts))])
         triangles = Facets._make(array.take(chosen, axis=0) for array in walls.triangles)
         self._heights[np.isnan(floor)] = NOWHERE
-        self._tiled = tile_shapes(walls, lattice, HAIR, triangles)
+        # rays from cells at the lattice's edge reach beyond it
+        self._reach = max(FAR_DIAGONAL, FAR_OF_DOORWAY / lattice.cell_size)
+        self._margin = margin = math.ceil(self._reach) + 1
+        rows, cols = (slice(-margin, count + margin) for count in lattice.shape)
+        self._tiled = tile_shapes(walls, lattice.cut(rows, cols), HAIR, triangles)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
     def look(self, direction: Direction, cells: Int) -> Float:
@@ -333,23 +337,22 @@ class WallRays:
         """
         lattice, count = self._lattice, len(offsets)
         centers = np.column_stack([lattice.positions(row, col), self._heights[row, col]]) @ axes.T
-        places, way = np.stack([row, col]) + 0.5, np.where(is_after, 1.0, -1.0)
+        # cells of the lattice with its margin
+        places, way = np.stack([row, col]) + (self._margin + 0.5), np.where(is_after, 1.0, -1.0)
         # how a step across a ray and one along it change the row and the column
         aside, along = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
-        last = np.array(lattice.shape)[:, None, None] - 1
         away, normal = np.full(len(row), np.inf), np.zeros((len(row), 3))
         left = np.arange(len(row))
-        reaches = NEAR_CELLS, max(FAR_DIAGONAL, FAR_OF_DOORWAY / lattice.cell_size)
         # most rays end near their cells, where there is little to look at
-        for reach in reaches[len(row) < MANY_RAYS :]:
+        for reach in (NEAR_CELLS, self._reach)[len(row) < MANY_RAYS :]:
             ray, offset = left.repeat(count), np.tile(offsets, len(left))
             points = centers[ray, :2]
             points[:, 0] += offset * lattice.cell_size
             ends = np.empty((2, len(ray), 2))
             ends[..., 0] = places[:, ray] + aside[:, None] * offset
             ends[..., 1] = ends[..., 0] + along[:, None] * (way[ray] * reach)
-            rows, cols = ends.astype(np.int64).clip(0, last)
-            crossings = cast_points(tiled, rows * lattice.width + cols, points, axes)
+            rows, cols = ends.astype(np.int64)
+            crossings = cast_points(tiled, rows * tiled.lattice.width + cols, points, axes)
             line = np.repeat(ray, np.diff(crossings.start))
             ahead = way[line] * (crossings.z - centers[line, 2])
             ahead[~(ahead >= 0.0)] = np.inf

@@ -1,16 +1,20 @@
 """Floors go on under things ring by ring, in a region as they do on the whole lattice."""
 
+from unittest.mock import patch
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.blocks import Blocks
+from navbake.baker.floors import growth
 from navbake.baker.floors.growth import grow_in
 from navbake.baker.floors.kernels.growth import Growing
 from navbake.baker.floors.kernels.members import Labelled
 from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.kernels.constants import SLACK
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import LEAST_CELLS, limit_threads
 
 LATTICE = Lattice(0.0, 2.0, 0.1, 132, 3)  # five blocks beside each other
 CELLS = LATTICE.width * LATTICE.height
@@ -74,12 +78,14 @@ def grow(region, floor, ring, options):
 
 
 @settings(deadline=None)  # its kernels may be compiled first
-@given(seeds)
-def test_floors_grow_as_ring_after_ring_of_all_cells(seed):
+@given(seeds, st.sampled_from([1, 8, LEAST_CELLS]), st.sampled_from([1, 2, 4]))
+def test_floors_grow_as_ring_after_ring_of_all_cells(seed, least, threads):
+    """Also where rings of few cells are divided among threads."""
     floor, options = draw(np.random.default_rng(seed))
     expected, rings = grow_plainly(floor, options)
     ring = np.where(np.isnan(floor), -1, 0).astype(np.int32)
-    grow(Blocks(LATTICE).all(), floor, ring, options)
+    with limit_threads(threads), patch.object(growth, "LEAST_CELLS", least):
+        grow(Blocks(LATTICE).all(), floor, ring, options)
     assert np.array_equal(floor, expected, equal_nan=True)
     assert np.array_equal(ring, rings)
 

@@ -375,14 +375,21 @@ def test_rooms_at_any_angle_are_those_along_the_lattice(tmp_path):
     assert min(overlaps(stages.rooms.index[0], plan.truth(stages.lattice))) > 0.85
 
 
+@pytest.mark.parametrize("is_cut", [False, True])
 @pytest.mark.parametrize("as_mesh", [False, True])
-def test_rays_to_walls(as_mesh, tmp_path):
-    """Level rays from cells meet the faces of a turned plan's boxes where plain ones do."""
+def test_rays_to_walls(as_mesh, is_cut, tmp_path):
+    """Level rays from cells meet the faces of a turned plan's boxes where plain ones do.
+
+    Also walls outside of the lattice, where it is cut to a part of the cells.
+    """
     plan = make_plan(1001)
     plan.turn = 0.4
     flags = bake_plan(plan, tmp_path, as_mesh=as_mesh).room_flags
-    lattice, is_open = flags.lattice, flags.levels[0].open
-    rays = WallRays(flags.walls, lattice, flags.levels[0].floor)
+    lattice, is_open, floor = flags.lattice, flags.levels[0].open, flags.levels[0].floor
+    if is_cut:
+        part = tuple(slice(count // 4, count // 2) for count in lattice.shape)
+        lattice, is_open, floor = lattice.cut(*part), is_open[part], floor[part]
+    rays = WallRays(flags.walls, lattice, floor)
     rng = np.random.default_rng(1)
     row, col = rng.permutation(np.argwhere(is_open))[:400].T
     upright = [box for box in plan.boxes if abs(box[1][2] - RAY_HEIGHT) < box[2][2]]

@@ -357,8 +357,9 @@ def test_many_points_on_several_threads(seed):
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
 
 
+@pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("sides", [MOST_EDGES - 1, MOST_EDGES, MOST_EDGES + 1, 5000])
-def test_a_point_with_many_edges(sides):
+def test_a_point_with_many_edges(sides, threads):
     """Two cones, base to base; the top comes first, and so all its edges are its own."""
     angle = np.arange(sides) * (2 * np.pi / sides)
     rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1)
@@ -367,10 +368,16 @@ def test_a_point_with_many_edges(sides):
     upper = np.stack([np.zeros(sides, dtype=int), here, after], axis=1)
     lower = np.stack([np.ones(sides, dtype=int), after, here], axis=1)
     faces = np.concatenate([upper, lower])
-    found = split_mesh(vertices, faces)
-    assert found.kind == "closed surface"
-    assert (found.part == 1).all()
-    assert not split_mesh(vertices, faces[1:]).part.any()
+    above = vertices * (1.0, 1.0, -1.0) + (0.0, 0.0, 2.0)  # which has the same tip
+    both = np.concatenate([vertices, above])
+    with limit_threads(threads):
+        found = split_mesh(vertices, faces)
+        assert found.kind == "closed surface"
+        assert (found.part == 1).all()
+        assert not split_mesh(vertices, faces[1:]).part.any()
+        two = split_mesh(both, np.concatenate([faces, faces[:, ::-1] + len(vertices)]))
+    assert two.kind == "closed surface"
+    np.testing.assert_array_equal(two.part, np.repeat([1, 2], len(faces)))
 
 
 def test_a_fan_of_many_triangles_at_one_edge():

@@ -32,9 +32,10 @@ class Growing(NamedTuple):
         height: of the agent [m].
         step: the highest step [m].
         floor: by cell, float64 [m]; NaN where there is none.
-        ring: by cell, int32: the ring of its floor, 0 where one can stand, -1 for none.
+        ring: by cell, int32: the ring of its floor, 0 where one can stand, -1 for none. Below -1
+            while the floor may still grow there, see `stand`.
         option: by surface of cells where nobody can stand, uint8: NO_OPTION, or whether the floor
-            may grow there, OPTION, or LAST_OPTION for the highest of its cell.
+            may grow there, OPTION, or LAST_OPTION for the highest of its cell. Written by `stand`.
     """
 
     surfaces: Surfaces

@@ -14,7 +14,9 @@ from navbake.compiled import UNCOUNTED, kernel, part
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
 OPEN = np.int32(-1)  # in place of the number of a shell
-MOST_EDGES = 256  # at a point, of which each is compared with all; others belong to no shell
+# Edges at a point that are compared, each with all; the triangles of others are no part of a shell
+# here, and `find_parts` decides about them, as it does about those
+MOST_EDGES = 256
 
 
 @part(inline="always")
