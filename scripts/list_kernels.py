@@ -32,7 +32,12 @@ from sweep_moves import sweep  # noqa: E402
 BYTES_PER_SECOND = 120_000  # of code that numba makes on one core, of functions of this size
 SAMPLES: dict[str, dict[str, Any]] = {
     "house": {"attributes": ["island", "clearance"]},
-    "apartment": {"agent": {"radius": 0.2}, "rooms": {"sources": ["auto"]}},
+    # fine enough for rings of many cells
+    "apartment": {
+        "agent": {"radius": 0.2},
+        "grid": {"cell_size": 0.05},
+        "rooms": {"sources": ["auto"]},
+    },
     "terrain": {},
     "clutter": {"scene": {"meshes": "shell"}},
 }
