@@ -105,8 +105,7 @@ OUTLINES = {"type": "FeatureCollection", "features": [
     {"type": "Feature", "properties": None, "geometry": {"type": "MultiPolygon",
      "coordinates": [[HALL], [[[5, 5, 0], [6, 5], [6, 6]]]]}}]}  # fmt: skip
 VERIFICATION = {"ok": False, "checked": 100, "cells": 50, "findings": [
-    {"kind": "free touches", "level": 0, "cell": [0, 5], "position": [0.5, 1, 0],
-     "text": "a table"}]}  # fmt: skip
+    {"kind": "free touches", "level": 0, "position": [0.5, 1, 0], "text": "a table"}]}  # fmt: skip
 SETTINGS = (
     b"scene:\n  path: a.xml\n  keyframe: 0\n  meshes: {wall*: hull}\n  joints:\n    hinge: 0.5\n"
     b"agent: {height: 1.5, radius: 0.2}\ngrid: {cell_size: 0.1, bounds: [-2, -2, 2, 2]}\n"

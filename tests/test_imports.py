@@ -320,6 +320,13 @@ def test_help_loads_no_baker():
     assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy", "numpy"])
 
 
+def test_settings_that_are_missing_are_named_before_scenes_can_be_read():
+    code = "from navbake.cli.main import main\ntry: main(['bake', 'none.yaml'])"
+    loaded = loaded_after(f"{code}\nexcept SystemExit: pass")
+    assert "navbake.config.settings" in loaded
+    assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy"])
+
+
 # numba loads scipy.linalg with its first kernel
 SCIPY = ("scipy.ndimage", "scipy.sparse", "scipy.spatial")
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import filelock
-import orjson
 
 from navbake.batch import store
 from navbake.batch.products import CLASSES
@@ -157,8 +156,9 @@ def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
         content = store.read_file(store.join(folder, name))
     for line in content.split(b"\n"):
         try:
-            row = orjson.loads(line)
-        except orjson.JSONDecodeError:
+            # orjson refuses halves of surrogates, which names that aren't UTF-8 have
+            row = json.loads(line, parse_constant=_refuse)
+        except (ValueError, RecursionError):
             continue
         if isinstance(row, dict) and isinstance(row.get("id"), str):
             rows[row["id"]] = row
@@ -179,6 +179,11 @@ def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, Json]:
 def line_of(row: Json) -> bytes:
     """A row as a line of JSON."""
     return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+def _refuse(word: str) -> float:
+    """Refuse NaN and Infinity, which are no JSON."""
+    raise ValueError(word)
 
 
 # ---------------------------------------------------------------- as Parquet

@@ -29,7 +29,6 @@ from navbake.formats.convert import OCTREES, VOXELS
 from navbake.views.tables import level_table, make_table
 
 if TYPE_CHECKING:
-    from navbake.baker.scene.model import CompileLimits
     from navbake.config.settings import BakeConfig
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
@@ -254,12 +253,12 @@ def bake(
         ("--isolate-seconds", seconds is not None, isolate, "--isolate"),
         ("--isolate-memory", memory is not None, isolate, "--isolate"),
     )
-    from navbake.baker.scene.model import CompileLimits
     from navbake.config.settings import load_config
 
-    given = {"seconds": seconds, "memory": memory}
-    stated = {key: value for key, value in given.items() if value is not None}
-    limits = CompileLimits(**stated) if isolate else None
+    limits: dict[str, float] | None = None
+    if isolate:
+        given = {"seconds": seconds, "memory": memory}
+        limits = {key: value for key, value in given.items() if value is not None}
     overrides = list(overrides or [])
     overrides += [f"agent.radius={radius}"] * (radius is not None)
     overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
@@ -306,15 +305,18 @@ def _bake_one(
     config: BakeConfig,
     target: Path,
     threads: int | None,
-    limits: CompileLimits | None,
+    limits: dict[str, float] | None,
     with_timings: bool,
 ) -> None:
+    """Bake and write a grid; `limits` are the stated ones of compiling in a process, or None."""
     from navbake.baker.pipeline import run_bake
+    from navbake.baker.scene.model import CompileLimits
     from navbake.formats.navgrid import encode_files
     from navbake.views.describe import describe
 
     with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
-        asked: Any = {"threads": threads, "progress": progress, "limits": limits}
+        asked: Any = {"threads": threads, "progress": progress}
+        asked["limits"] = None if limits is None else CompileLimits(**limits)
         # with --quiet, all warnings follow the bake
         tell = None if printing.VOLUME.quiet else lambda hint: print_warnings([hint])
         result = run_bake(config, **asked, tell=tell)
@@ -322,8 +324,8 @@ def _bake_one(
         result.grid.timings = {}
     begin = time.perf_counter()
     target.parent.mkdir(parents=True, exist_ok=True)
-    for content in encode_files(result.grid, target).values():
-        options.write_output(content, target)
+    (content,) = encode_files(result.grid, target).values()
+    options.write_output(content, target)
     result.timings["write"] = time.perf_counter() - begin
     if printing.VOLUME.quiet:
         print_warnings(result.warnings)

@@ -120,7 +120,7 @@ def score(
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, or for another agent."),
     as_json: AsJson = False,
-    output: Path | None = option("CSV", "Write a row for each episode.", *OUTPUT),
+    output: Path | None = option("CSV", "Write a row for each episode; - for stdout.", *OUTPUT),
 ) -> None:
     """Score trajectories in a set of episodes, with intervals of 95 %.
 
@@ -145,15 +145,16 @@ def score(
         threshold=threshold, force=force, partial=partial,
     )  # fmt: skip
     groups = scores.summarize(rows, by, seed=seed)
-    if as_json:
-        facts = [group | {k: group[k]._asdict() for k in scores.MEANS} for group in groups]
-        print_json(msgspec.json.decode(msgspec.json.encode(facts)))  # null for NaN
-    else:
-        for group in groups:
-            say(f"{group['group']}: {group['episodes']} episodes")
-            known = [(key, group[key]) for key in scores.MEANS if group[key].known]
-            cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in known]
-            print_tables(make_table(("measure", "mean", "95 %"), cells))
+    with options.beside_output(output):
+        if as_json:
+            facts = [group | {k: group[k]._asdict() for k in scores.MEANS} for group in groups]
+            print_json(msgspec.json.decode(msgspec.json.encode(facts)))  # null for NaN
+        else:
+            for group in groups:
+                say(f"{group['group']}: {group['episodes']} episodes")
+                known = [(key, group[key]) for key in scores.MEANS if group[key].known]
+                cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in known]
+                print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:
         heads = list(rows[0]) if rows else ["episode"]
         options.write_output(encode_csv([heads, *(row.values() for row in rows)]), output)

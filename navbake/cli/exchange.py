@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import Path as Route
 
-FORMAT_OPTIONS = {name for f in FORMATS for name in (*f.write_options, *f.read_options)}
-"""Names of the options of `convert` that are a format's."""
 ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
 
 # Functions import what reads grids when they run: --help stays quick.
@@ -75,13 +73,32 @@ def convert(
         "NAME=ID", "What the other program calls a scene, in a set of episodes. May be repeated."
     ),
 ) -> None:
-    arguments = locals()
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    given = {
+    format_options = {
+        "level": level,
+        "radius": radius,
+        "mode": mode,
+        "image": image,
+        "rules": rules,
+        "inflation": inflation,
+        "zone": zone,
+        "zones": zones,
+        "agent": agent,
+        "absolute": absolute,
+        "height": height,
+        "flat": flat,
+        "scaling": scaling,
+        "categories": categories,
+        "route": route,
+        "tolerance": tolerance,
+        "up": up,
+        "cut_corners": cut_corners,
+    }
+    given: dict[str, Any] = {
         key: value
-        for key, value in arguments.items()
-        if key in FORMAT_OPTIONS and value not in (None, []) and value is not False
+        for key, value in format_options.items()
+        if value not in (None, []) and value is not False
     }
     names = source.name.lower(), output.name.lower()
     if to in SET_FORMATS or names[0].endswith(".csv") or any(n.endswith(ONLY_SETS) for n in names):
@@ -204,8 +221,8 @@ def inflate(
     if held > radius:
         print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
-    for content in encode_files(after, output).values():
-        options.write_output(content, output)
+    (content,) = encode_files(after, output).values()
+    options.write_output(content, output)
     areas = [
         sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in content.levels)
         for content in (before, after)

@@ -157,7 +157,7 @@ def make_episodes(
     seed: int = 0,
     splits: Splits | None = None,
     files: Sequence[str | None] = (),
-    **robot: Unpack[AgentChoice],
+    **choice: Unpack[AgentChoice],
 ) -> EpisodeSet:
     """Draw episodes on grids; all can be solved, and the same arguments give the same set.
 
@@ -172,17 +172,17 @@ def make_episodes(
         seed: of the draw, >= 0.
         splits: parts of the set.
         files: the grids' names, for the header.
-        robot: for whom, see `AgentChoice`.
+        choice: for whom, see `AgentChoice`.
 
     Raises:
         QueryError: there is no episode, no such object or room, the agent is too high, or two
             grids are of one scene.
         ConfigError: there is no such task or sampler.
     """
-    if unknown := robot.keys() - AgentChoice.__annotations__.keys():
+    if unknown := choice.keys() - AgentChoice.__annotations__.keys():
         raise TypeError(f"make_episodes() got an unexpected keyword argument {min(unknown)!r}")
     radius, height, speed, agent = (
-        robot.get("radius"), robot.get("height"), robot.get("speed"), robot.get("agent")
+        choice.get("radius"), choice.get("height"), choice.get("speed"), choice.get("agent")
     )  # fmt: skip
     scenes = list(grids) if isinstance(grids, Sequence) else [grids]
     wanted = task if isinstance(task, Task) else make_task(task)

@@ -5,7 +5,7 @@ With the settings written beside it, the scene bakes to the cells of the grid:
 - A floor is a slab under each cell that has one, at its height. Unknown cells have none.
 - A wall stands on the floor of each blocked cell that isn't unknown. It rises to the floor above
   it, or over all floors, so that its top is no floor by itself.
-- Adjacent cells with the same heights share a box (`cover_floor`). Boxes are a thousandth of a
+- Adjacent cells with the same heights share a box (`cover_quads`). Boxes are a thousandth of a
   cell smaller on each side, so that none reaches into an adjacent cell.
 - Blocked cells that are not connected with a free cell, even through other blocked cells, become
   unknown: a bake derives the floor under objects from the floor beside them.
@@ -27,7 +27,7 @@ import numpy as np
 
 from navbake.errors import FormatError
 from navbake.formats.convert import chosen_levels
-from navbake.formats.floor_mesh import cover_floor
+from navbake.formats.floor_mesh import cover_quads
 from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
@@ -139,7 +139,7 @@ def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
     heights, labels = np.unique(spans, axis=0, return_inverse=True)
     cells = np.zeros(mask.shape, dtype=np.int32)
     cells[mask] = labels.ravel() + 1
-    first, rows, cols, _ = cover_floor(cells, np.zeros(mask.shape), 0.0, 0.0, -INSET)
+    first, rows, cols, _ = cover_quads(cells, np.zeros(mask.shape), 0.0, 0.0, -INSET)
     z = heights[cells[first[:, 0], first[:, 1]].astype(np.int64) - 1]
     x = lattice.x_min + lattice.cell_size * cols[:, :2]
     y = lattice.y_max - lattice.cell_size * rows[:, 1:3]

@@ -124,7 +124,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
         lattice, size = level.lattice, level.lattice.cell_size
         index = level.room_index.astype(np.int32)
         labels, heights = np.where(level.free, index + 1, 0), level.floor_or_ground
-        first, rows, cols, z = cover_floor(labels, heights, float(tolerance), steepest * size)
+        first, rows, cols, z = cover_quads(labels, heights, float(tolerance), steepest * size)
         own = index[first[:, 0], first[:, 1]]
         order = np.argsort(own, kind="stable")
         corners = [lattice.x_min + cols * size, lattice.y_max - rows * size, z]
@@ -143,15 +143,15 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     return FloorMesh(levels)
 
 
-def cover_floor(
-    labels: NDArray[np.int32], heights: Float, tolerance: float, steepest: float, overlap: float = 0
+def cover_quads(
+    labels: NDArray[np.int32], heights: Float, tolerance: float, steepest: float, margin: float = 0
 ) -> tuple[Int, Float, Float, Float]:
     """Cover cells by few quads, each of one label and one plane; see `cover_planes`.
 
     Returns:
         Row and column of each quad's first cell, shape (n, 2); and rows, columns and heights of its
         corners, anticlockwise from above, the lower left one first, shape (n, 4) each. The quads
-        are larger by `overlap` on each side [cells].
+        are larger by `margin` on each side [cells]; smaller if it is negative.
     """
     from navbake.compiled import ensure_compiled  # numba loads slowly
     from navbake.formats.kernels.planes import cover_planes  # as above
@@ -159,8 +159,8 @@ def cover_floor(
     ensure_compiled("formats.kernels.planes.")
     bounds, planes = cover_planes(labels, heights, tolerance, steepest)
     row0, col0, row1, col1 = bounds.T
-    rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * overlap
-    cols = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * overlap
+    rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * margin
+    cols = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * margin
     down, right = rows - row0[:, None] - 0.5, cols - col0[:, None] - 0.5  # from the first centre
     z = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
     return bounds[:, :2], rows, cols, z

@@ -288,8 +288,22 @@ def read_mask(
     return done
 
 
-read_keepout = partial(read_mask, has_limits=False)
-read_speed = partial(read_mask, has_limits=True)
+def read_keepout(
+    path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
+) -> NavGrid:
+    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
+    return read_mask(path, has_limits=False, grid=grid, level=level)
+
+
+def read_speed(
+    path: str | PathLike[str],
+    *,
+    grid: NavGrid | None = None,
+    level: int = 0,
+    agent: str | Agent | None = None,
+) -> NavGrid:
+    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
+    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
 
 
 def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:

@@ -12,16 +12,14 @@ header's lines, the order of the nodes, pruning, and the log-odds of certain vox
 """
 
 import math
-from collections.abc import Mapping
 from os import PathLike
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import MAX_HEADER, Allowance, JsonPath
-from navbake.formats.source import read_bytes
+from navbake.formats.allowance import Allowance, JsonPath
+from navbake.formats.source import read_bytes, read_header
 from navbake.types import Int
 from navbake.voxels.grid import VoxelGrid, finite_array
 
@@ -191,39 +189,6 @@ def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]:
         expected = f"bounds within {CENTER * res:g} m of the origin, where the tree reaches"
         raise FormatError(f"expected {expected}, got {box.tolist()}")
     return first, tuple((end - first).tolist())
-
-
-def read_header(
-    data: bytes, source: str, numbers: Mapping[str, tuple[int, type]]
-) -> tuple[dict[str, list[str]], list[list[Any]], int]:
-    """Read the header lines of a binvox or OctoMap file; `numbers` has some lines' number counts.
-
-    Returns the words of each line by its first word, comments (``#``) included, the numbers, and
-    the offset of the data.
-    """
-    lines: dict[str, list[str]] = {"translate": ["0"] * 3, "scale": ["1"]}  # may be missing
-    start = 0
-    while "data" not in lines:
-        end = data.find(b"\n", start, MAX_HEADER)
-        if end < 0:
-            raise FormatError(f"no line `data` ends the header of {source}")
-        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
-        lines[first], start = words, end + 1
-    found = []
-    for name, (count, kind) in numbers.items():
-        if name not in lines:
-            raise FormatError(f"no line `{name}` in the header of {source}")
-        try:
-            values = [kind(word) for word in lines[name]]
-            is_good = len(values) == count and all(map(math.isfinite, values))
-        except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
-            is_good = False
-        if not is_good:
-            what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
-            where, got = f"at `{name}` in the header of {source}", repr(" ".join(lines[name])[:60])
-            raise FormatError(f"expected {count} {what} {where}, got {got}")
-        found.append(values)
-    return lines, found, start
 
 
 def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:

@@ -10,9 +10,11 @@ import gzip
 import importlib
 import io
 import logging
+import math
 import os
 import warnings
 import zlib
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias
@@ -21,7 +23,7 @@ import orjson
 
 from navbake.errors import ConfigError, FormatError, MissingDependencyError
 from navbake.files import write_together
-from navbake.formats.allowance import MAX_BYTES, PIXEL_COST, Allowance, JsonPath, shown
+from navbake.formats.allowance import MAX_BYTES, MAX_HEADER, PIXEL_COST, Allowance, JsonPath, shown
 from navbake.lazy import lazy
 
 if TYPE_CHECKING:
@@ -251,6 +253,49 @@ def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
     file = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(file, kind, pnginfo=notes)
     return file.getvalue()
+
+
+def read_header(
+    data: bytes,
+    source: str,
+    numbers: Mapping[str, tuple[int, type]],
+    defaults: Mapping[str, list[str]] | None = None,
+) -> tuple[dict[str, list[str]], list[list[Any]], int]:
+    """Read the header lines of a voxel file, up to the line ``data``: binvox or OctoMap.
+
+    Args:
+        data: the file.
+        source: its name.
+        numbers: how many numbers some lines have, and of which type, by the line's first word.
+        defaults: the words of lines that may be missing.
+
+    Returns:
+        The words of each line by its first word, comments (``#``) included, the numbers, and the
+        offset of the data.
+    """
+    lines = dict(defaults or {})
+    start = 0
+    while "data" not in lines:
+        end = data.find(b"\n", start, MAX_HEADER)
+        if end < 0:
+            raise FormatError(f"no line `data` ends the header of {source}")
+        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
+        lines[first], start = words, end + 1
+    found = []
+    for name, (count, kind) in numbers.items():
+        if name not in lines:
+            raise FormatError(f"no line `{name}` in the header of {source}")
+        try:
+            values = [kind(word) for word in lines[name]]
+            is_good = len(values) == count and all(map(math.isfinite, values))
+        except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
+            is_good = False
+        if not is_good:
+            what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
+            where, got = f"at `{name}` in the header of {source}", repr(" ".join(lines[name])[:60])
+            raise FormatError(f"expected {count} {what} {where}, got {got}")
+        found.append(values)
+    return lines, found, start
 
 
 # ---------------------------------------------------------------- writing

@@ -28,8 +28,8 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath, shown
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.npz import encode_npz, read_npz
-from navbake.formats.octomap import encode_octomap, read_header, read_octomap
-from navbake.formats.source import check_path, path_name, read_bytes, write_bytes
+from navbake.formats.octomap import encode_octomap, read_octomap
+from navbake.formats.source import check_path, path_name, read_bytes, read_header, write_bytes
 from navbake.navgrid.lattice import FARTHEST
 from navbake.voxels.grid import VoxelGrid, check_three
 
@@ -50,6 +50,7 @@ LINES: dict[str, tuple[int, type]] = {
     "translate": (3, float),
     "scale": (1, float),
 }
+MAY_MISS = {"translate": ["0"] * 3, "scale": ["1"]}  # words of lines that a header may lack
 
 
 def write_voxels(
@@ -285,7 +286,7 @@ def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> 
 
 def _read_header(data: bytes, source: str) -> tuple[int, list[int], list[float], float, int]:
     """The numbers of `LINES`, and the offset of the data."""
-    lines, found, end = read_header(data, source, LINES)
+    lines, found, end = read_header(data, source, LINES, MAY_MISS)
     (version,), dim, translate, (scale,) = found
     unknown = [n for n in lines if n not in LINES and n[:1] not in ("#", "") and n != "data"]
     if unknown:

@@ -71,10 +71,9 @@ def parse_agents(stated: Any) -> dict[str, Agent]:
 class Area:
     """An area; the layer ``area`` has its place in the table, from 1, in each of its cells."""
 
-    name: Name  #: Unique in the grid.
-    #: By which the weights of its cells are multiplied; inf bars all agents.
-    cost: NonNegative = 1.0
-    speed: Positive | None = None  #: The highest in it [m/s]; None for the agent's.
+    name: str  #: Unique in the grid.
+    cost: float = 1.0  #: By which the weights of its cells are multiplied; inf bars all agents.
+    speed: float | None = None  #: The highest in it [m/s]; None for the agent's.
     agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
 
     def bars(self, agent: Agent | None) -> bool:
@@ -87,23 +86,27 @@ class Area:
         return {**entry_of(self), "cost": "inf" if math.isinf(self.cost) else self.cost}
 
 
+class _AreaEntry(msgspec.Struct):
+    """An area in a file."""
+
+    name: Name
+    cost: NonNegative | Literal["inf"] = 1.0  # JSON has no infinite numbers
+    speed: Positive | None = None
+    agents: tuple[str, ...] | None = None
+
+
 def parse_areas(stated: Any) -> tuple[Area, ...]:
     """Read and check ``metadata.navbake.areas``; None is no area."""
     areas: dict[str, Area] = {}
-    # JSON has no infinite numbers, and costs that are numbers have a bound
-    stated = stated or []
-    rows = stated if isinstance(stated, list | tuple) else []
-    bars = [isinstance(row, dict) and row.get("cost") == "inf" for row in rows]
-    finite = [{**row, "cost": 1.0} if no else row for row, no in zip(rows, bars, strict=True)]
-    entries: list[Area] = read_table(finite or stated, list[Area], AREAS)
+    entries: list[_AreaEntry] = read_table(stated or [], list[_AreaEntry], AREAS)
     if len(entries) > MAX_AREAS:
         raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{AREAS}`")
-    for number, (area, no) in enumerate(zip(entries, bars, strict=True)):
-        if area.name in areas:
+    for number, entry in enumerate(entries):
+        if entry.name in areas:
             raise FormatError(
-                f"expected unique names, got {area.name!r} twice at `{AREAS}[{number}].name`"
+                f"expected unique names, got {entry.name!r} twice at `{AREAS}[{number}].name`"
             )
-        areas[area.name] = replace(area, cost=math.inf) if no else area
+        areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
     return tuple(areas.values())
 
 

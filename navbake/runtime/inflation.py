@@ -280,7 +280,7 @@ def inflate_footprint(
         reach = math.ceil(radius / cell) + 1
         if reach > MAX_REACH:
             raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
-        storeys, inside = surroundings.find_surroundings(grid, number, reach)
+        stack, inside = surroundings.find_surroundings(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         # the cells round the agent's, by which the polygon's squares are found in their unit
         around = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
@@ -290,8 +290,8 @@ def inflate_footprint(
             turned = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
             offsets = np.ascontiguousarray(np.argwhere(touch_cells([turned], around)) - reach)
             runs = _to_runs(offsets)
-            blocked = count_runs(storeys.occupied[storeys.level] != 0, runs) > 0
-            surroundings.block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
+            blocked = count_runs(stack.occupied[stack.level] != 0, runs) > 0
+            surroundings.block_by_others(grid, number, stack, radius, offsets, ledges, blocked)
             free[k] = level.free_for_point & ~blocked[inside]
         masks.append(free)
     return masks

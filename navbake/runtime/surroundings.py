@@ -58,20 +58,20 @@ def find_blocked(
     """
     compiled.ensure_compiled("runtime.kernels.inflation.")
     cells = radius / grid.levels[number].lattice.cell_size
-    storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
-    occupied = storeys.occupied[storeys.level]
+    stack, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
+    occupied = stack.occupied[stack.level]
     offsets, _, widths = disc(cells, occupied.shape)
     if by_own:
         blocked: Bool = kernels.dilate(occupied, widths)
-        others = storeys
+        others = stack
     else:
         blocked = np.zeros(occupied.shape, dtype=np.bool_)
-        others = storeys._replace(occupied=np.ones_like(storeys.occupied))
-        others.occupied[storeys.level] = 0
+        others = stack._replace(occupied=np.ones_like(stack.occupied))
+        others.occupied[stack.level] = 0
     if cells > 0:
         block_by_others(grid, number, others, radius, offsets, ledges, blocked)
         # holes that are not occupied and leave too little floor in a disc
-        has_floor = ~np.isnan(storeys.floor[storeys.level])
+        has_floor = ~np.isnan(stack.floor[stack.level])
         holes = ~has_floor & (occupied == 0)
         if holes.any():
             offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
@@ -90,7 +90,7 @@ def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
 def block_by_others(
     grid: NavGrid,
     number: int,
-    storeys: LevelStack,
+    stack: LevelStack,
     radius: float,
     offsets: Int,
     ledges: str,
@@ -101,8 +101,8 @@ def block_by_others(
     # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
     has_solid = bool(level.navbake) and "solid" in level.attributes
     counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
-    least, most = (extreme.reduce(storeys.floor, axis=None) for extreme in (np.fmin, np.fmax))
-    if len(storeys.floor) == 1 and not most - least > storeys.step:
+    least, most = (extreme.reduce(stack.floor, axis=None) for extreme in (np.fmin, np.fmax))
+    if len(stack.floor) == 1 and not most - least > stack.step:
         return  # neither higher nor lower floors
     # the lowest and the highest floors in the tiles that offsets lead to from each tile
     window, ranges = 2 * -(-int(np.abs(offsets).max()) // kernels.TILE) + 1, []
@@ -111,12 +111,12 @@ def block_by_others(
         (np.fmin, ndimage.minimum_filter, np.float32(np.inf)),
         (np.fmax, ndimage.maximum_filter, np.float32(-np.inf)),
     ):
-        tiles = extreme.reduceat(extreme.reduceat(storeys.floor, rows, axis=1), cols, axis=2)
+        tiles = extreme.reduceat(extreme.reduceat(stack.floor, rows, axis=1), cols, axis=2)
         tiles = np.where(np.isnan(tiles), beyond, tiles)
         size = (1, window, window)
         ranges.append(of_window(tiles, size=size, mode="constant", cval=beyond))
     avoids = ledges == "avoid"
-    kernels.block_by_floors(storeys, *ranges, offsets, counts_higher, avoids, blocked)
+    kernels.block_by_floors(stack, *ranges, offsets, counts_higher, avoids, blocked)
 
 
 def disc(
@@ -170,8 +170,8 @@ def find_surroundings(
             _paste(occupied[i], part.solid, row - top, col - left)
     at = {k: (i, row - top, col - left) for i, (k, (row, col)) in enumerate(placed.items())}
     slopes = _find_slopes(grid, at, floor, agent[0])
-    storeys = kernels.LevelStack(floor, occupied, slopes, at[number][0], *agent)
-    return storeys, (slice(-top, level.height - top), slice(-left, level.width - left))
+    stack = kernels.LevelStack(floor, occupied, slopes, at[number][0], *agent)
+    return stack, (slice(-top, level.height - top), slice(-left, level.width - left))
 
 
 def _find_slopes(

@@ -42,17 +42,19 @@ class AgentSizes(NamedTuple):
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
 
 
-def inflate_for(
-    grid: Any, radius: float | None, notes: list[str]
-) -> tuple[Any, float | None, float, bool]:
+class Inflated(NamedTuple):
+    """A grid as it is verified, and what was done to it for a larger agent."""
+
+    grid: Any
+    radius: float | None  # of the cylinder on free cells [m]; None for the baked footprint
+    reach: float  # how far from a closed cell's centre the reason may be [m]
+    by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
+
+
+def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
     """Inflate a grid for a radius [m]; it stays as it is if None. May add notes.
 
     One that was inflated for a larger radius, or in the mode ``minos``, is a QueryError.
-
-    Returns:
-        the grid; the radius of the cylinder on free cells [m], None for the baked footprint; how
-        far from a closed cell's centre the reason may be [m]; and whether that is any occupied
-        cell, as in the mode ``minos``.
     """
     done, broken = read_inflations(grid)
     if broken is not None:
@@ -67,15 +69,16 @@ def inflate_for(
             )
         note = "inflated in the mode minos, which measures from the centres of cells"
         notes.append(f"{note}: free cells are judged by the baked footprint")
-        return grid, None, largest, True
+        return Inflated(grid, None, largest, by_centres=True)
     if radius is None:
-        return grid, largest if done else None, largest, False
+        return Inflated(grid, largest if done else None, largest)
     if radius < largest:
         raise QueryError(
             f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
             f"expected a radius of at least {largest:g} m, or the grid as it was before"
         )
-    return grid if done and radius == largest else grid.inflate(radius), radius, radius, False
+    inflated = grid if done and radius == largest else grid.inflate(radius)
+    return Inflated(inflated, radius, radius)
 
 
 @dataclass(frozen=True)

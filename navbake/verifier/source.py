@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -120,13 +120,17 @@ def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
-def pose_doors(scene: Scene, grid: GridBase) -> tuple[Any, set[int], set[int], list[str]]:
-    """Move the doors of a scene into the states that a grid states.
+class DoorPose(NamedTuple):
+    """How the doors stand."""
 
-    Returns:
-        data with the doors' joints moved; ids of the geoms of removed doors, and of all doors, as
-        no floor is one of them; and ids of the doors that the scene doesn't have.
-    """
+    data: Any  # with the doors' joints moved
+    removed: set[int]  # ids of the geoms of removed doors
+    geoms: set[int]  # and of all doors: no floor is one of them
+    unknown: list[str]  # ids of doors that the scene doesn't have
+
+
+def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
+    """Move the doors of a scene into the states that a grid states."""
     model, data = scene.model, copy.copy(scene.data)
     numbered = [(body_name(model, body), body) for body in range(1, model.nbody)]
     # doors whose name others share state their number, too
@@ -144,7 +148,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> tuple[Any, set[int], set[int], l
         elif (position := _position(model, body, door)) is not None:
             data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = position
     mujoco.mj_kinematics(model, data)
-    return data, removed, geoms, unknown
+    return DoorPose(data, removed, geoms, unknown)
 
 
 def _position(model: Any, body: int, door: Door) -> float | None:

@@ -171,7 +171,7 @@ def check_links(
     except FormatError:  # what an audit reports
         return [], []
     findings, notes, model = list[Finding](), list[str](), scene.model
-    names = [body_name(model, body) for body in range(model.nbody)] if links else []
+    names = [body_name(model, number) for number in range(model.nbody)] if links else []
     for link in links:
         if link.kind in CROSSED and len(link.stops) == 2:
             findings += _check_crossing(link, grid, probes, body, tolerance)

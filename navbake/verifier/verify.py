@@ -115,7 +115,7 @@ def verify_scene(
     """
     content: Any = grid.without_blocks()
     body, notes = AgentSizes.of(content), list(notes)
-    posed, removed, doors, unknown = pose_doors(scene, content)
+    doors = pose_doors(scene, content)
     most = min(content.levels[0].lattice.cell_size, body.height - body.step) / 4
     if tolerance > most:
         raise QueryError(
@@ -130,13 +130,13 @@ def verify_scene(
     if grid.is_blocked:
         notes.append("what was blocked at run time is left out")
     num_cells, levels = sum(level.width * level.height for level in content.levels), []
-    obstacles, findings = Obstacles(scene, posed, removed), list[Finding]()
+    obstacles, findings = Obstacles(scene, doors.data, doors.removed), list[Finding]()
     probes = Probes(obstacles)
     check = OccupancyCheck(probes, body, tolerance, reach)
     around = Neighbourhood(content, body.step, by_centres=by_centres)
     floors = None
     if all(with_floors):
-        fixed = Obstacles(scene, posed, doors) if doors else obstacles
+        fixed = Obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
         floors = FloorCheck(content, Probes(fixed), body, config)
     samples = take_sample(content, sample, seed, with_floors)
     for own, name in zip(samples, content.level_names, strict=True):
@@ -193,8 +193,8 @@ def verify_scene(
         note = f"MuJoCo and FCL contradict each other over {report.total.disputed} cells"
         why = "or they lie in meshes that are nearly closed"
         notes.append(f"{note}, {why}: these cells aren't counted")
-    if unknown:
-        notes.append(f"the scene has no doors {', '.join(map(repr, unknown[:5]))}")
+    if doors.unknown:
+        notes.append(f"the scene has no doors {', '.join(map(repr, doors.unknown[:5]))}")
     if not content.navbake:
         sizes = f"radius {content.agent_radius:g} m, step {content.max_step:g} m"
         note = f"the grid is of another program: an agent of {content.agent_height:g} m"

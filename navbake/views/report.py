@@ -18,7 +18,6 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Int, Json
-from navbake.verifier.report import Finding
 from navbake.views import tables
 from navbake.views.describe import describe, stair_table
 from navbake.views.difference import describe_changes, describe_place, flatten, to_url
@@ -40,13 +39,22 @@ FOLDED = ("Timings", "Made by")  # tables that few readers need
 BAR = 64  # colours of the bar beside a layer
 
 
+class VerifiedFinding(TypedDict):
+    """The part of a `Finding` in JSON that a page needs."""
+
+    kind: str
+    level: int
+    position: Place
+    text: str
+
+
 class Verification(TypedDict):
     """The part of `VerifyReport.to_json` that a page shows."""
 
     ok: bool
     checked: int
     cells: int
-    findings: list[Finding]
+    findings: list[VerifiedFinding]
 
 
 def write_report(

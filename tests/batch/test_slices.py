@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import re
 import shutil
 import tarfile
@@ -108,6 +109,25 @@ def test_what_slices_leave_is_done_by_the_next_run():
     names, result = run(out="out")
     assert names == [row["id"] for row in merged.rows if row["status"] != "ok"]
     assert (result.count("ok"), result.skipped) == (6, merged.count("ok"))
+
+
+def test_slices_keep_the_rows_of_scenes_whose_folder_is_not_named_in_utf_8():
+    folder = Path(os.fsdecode(b"d\xff"))
+    try:
+        folder.mkdir()
+    except OSError:  # as on macOS
+        pytest.skip("the file system takes names in UTF-8 alone")
+    for name in ("a.xml", "b.xml"):
+        (folder / name).write_text("<mujoco>")
+    run_broken = partial(run_sources, "d*/*.xml", out="out", settings=SETTINGS)
+    for number in (1, 2):
+        run_broken(part=Slice(number, 2))
+    _, merged = run_broken(only_merge=True)
+    assert [Path(row["source"]).parts[-2:] for row in merged.rows] == [
+        (folder.name, "a.xml"),
+        (folder.name, "b.xml"),
+    ]
+    assert (merged.count("failed"), merged.count("left")) == (2, 0)
 
 
 @pytest.mark.parametrize("totals", [(8, 4), (4, 8)])

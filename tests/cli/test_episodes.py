@@ -46,6 +46,9 @@ def test_a_set_is_made_and_scored(run):
         rows = list(csv.DictReader(file))
     assert [row["episode"] for row in rows] == [e.id for e in content.episodes]
     assert {row["success"] for row in rows} == {"1.0"} and rows[0]["time"] == ""
+    status, out, err = run("score", "set.jsonl", "runs.jsonl", "-o", "-")
+    assert status == 0 and "all: 20 episodes" in err
+    assert out.encode() == Path("scores.csv").read_bytes()
     status, out, _ = run("score", "set.jsonl", "runs.jsonl", "house.json.gz", "--json")
     (found,) = json.loads(out)
     assert found["spl"]["mean"] > 0.95 and found["time"]["mean"] is None

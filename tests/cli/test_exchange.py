@@ -51,6 +51,16 @@ def test_converts_by_ending_or_by_name(convert):
         house.convert("e.json", radius=1.0)
 
 
+@pytest.mark.parametrize(
+    "key", sorted({key for form in FORMATS for key in (*form.write_options, *form.read_options)})
+)
+def test_each_option_of_a_format_is_an_option_of_convert(convert, key):
+    option = f"--{key.replace('_', '-')}"
+    values = [] if key in ("absolute", "flat", "cut_corners") else ["z" if key == "up" else "1"]
+    status, _, err = convert("a.jsonl", "b.jsonl", option, *values)
+    assert status == 2 and f"--{key}" in err and "grids" in err
+
+
 def test_never_writes_over_its_input_and_an_output_is_whole_or_as_before(convert, monkeypatch):
     before = Path("house.json.gz").read_bytes()
     for output in ("house.json.gz", "./house.json.gz"):

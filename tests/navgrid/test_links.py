@@ -98,6 +98,10 @@ def test_a_broken_link_is_named(links, message, tmp_path):
     ("tables", "message"),
     [
         ({"areas": [{"name": "lab", "cost": -1}]}, "at `metadata.navbake.areas[0].cost`"),
+        (
+            {"areas": [{"name": "lab", "cost": "high"}]},
+            "invalid enum value 'high' at `metadata.navbake.areas[0].cost`",
+        ),
         ({"areas": [{"name": "lab", "cost": 1e11}]}, "at `metadata.navbake.areas[0].cost`"),
         ({"areas": AREAS + AREAS[:1]}, "got 'lab' twice at `metadata.navbake.areas[2].name`"),
         ({"areas": [{"name": str(k)} for k in range(256)]}, "at most 255 areas, got 256"),

@@ -148,7 +148,6 @@ def test_audits_and_verifications_are_marked(tmp_path):
     finding = {
         "kind": "free cell touches",
         "level": 1,
-        "cell": [0, 0],
         "position": [0.05, -0.05, 3],
         "text": "touches a lamp",
     }

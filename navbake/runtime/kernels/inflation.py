@@ -96,7 +96,7 @@ def block_near_holes(has_floor, near, offsets, squares, least, blocked):
 
 
 @kernel
-def block_by_floors(storeys, lowest, highest, offsets, counts_higher, counts_lower, blocked):
+def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked):
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
     `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
@@ -105,7 +105,7 @@ def block_by_floors(storeys, lowest, highest, offsets, counts_higher, counts_low
     `highest` are the extreme floors of each level in the tiles that offsets lead to, (levels, tile
     rows, tile columns): offsets are tried only where these make a conflict possible.
     """
-    floor, occupied, slopes, level, step, height = storeys
+    floor, occupied, slopes, level, step, height = stack
     levels, rows, cols = floor.shape
     overlap, over = height - step, height + SLAB
     for row in range(rows if levels > 1 else 0):

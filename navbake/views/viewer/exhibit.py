@@ -295,8 +295,8 @@ class Exhibit:
             from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
             grid: Any = self.grid.with_doors(dict(chosen.doors))
-            data, removed, *_ = pose_doors(self.scene, grid)
-            moved = {"data": data, "removed": removed}
+            posed = pose_doors(self.scene, grid)
+            moved = {"data": posed.data, "removed": posed.removed}
         return meshes.draw_scene(self.scene, with_hidden=chosen.with_hidden, **moved)
 
     @kept("doors", "with_hidden", "with_scene", "cut")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.formats.floor_mesh import Buffer, cover_floor
+from navbake.formats.floor_mesh import Buffer, cover_quads
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
@@ -423,7 +423,7 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     heights = np.where(np.isnan(floor), level.ground, floor)
     cells, flatness, span = shown.astype(np.int32), FLAT, float(np.ptp(heights))
     while True:
-        _, row, col, z = cover_floor(cells, heights, flatness, STEEPEST * size, OVERLAP)
+        _, row, col, z = cover_quads(cells, heights, flatness, STEEPEST * size, OVERLAP)
         if len(row) <= most or flatness > span:
             break
         flatness *= 2
