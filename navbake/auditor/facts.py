@@ -212,7 +212,10 @@ class Facts:
 
     @cached_property
     def reach(self) -> float | None:
-        """How far from a cell's centre may be what an inflation closed it for [m]."""
+        """How far from the centre of a cell that an inflation closed the cause may be [m].
+
+        The radius and clearance, the largest of several inflations; None without any.
+        """
         done, _ = read_inflations(self.grid)
         return max((float(one["radius"] + one["clearance"]) for one in done), default=None)
 

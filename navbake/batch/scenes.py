@@ -38,7 +38,7 @@ RESERVED = re.compile(
     r"|index-\d+-of-\d+\.jsonl|shard-\d+\.tar"
 )
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
-MAX_BYTES = 200  # of a part of an id; file systems take 255
+MOST_NAME = 200  # of a part of an id; file systems take 255
 WANTED = "expected a scene, settings, a list or a pattern, got"
 
 
@@ -104,7 +104,7 @@ def check_id(name: str, place: str) -> None:
     a name that Windows reserves, or has one of ``\:*?"<>|`` or an unprintable character.
     """
     for part in name.split("/"):
-        is_fit = part.isprintable() and 0 < len(part.encode()) <= MAX_BYTES
+        is_fit = part.isprintable() and 0 < len(part.encode()) <= MOST_NAME
         if not is_fit or UNFIT.search(part) or RESERVED.fullmatch(part):
             wanted = "that can be the name of a folder on any system, or several between slashes"
         elif OWN.fullmatch(part.casefold()):

@@ -205,10 +205,10 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     """The ends of a door's leaf on a level when closed, else in its current state.
 
-    With a layer ``solid``, the cells of the leaf itself are known: the line runs along their
-    longer axis, from edge to edge. Else the door's blocked cells may be deeper than wide: the line
-    runs along the axis with obstacles at both ends, else the longer one, and is longer by the
-    agent's radius at each end. None if the door has no cells on the level.
+    With a layer ``solid``, the cells of the leaf itself are known: the line follows their longer
+    axis, from edge to edge. Without it, only the blocked cells are known, which may be deeper than
+    the door is wide: the line follows the axis with obstacles at both ends, or else the longer one,
+    and is longer by the agent's radius at each end. None if the door has no cells on the level.
     """
     level, num_levels = grid.levels[number], len(grid.levels)
     cells, leaf = np.empty((2, 0), dtype=np.int64)

@@ -189,8 +189,8 @@ class DrawQuestions(PlaceQuestions):
                 agent's radius, that of the grid's inflation, or else of its bake.
             facing: a position or a heading [rad] that all face; random headings if None.
             stratify: ``area`` draws one agent in each of n parts of equal area; ``room`` and
-                ``island`` share the agents out evenly, none in cells of no room. Agents
-                that don't fit into a part go to others.
+                ``island`` share the agents out evenly, and none stand in cells without a room.
+                Agents that don't fit into a part go to others.
 
         Raises:
             QueryError: they don't fit; the message has an upper bound where one is known.

@@ -175,7 +175,10 @@ def find_cuts(before: Search, after: Search) -> list[tuple[str, Int]]:
 
 
 def deflated(grid: NavGrid) -> NavGrid:
-    """The grid for a point agent, with weights of 1; itself if it wasn't inflated."""
+    """The grid for a point agent: weights of 1 where a point can stand, inf elsewhere.
+
+    The grid itself if it was never inflated.
+    """
     if "inflation" not in grid.metadata:
         return grid
     free = [(v.solid == 0) & ~np.isnan(v.floor_height) | v.free for v in grid.levels]

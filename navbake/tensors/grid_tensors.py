@@ -194,7 +194,11 @@ def check_number(given: int | np.integer, what: str, count: int) -> int:
 def check_numbers(
     t: GridTensors, given: Ids, what: str, count: int, shape: tuple[int, ...]
 ) -> Array:
-    """Numbers, 0 to count - 1, in a shape; -1 for others, as traced arrays can't raise."""
+    """`given` as integers in a shape, -1 in place of any that is not from 0 to count - 1.
+
+    Traced arrays can't raise for these. Raises a QueryError for what are no integers, or does not
+    fit the shape.
+    """
     if isinstance(given, int | Sequence | np.ndarray | np.integer):
         given = _new_array(t, given, None)
     if not hasattr(given, "dtype") or not t.xp.isdtype(given.dtype, "integral"):

@@ -168,12 +168,12 @@ def dtype_of(most: int) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class Placement:
-    """A box of voxels with the lower corner `origin`, (3,) [m], and how far it was `moved`."""
+    """Where a grid of voxels lies."""
 
-    origin: Float
-    res: float
-    shape: tuple[int, int, int]
-    moved: float = 0.0
+    origin: Float  # its lower corner, (3,) [m]
+    res: float  # the edge of a voxel [m]
+    shape: tuple[int, int, int]  # in voxels
+    moved: float = 0.0  # by aligning it, the most along any axis [m]
 
 
 def place_grid(

@@ -43,7 +43,7 @@ def name_cells(
     lattice: Lattice,
     window: Window,
 ) -> tuple[Int, Int, list[Names]]:
-    """Write the names of geoms in cells as user data.
+    """Make the table of names for the cells of a grid.
 
     Args:
         cell, geom: cells on the lattice, and a geom in each, shape (n,).

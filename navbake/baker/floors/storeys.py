@@ -43,7 +43,11 @@ UNSHRUNK = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
-    """The heights ``[low, high)`` of each given level, a little below its ground on [m]."""
+    """For each given level, the heights ``[low, high)`` of its surfaces [m].
+
+    They begin `GIVEN_TOLERANCE` below its ground, and end just below its top, or where those of the
+    next level begin, if that is lower.
+    """
     spans = []
     for number, level in enumerate(given):
         above = given[number + 1].ground - GIVEN_TOLERANCE if given[number + 1 :] else np.inf
@@ -273,7 +277,11 @@ class Storeys:
     def _place(
         self, kept: Kept, grounds: list[float], tolerance: float, leave_floors: bool = False
     ) -> tuple[Int32, BlockTable]:
-        """The level of each surface, see `place_blocks`; and how many of a part are on each."""
+        """Place surfaces on levels, see `place_blocks`.
+
+        Returns the level of each surface, and a table by block: a part, 0, a level, how many of the
+        part's surfaces are on it, and the lowest of their heights [m].
+        """
         sheets, surfaces = self._sheets, self._sheets.surfaces
         name = "places", leave_floors, tolerance, *grounds
         (level, table), stale = self._recall(name, lambda: (NO_KEY, self._table()))

@@ -229,7 +229,7 @@ class _Regions:
                 heapq.heappush(queue, (int(self._cells[to]), to))
 
     def wholes(self, least: float) -> Int32:
-        """The region that each one is part of now, 0 for those of fewer cells."""
+        """The region that each one became part of, 0 where that has fewer than `least` cells."""
         return np.where(self._cells[self._whole] >= least, self._whole, np.int32(0))
 
     def _join(self, to: int, gone: int) -> None:

@@ -107,7 +107,10 @@ def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
 
 
 def find_free_bodies(model: Any) -> Int:
-    """The body with a free joint, a child of the world, that each geom hangs on; -1 for none."""
+    """By geom, the id of the body with a free joint that it is part of, -1 for none.
+
+    Such a body is a child of the world.
+    """
     root = np.full(model.nbody, -1, dtype=np.int64)
     end = find_subtree_ends(model)
     for body in model.jnt_bodyid[model.jnt_type == FREE].tolist():

@@ -49,7 +49,7 @@ JOINTS = {
 
 
 class Piece(NamedTuple):
-    """What becomes a geom."""
+    """A shape of a scene file, which becomes one geom of MuJoCo's model."""
 
     name: str
     body: str  # the body that it belongs to
@@ -395,7 +395,10 @@ def fill_mesh(mesh: Any, vertices: Float, faces: Int | Int32) -> None:
 
 @contextmanager
 def catch_warnings() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, each after `BY_MUJOCO`; else they go to ./MUJOCO_LOG.TXT."""
+    """Yield a list that receives MuJoCo's warnings, each after `BY_MUJOCO`.
+
+    Without this, MuJoCo writes them to ./MUJOCO_LOG.TXT.
+    """
     with _WARNING_LOCK:
         before = mujoco.get_mju_user_warning()
         warnings: list[str] = []

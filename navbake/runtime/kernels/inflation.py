@@ -97,13 +97,15 @@ def block_near_holes(has_floor, near, offsets, squares, least, blocked):
 
 @kernel
 def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked):
-    """Add what other levels and floors block to `blocked`, and free what other levels free.
+    """Update `blocked` for the floors around each cell.
 
-    `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
-    if `counts_higher`, but for those of another level that are higher than an agent and a slab;
-    lower ones count if `counts_lower`. A floor that a slope leads to is neither. `lowest` and
-    `highest` are the extreme floors of each level in the tiles that offsets lead to, (levels, tile
-    rows, tile columns): offsets are tried only where these make a conflict possible.
+    First, cells where another level's floor is about as high are decided again: what is occupied
+    on the own level does not count in a column that another level covers, so that cells may become
+    free. Then cells are blocked near a floor that is more than a step higher (`counts_higher`; one
+    of another level only up to an agent and a slab above) or a drop (`counts_lower`), unless a
+    slope leads there. `lowest` and `highest` are the extreme floors of each level in the tiles that
+    offsets lead to, (levels, tile rows, tile columns): offsets are tried only where these make a
+    conflict possible.
     """
     floor, occupied, slopes, level, step, height = stack
     levels, rows, cols = floor.shape

@@ -83,7 +83,7 @@ def _far(joining):
 
 @part(inline="always")
 def _mix(cell, bits, geom):
-    """A hash of a surface (the finalizer of splitmix64); their sum identifies a sheet."""
+    """Hash one surface (splitmix64's finalizer); the sum over a sheet's surfaces identifies it."""
     x = np.uint64(bits) ^ (np.uint64(cell) * np.uint64(0x9E3779B97F4A7C15))
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27)) ^ (np.uint64(geom) << np.uint64(40))) * np.uint64(
