@@ -26,6 +26,7 @@ An agent's centre is on a cell's centre. The rules:
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -105,13 +106,17 @@ def block_by_others(
     if len(stack.floor) == 1 and not most - least > stack.step:
         return  # neither higher nor lower floors
     # the lowest and the highest floors in the tiles that offsets lead to from each tile
-    window, ranges = 2 * -(-int(np.abs(offsets).max()) // kernels.TILE) + 1, []
-    rows, cols = (np.arange(0, size, kernels.TILE) for size in blocked.shape)
+    tile, ranges = kernels.TILE, []
+    window = 2 * -(-int(np.abs(offsets).max()) // tile) + 1
+    pads = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
+    floor = np.pad(stack.floor, pads, constant_values=np.nan)
     for extreme, of_window, beyond in (
         (np.fmin, ndimage.minimum_filter, np.float32(np.inf)),
         (np.fmax, ndimage.maximum_filter, np.float32(-np.inf)),
     ):
-        tiles = extreme.reduceat(extreme.reduceat(stack.floor, rows, axis=1), cols, axis=2)
+        # slice by slice, in a tenth of the time of `reduceat`
+        tiles = reduce(extreme, [floor[:, k::tile] for k in range(tile)])
+        tiles = reduce(extreme, [tiles[:, :, k::tile] for k in range(tile)])
         tiles = np.where(np.isnan(tiles), beyond, tiles)
         size = (1, window, window)
         ranges.append(of_window(tiles, size=size, mode="constant", cval=beyond))

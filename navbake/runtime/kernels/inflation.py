@@ -119,37 +119,51 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                 meets |= other != level and is_low and is_high
             if meets and not occupied[level, row, col]:
                 blocked[row, col] = _meets_any(floor, occupied, level, row, col, offsets, overlap)
-    for row in range(rows):
-        for col in range(cols):
-            # of the cells of the level for which this column may be a wall or a drop
-            least = lowest[level, row // TILE, col // TILE]
-            most = highest[level, row // TILE, col // TILE]
-            higher, lower, carries = False, False, False
-            bottom, top = np.inf, -np.inf
+    for tile_row in range(lowest.shape[1]):
+        for tile_col in range(lowest.shape[2]):
+            least, most = lowest[level, tile_row, tile_col], highest[level, tile_row, tile_col]
+            differ = False
             for other in range(levels):
-                z = floor[other, row, col]
-                bottom, top = z if z < bottom else bottom, z if z > top else top
-                is_above, is_below = z - least > step, most - z > step
-                higher |= is_above and (other == level or z - most < over)
-                lower |= is_below
-                # no drop for an agent of any of these heights
-                carries |= not (is_above or is_below or np.isnan(z))
-            higher, lower = higher and counts_higher, lower and counts_lower and not carries
-            if not (higher or lower):
-                continue
-            for k in range(offsets.shape[0]):
-                r, c = row - offsets[k, 0], col - offsets[k, 1]
-                if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+                differ |= highest[other, tile_row, tile_col] - least > step
+                differ |= most - lowest[other, tile_row, tile_col] > step
+            for cell in range(TILE * TILE if differ else 0):
+                row, col = tile_row * TILE + cell // TILE, tile_col * TILE + cell % TILE
+                if row >= rows or col >= cols:
                     continue
-                z = floor[level, r, c]
-                for other in range(levels if higher and top - z > step else 0):
-                    rise = floor[other, row, col] - z
-                    if step < rise and (other == level or rise < over):
-                        blocked[r, c] |= slopes.shape[0] == 0 or not _is_slope(
-                            floor, slopes, step, level, r, c, other, row, col
-                        )
-                if lower and z - bottom > step and not blocked[r, c]:
-                    blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
+                # what this column is to the cells of the level round it
+                is_wall, is_low, carries = False, False, False
+                bottom, top = np.inf, -np.inf
+                for other in range(levels):
+                    z = floor[other, row, col]
+                    bottom, top = z if z < bottom else bottom, z if z > top else top
+                    is_above, is_below = z - least > step, most - z > step
+                    is_wall |= is_above and (other == level or z - most < over)
+                    is_low |= is_below
+                    # no drop for an agent of any of these heights
+                    carries |= not (is_above or is_below or np.isnan(z))
+                is_wall &= counts_higher
+                is_low &= counts_lower and not carries and levels > 1
+                for k in range(offsets.shape[0] if is_wall or is_low else 0):
+                    r, c = row - offsets[k, 0], col - offsets[k, 1]
+                    if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+                        continue
+                    z = floor[level, r, c]
+                    for other in range(levels if is_wall and top - z > step else 0):
+                        rise = floor[other, row, col] - z
+                        if step < rise and (other == level or rise < over):
+                            blocked[r, c] |= slopes.shape[0] == 0 or not _is_slope(
+                                floor, slopes, step, level, r, c, other, row, col
+                            )
+                    if is_low and z - bottom > step and not blocked[r, c]:
+                        blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
+                # of a single level, the high cells beside drops are fewer than the low columns
+                may_fall = levels == 1 and floor[level, row, col] - least > step
+                for k in range(offsets.shape[0] if may_fall and counts_lower else 0):
+                    r, c = row + offsets[k, 0], col + offsets[k, 1]
+                    if blocked[row, col]:
+                        break
+                    if 0 <= r < rows and 0 <= c < cols:
+                        blocked[row, col] = _is_drop(floor, slopes, step, level, row, col, r, c)
 
 
 @part
