@@ -279,14 +279,13 @@ def _cast(
     least: int = 1,
 ) -> Crossings:
     """Cross some groups of lines; columns start at the `known` part of `start`, of zeros."""
-    shapes, work = tiled.shapes, (cast_lines, len(groups))
-    geometry = shapes.solids, tiled.facets, shapes.planes, tiled.heights
+    geometry = tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.heights
     dropped = np.zeros(groups.stop, dtype=np.int64)
     crossed = np.empty(len(items.triangle_item), dtype=np.bool_)
 
     def cast(crossings: Crossings) -> None:
         asked = tiled.lattice, lines, geometry, items, crossed, crossings, dropped
-        run_in_bands(*work, *asked, least=least, begin=groups.start)
+        run_in_bands(cast_lines, len(groups), *asked, least=least, begin=groups.start)
 
     cast(empty_crossings(start, 0))  # without room for them, the crossings are only counted
     ends = start[known]

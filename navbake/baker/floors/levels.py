@@ -224,10 +224,8 @@ class FloorFinder:
         # the parts of a stale block are numbered anew, so that others may have the same keys
         other = sheets.stale | self._large.differ(sheets.labels.count, keys)
         other = blocks.around(other, reach + 1) | (sheets.last_near == sheets.now)
-        lowest, step = (
-            sheets.low[is_large].min(initial=np.inf),
-            self._agent.traversable_floor_height,
-        )
+        lowest = sheets.low[is_large].min(initial=np.inf)
+        step = self._agent.traversable_floor_height
         asked = sheets.labelled(is_large), lowest, step, reach
         self._edges.fill(list_edges, np.flatnonzero(other), *asked)
         self._last[other] = sheets.now

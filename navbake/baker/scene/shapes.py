@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 from navbake.baker.blocks import join_parts
 from navbake.baker.kernels.arrays import Facets
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
-from navbake.baker.scene.kernels.triangles import (
-    expand_mesh,
-    measure_areas,
-)
+from navbake.baker.scene.kernels.triangles import expand_mesh, measure_areas
 from navbake.lazy import lazy
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
