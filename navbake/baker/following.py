@@ -1,4 +1,4 @@
-"""A scene in one pose after the other: what moved, the scene as it is now, and its doors."""
+"""A scene in one pose after the other: what moved, the scene as it is now, and its leaves."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.baker.doors.candidates import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
+from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.divide import LEAF, give_roles, mark_structure
+from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.scene.model import OpenScene, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
@@ -22,29 +24,30 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.types import Bool, Float
 
-
-class FullBake(Exception):
-    """Raised when an update needs a full bake; the text says why."""
-
-
 # What of a model decides which geoms count, as what, and how large they are; users write there
 CHOOSING = (
     "geom_type", "geom_size", "geom_dataid", "geom_contype", "geom_conaffinity", "geom_group",
     "geom_rgba", "geom_matid", "mat_rgba",
 )  # fmt: skip
 
-
-class Moved(NamedTuple):
-    """What is different in a scene; geoms are marked, shape (ngeom,)."""
-
-    scene: Scene  # as it is now
-    geoms: Bool  # those that count now or did, and whose geometry or way to count differs
-    every: Bool  # all that may have moved, whether they count or not
-    digest: Callable[[], str]  # returns the scene's digest, which it does not have yet
-
-
 # Of a data, that a pose is
 PARTS = "qpos", "mocap_pos", "mocap_quat"
+
+
+class Moved(NamedTuple):
+    """What is different in a scene.
+
+    Attributes:
+        scene: the scene as it is now.
+        geoms: the geoms that count now or did, and whose geometry or way to count differs, by id.
+        structure: why what stands, or what marks rooms, is another; empty where it isn't.
+        digest: returns the scene's digest, which it does not have yet.
+    """
+
+    scene: Scene
+    geoms: Bool
+    structure: str
+    digest: Callable[[], str]
 
 
 class FollowedScene:
@@ -54,25 +57,29 @@ class FollowedScene:
     """
 
     def __init__(self, config: BakeConfig, opened: OpenScene, scene: Scene) -> None:
-        self._config, self._opened, self._meshes = config, opened, scene.meshes
+        self._config = config
+        self._opened = opened
+        self._meshes = scene.meshes
         self._model = model = opened.model
-        self.scene, self._names = scene, digest_names(model)
+        self.scene = scene
+        self._names = digest_names(model)
         self._next = data_with_joints(model, scene.data, {})
         self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
         self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
+        self._hinged_geoms = _mark_hinged_geoms(model)
         self.keep(scene)
 
     def keep(self, scene: Scene) -> None:
         """Take a scene for the one that the next pose is compared with."""
-        self._chosen = self._choices()
+        self._choices = _read_choices(self._model)
         if scene.data is self._next:
             self._next = self.scene.data
-        self.scene, self._poses = scene, _poses_of(scene.data)
+        self.scene = scene
+        self._poses = _poses_of(scene.data)
+        self._turns = _read_turns(scene.model, scene.data)
+        self._markers = find_markers(scene, self._config.rooms)
         # whoever reads it on another thread has the last pose, or this one
         self.kept = tuple(getattr(scene.data, part).copy() for part in PARTS)
-
-    def _choices(self) -> list[bytes]:
-        return [getattr(self._model, name).tobytes() for name in CHOOSING]
 
     def pose(
         self,
@@ -81,7 +88,8 @@ class FollowedScene:
         joints: Mapping[str, float] | None,
     ) -> Moved:
         """Take the next pose, and find what moved; see `Baker.update`."""
-        was, model = self.scene, self._model
+        was = self.scene
+        model = self._model
         source = was.data if data is None else data
         check_data(model, source, str(self._config.scene.path))
         data = self._next
@@ -94,36 +102,90 @@ class FollowedScene:
         self._check_finite(data)
         place_geoms(model, data)
         moved = (_poses_of(data) != self._poses).any(axis=1)
-        if self._chosen != self._choices() or self._may_count_otherwise(
-            moved & (model.geom_type == MESH), data
-        ):
-            opened, config = self._opened._replace(data=data), self._config
-            scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
-            differs = find_differing(was.shapes, scene.shapes)
-            differs |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
-            return Moved(scene, differs, np.ones_like(differs), lambda: scene.digest)
-        digest = start_digest(model, data, was.parts, self._names)
-        mask = moved & [choice.counted for choice in was.choices]
-        shapes, bounds = was.shapes, was.bounds
-        if mask.any():
-            chosen = was.choices, was.parts, np.flatnonzero(mask).tolist(), was.meshes
-            after, *_ = collect_shapes(model, data, *chosen)
-            shapes = was.shapes.replaced(after, mask)
-            bounds = shapes.bounds
-        scene = replace(was, shapes=shapes, bounds=bounds, digest="", data=data)
-        return Moved(scene, mask, moved, digest)
+        is_counted_otherwise = self._choices != _read_choices(model)
+        if is_counted_otherwise or self._may_count_otherwise(moved & (model.geom_type == MESH), data):
+            scene = load_scene(self._config, opened=self._opened._replace(data=data))
+            geoms = find_differing(was.shapes, scene.shapes)
+            geoms |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
+            digest: Callable[[], str] = lambda: scene.digest  # noqa: E731
+        else:
+            digest = start_digest(model, data, was.parts, self._names)
+            counted = np.array([choice.counted for choice in was.choices], dtype=np.bool_)
+            geoms = moved & counted
+            shapes = was.shapes
+            if geoms.any():
+                after, *_ = collect_shapes(
+                    model,
+                    data,
+                    choices=was.choices,
+                    parts=was.parts,
+                    only=np.flatnonzero(geoms).tolist(),
+                    meshes=was.meshes,
+                )
+                shapes = shapes.replaced(after, geoms)
+            scene = self._follow_leaves(replace(was, shapes=shapes, digest="", data=data), moved)
+        return Moved(scene, geoms, self._find_other_structure(scene, geoms, moved), digest)
+
+    def _find_other_structure(self, scene: Scene, geoms: Bool, moved: Bool) -> str:
+        """Why what stands, or what marks rooms, is another than before; empty where it isn't."""
+        was = self.scene
+        differs = geoms & (mark_structure(was.roles) | mark_structure(scene.roles))
+        if differs.any():
+            name = scene.geoms[int(np.argmax(differs))].name
+            return f"{name!r}, which stands, has changed"
+        if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
+            return "other bodies than before look like leaves of doors"
+        marking_geoms, sites = find_markers(scene, self._config.rooms)
+        if (moved & marking_geoms).any() or not np.array_equal(sites, self._markers[1]):
+            return "what marks rooms has changed"
+        return ""
+
+    def _follow_leaves(self, scene: Scene, moved: Bool) -> Scene:
+        """The scene with the leaves of now; those that don't differ are as they were."""
+        turns = _read_turns(scene.model, scene.data)
+        is_other = (turns != self._turns).any(axis=1)
+        may_differ = self._hinged_geoms | mark_geoms(len(moved), scene.leaves)
+        if not is_other.any() and not (moved & may_differ).any():
+            return scene
+        found, unused = find_candidates(
+            scene.model,
+            scene.data,
+            shapes=scene.shapes,
+            counted=np.array([choice.counted for choice in scene.choices], dtype=np.bool_),
+            movable=scene.movable,
+            stands=scene.stands,
+            settings=self._config.doors,
+        )
+        known = {leaf.id: leaf for leaf in scene.leaves}
+
+        def is_same(leaf: DoorCandidate) -> bool:
+            before = known.get(leaf.id)
+            if before is None or moved[leaf.geoms].any():
+                return False
+            if leaf.joint_id >= 0 and is_other[leaf.joint_id]:
+                return False
+            same = before.joint_id == leaf.joint_id and before.named == leaf.named
+            return same and np.array_equal(before.geoms, leaf.geoms)
+
+        leaves = [known[leaf.id] if is_same(leaf) else leaf for leaf in found]
+        roles = give_roles(scene.model, scene.roles > 0, scene.movable, scene.stands, leaves)
+        return replace(scene, leaves=leaves, unused=unused, roles=roles)
 
     def _may_count_otherwise(self, meshes: Bool, data: Any) -> bool:
         """Whether one of some meshes is or was so large that its pose decides as what it counts."""
-        config, scene = self._config, self.scene
         if not meshes.any():
             return False
-        geoms, known = np.flatnonzero(meshes).tolist(), (self._meshes, config.agent, config.floors)
-        rooms = [HiddenRoom(scene.model, posed, *known) for posed in (scene.data, data)]
-        return any(room.is_large(geom) for room in rooms for geom in geoms)
+        model = self.scene.model
+        agent = self._config.agent
+        floors = self._config.floors
+        before = HiddenRoom(model, self.scene.data, self._meshes, agent, floors)
+        now = HiddenRoom(model, data, self._meshes, agent, floors)
+        geoms = np.flatnonzero(meshes).tolist()
+        return any(before.is_large(geom) or now.is_large(geom) for geom in geoms)
 
     def _place_body(self, pose: Any, name: str, placed: ArrayLike) -> None:
-        model, body = self._model, self._bodies.get(name)
+        model = self._model
+        body = self._bodies.get(name)
         if body is None:
             raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._bodies)}")
         numbers = _numbers(placed, f"body {name!r}")
@@ -134,7 +196,8 @@ class FollowedScene:
             )
         if len(numbers) == 7 and not numbers[3:].any():
             raise QueryError(f"expected a quaternion of body {name!r} that is not 0")
-        mocap, first = int(model.body_mocapid[body]), int(model.body_jntadr[body])
+        mocap = int(model.body_mocapid[body])
+        first = int(model.body_jntadr[body])
         if mocap >= 0:
             pose.mocap_pos[mocap] = numbers[:3]
             if len(numbers) == 7:
@@ -149,7 +212,8 @@ class FollowedScene:
             )
 
     def _turn_joint(self, pose: Any, name: str, position: ArrayLike) -> None:
-        model, joint = self._model, self._joints.get(name)
+        model = self._model
+        joint = self._joints.get(name)
         if joint is None:
             raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joints)}")
         numbers = _numbers(position, f"joint {name!r}")
@@ -161,7 +225,8 @@ class FollowedScene:
         pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
 
     def _check_finite(self, pose: Any) -> None:
-        model, wrong = self._model, np.flatnonzero(~np.isfinite(pose.qpos))
+        model = self._model
+        wrong = np.flatnonzero(~np.isfinite(pose.qpos))
         if not len(wrong) and all(np.isfinite(getattr(pose, part)).all() for part in PARTS[1:]):
             return
         joints = np.searchsorted(model.jnt_qposadr, wrong, side="right") - 1
@@ -172,24 +237,41 @@ class FollowedScene:
             raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
+def _read_choices(model: Any) -> list[bytes]:
+    return [getattr(model, name).tobytes() for name in CHOOSING]
+
+
 def _poses_of(data: Any) -> Float:
     return np.hstack([data.geom_xpos, data.geom_xmat])
 
 
-def boxes_of(shapes: Shapes) -> Float:
-    """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
-    boxes = [shapes.solids.bounds, shapes.meshes.boxes]
-    boxes.append(np.tile(np.repeat([-np.inf, np.inf], 3), (len(shapes.planes.geom), 1)))
-    return np.concatenate(boxes)
+def _mark_hinged_geoms(model: Any) -> Bool:
+    """Mark the geoms of bodies with a hinge or slide, and of all that hangs on them."""
+    ends = find_subtree_ends(model)
+    marked = np.zeros(model.ngeom, dtype=np.bool_)
+    for body in model.jnt_bodyid[np.isin(model.jnt_type, (HINGE, SLIDE))].tolist():
+        marked[geoms_of_bodies(model, body, int(ends[body]))] = True
+    return marked
+
+
+def _read_turns(model: Any, data: Any) -> Float:
+    """By joint, how a hinge or slide turns and how far, and its position; users write there."""
+    is_turning = np.isin(model.jnt_type, (HINGE, SLIDE))
+    position = np.where(is_turning, data.qpos[model.jnt_qposadr], 0.0)
+    limited = model.jnt_limited[:, None]
+    return np.hstack(
+        [model.jnt_range, limited, model.jnt_axis, model.jnt_pos, position[:, None]]
+    )
 
 
 def find_differing(was: Shapes, now: Shapes) -> Bool:
     """Mark the geoms whose geometry differs, shape (ngeom,)."""
-    num, differs = len(was.endless), np.array(was.endless != now.endless)
+    num = len(was.endless)
+    differs = np.array(was.endless != now.endless)
 
     def compare(old: Items, new: Items) -> None:
         arrays: Iterable[tuple[NDArray[Any], NDArray[Any]]] = zip(old, new, strict=True)
-        same: Bool = np.equal(*(np.bincount(items.geom, minlength=num) for items in (old, new)))
+        same: Bool = np.bincount(old.geom, minlength=num) == np.bincount(new.geom, minlength=num)
         differs[~same] = True
         kept = same[old.geom], same[new.geom]
         for one, other in arrays:
@@ -199,61 +281,13 @@ def find_differing(was: Shapes, now: Shapes) -> Bool:
 
     compare(was.solids, now.solids)
     compare(was.planes, now.planes)
-    old, new = (
-        dict(zip(shapes.meshes.geom.tolist(), shapes.meshes.triangles, strict=True))
-        for shapes in (was, now)
-    )
+    old = dict(zip(was.meshes.geom.tolist(), was.meshes.triangles, strict=True))
+    new = dict(zip(now.meshes.geom.tolist(), now.meshes.triangles, strict=True))
     for geom in old.keys() | new.keys():
-        one, other = old.get(geom, ()), new.get(geom, ())
+        one = old.get(geom, ())
+        other = new.get(geom, ())
         differs[geom] |= len(one) != len(other) or not all(map(np.array_equal, one[:4], other[:4]))
     return differs
-
-
-class FollowedDoors:
-    """The candidates for doors in one pose after the other."""
-
-    def __init__(
-        self,
-        config: BakeConfig,
-        scene: Scene,
-        candidates: list[DoorCandidate],
-        unmatched: list[str],
-    ) -> None:
-        self._config, self._candidates, self._unmatched = config, candidates, unmatched
-        model, ends = scene.model, find_subtree_ends(scene.model)
-        self._joints = np.isin(model.jnt_type, (HINGE, SLIDE))
-        self._geoms = np.zeros(model.ngeom, dtype=np.bool_)
-        for body in np.asarray(model.jnt_bodyid)[self._joints].tolist():
-            self._geoms[geoms_of_bodies(model, body, int(ends[body]))] = True
-        self._turns = self._turns_of(scene)
-
-    def _turns_of(self, scene: Scene) -> Float:
-        """By joint, how it turns and how far, and its position; users write there."""
-        model = scene.model
-        position = np.where(self._joints, scene.data.qpos[model.jnt_qposadr], 0.0)
-        turns = model.jnt_range, model.jnt_limited[:, None], model.jnt_axis, model.jnt_pos
-        return np.hstack([*turns, position[:, None]])
-
-    def pose(self, scene: Scene, moved: Bool) -> tuple[list[DoorCandidate], list[str]]:
-        """The candidates, those that don't differ as they were; and of unused patterns."""
-        turns = self._turns_of(scene)
-        is_other = (turns != self._turns).any(axis=1)
-        may_differ = self._geoms | mark_geoms(len(moved), self._candidates)
-        if is_other.any() or (moved & may_differ).any():
-            known = {one.id: one for one in self._candidates}
-            found, self._unmatched = find_candidates(scene, self._config.doors)
-
-            def holds(new: DoorCandidate) -> bool:
-                old = known.get(new.id)
-                turns_alike = new.joint_id < 0 or not is_other[new.joint_id]
-                if old is None or moved[new.geoms].any() or not turns_alike:
-                    return False
-                same = old.joint_id == new.joint_id and old.named == new.named
-                return same and np.array_equal(old.geoms, new.geoms)
-
-            self._candidates = [known[new.id] if holds(new) else new for new in found]
-            self._turns = turns
-        return self._candidates, self._unmatched
 
 
 def _numbers(given: ArrayLike, what: str) -> Float:

@@ -38,10 +38,12 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     away, get as many cells as exact numbers would.
     """
     settings = config.grid
+    # where what stands is endless, what can move is the box
+    box = scene.shapes.bounds if scene.bounds is None else scene.bounds
     if settings.bounds is not None:
         bounds = tuple(settings.bounds)
-    elif scene.bounds is not None:
-        bounds = (*scene.bounds[0, :2].tolist(), *scene.bounds[1, :2].tolist())
+    elif box is not None:
+        bounds = (*box[0, :2].tolist(), *box[1, :2].tolist())
     else:
         endless = f"only infinite planes count in {config.scene.path}, so the grid has no end"
         raise ConfigError(f"{endless}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")

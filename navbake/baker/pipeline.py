@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +15,11 @@ from navbake._version import __version__
 from navbake.baker.arguments import take_input
 from navbake.baker.boxes import written_ground
 from navbake.baker.clock import Progress, StageClock
+from navbake.baker.contents.occupants import name_contents
 from navbake.baker.lattice import cut_cells
 from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
-from navbake.baker.scene.scene import GeomReport
-from navbake.baker.stages import Stages, settle_doors, take_first_look
+from navbake.baker.scene.scene import GeomReport, Scene
+from navbake.baker.stages import Moving, Standing, open_stages
 from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
@@ -30,7 +31,7 @@ from navbake.navgrid.links import Agent, Link, Stop
 from navbake.navgrid.rooms import Door
 from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
-from navbake.types import Bool, Int, Json
+from navbake.types import Bool, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
@@ -149,34 +150,38 @@ def run_bake(
     """
     clock = StageClock(progress)
     with limit_threads(threads):
-        stages = take_first_look(config, clock, limits, opened)
-        hints = [printable(hint) for hint in stages.scene.hints]
+        stages = open_stages(config, clock, limits, opened)
+        scene = stages.scene
+        hints = [printable(hint) for hint in scene.hints]
         for hint in hints:
-            LOG.warning("%s: %s", stages.scene.id, hint)
+            LOG.warning("%s: %s", scene.id, hint)
             if tell is not None:
                 tell(hint)
-        stages = settle_doors(stages)
-        stages.free_geometry()
+        standing = stages.standing
+        moving = stages.moving
+        # gives back the memory of columns and of listed geometry, of which the grid needs none
+        del stages
+        scene.structure.forget_triangles()
         with clock.stage("grid"):
-            grid = build_grid(stages)
+            grid = build_grid(config, standing, moving)
         if config.verify.sample is not None:
             with clock.stage("verify"):
-                grid = _verified(grid, stages, config.verify.sample)
+                grid = _verified(grid, scene, config, config.verify.sample)
     grid.timings = clock.to_json()
     for warning in grid.warnings:
         if warning not in hints:
-            LOG.warning("%s: %s", stages.scene.id, warning)
-    return BakeResult(grid, stages.scene.geoms, clock.seconds)
+            LOG.warning("%s: %s", scene.id, warning)
+    return BakeResult(grid, scene.geoms, clock.seconds)
 
 
 def _verified(
-    grid: SceneGrid2D | MultiLevelGrid, stages: Stages, sample: int
+    grid: SceneGrid2D | MultiLevelGrid, scene: Scene, config: BakeConfig, sample: int
 ) -> SceneGrid2D | MultiLevelGrid:
     """The grid with its verification by MuJoCo and FCL, and a warning if that disagrees."""
     # a bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene
     from navbake.verifier.verify import verify_scene
 
-    report = verify_scene(grid, stages.scene, stages.config, sample=sample)
+    report = verify_scene(grid, scene, config, sample=sample)
     found, cells = len(report.findings), report.checked
     verified = {"sample": sample, "cells": cells, "disagreements": found, "digest": report.digest}
     own: Json = {**grid.navbake, "verified": verified}
@@ -195,48 +200,56 @@ def _verified(
 # ---------------------------------------------------------------- the grid
 
 
-def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
-    """Make the grid of the stages' results."""
-    doors = [*stages.cut_doors.values()]
-    metadata = _metadata(stages, doors)
-    numbers = range(len(stages.floors.levels))
-    grids = [_level_grid(stages, number, doors, metadata) for number in numbers]
+def build_grid(
+    config: BakeConfig, standing: Standing, moving: Moving
+) -> SceneGrid2D | MultiLevelGrid:
+    """Make the grid of what stands and of what moves."""
+    metadata = _metadata(config, standing, moving)
+    grids = [
+        _level_grid(number, config, standing, moving, metadata)
+        for number in range(len(standing.floors.levels))
+    ]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
-        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=stages.lattice.cell_size)
-    add_layers(grid, stages.config.attributes)
+        cell_size = standing.lattice.cell_size
+        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=cell_size)
+    add_layers(grid, config.attributes)
     return grid
 
 
-def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Json) -> SceneGrid2D:
+def _level_grid(
+    number: int, config: BakeConfig, standing: Standing, moving: Moving, metadata: Json
+) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
-    window, num_levels = stages.boxes.windows[number], len(stages.floors.levels)
-    level, part = stages.floors.levels[number], stages.lattice.cut(*window)
+    doors = moving.cut_doors
+    window = standing.boxes.windows[number]
+    level = standing.floors.levels[number]
+    part = standing.lattice.cut(*window)
 
-    def with_doors(layers: list[Bool], name: str) -> Bool:
-        layer = layers[number][window].copy()
-        cells = layer.ravel()
+    def with_doors(layer: Bool, name: str) -> NDArray[np.uint8]:
+        cut = layer[window].copy()
+        cells = cut.ravel()
         for door in doors:
             runs = getattr(door, name).get(door.state, {}).get(number, [])
             for first, count in zip(runs[::2], runs[1::2], strict=True):
                 cells[first : first + count] = True
-        return layer
+        return cut.view(np.uint8)
 
-    occupied = with_doors(stages.occupancy.levels, "cells")
     attributes: dict[str, NDArray[Any]] = {
-        "floorHeight": np.ascontiguousarray(stages.floor_layers[number][window]),
-        "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
-        "occupancy": occupied.view(np.uint8),
+        "floorHeight": np.ascontiguousarray(standing.floor_layers[number][window]),
+        "roomIndex": np.ascontiguousarray(standing.rooms.index[number][window]),
+        "occupancy": with_doors(moving.occupied[number], "cells"),
     }
-    if stages.occupancy.solid is not None:
-        attributes["solid"] = with_doors(stages.occupancy.solid, "solid").view(np.uint8)
+    if moving.squares is not None:
+        attributes["solid"] = with_doors(moving.squares[number], "solid")
     if level.unseen is not None:
         attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
-    if stages.areas.layers:
-        attributes["area"] = np.ascontiguousarray(stages.areas.layers[number][window])
+    if moving.areas.layers:
+        attributes["area"] = np.ascontiguousarray(moving.areas.layers[number][window])
     user_data = UserData()
-    if stages.contents is not None and stages.config.names.enabled:
-        named = stages.contents.user_data(number, window)
+    if standing.contents is not None and config.names.enabled:
+        named = name_contents(standing.contents, moving.occupants, number, window)
+        num_levels = len(standing.floors.levels)
         # found on first use
         user_data = UserData(lambda: with_door_names(named, doors, number, num_levels).source)
     return SceneGrid2D(
@@ -244,22 +257,24 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
         height=part.height,
         cell_size=part.cell_size,
         min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
-        bbox_yup=stages.boxes.boxes[number],
-        weights=np.where(occupied, np.inf, 1.0),
+        bbox_yup=standing.boxes.boxes[number],
+        weights=np.where(attributes["occupancy"] > 0, np.inf, 1.0),
         attributes=attributes,
         user_data=user_data,
         metadata=metadata,
     )
 
 
-def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
-    config, agent, levels = stages.config, stages.config.agent, stages.floors.levels
-    warned = collect_warnings(stages)
+def _metadata(config: BakeConfig, standing: Standing, moving: Moving) -> Json:
+    agent = config.agent
+    scene = moving.scene
+    levels = standing.floors.levels
+    warned = collect_warnings(config, standing, moving)
     agents = {name: Agent(name, **one.model_dump()) for name, one in config.agents.items()}
     by_name = {name: one.to_json() for name, one in agents.items()}
-    traffic = {"areas": stages.areas.table, "agents": by_name}
+    traffic = {"areas": moving.areas.table, "agents": by_name}
     return {
-        "sceneId": stages.scene.id,
+        "sceneId": scene.id,
         "cellAttributes": [
             {"name": "floorHeight", "type": "Float32Array", "dataType": "continuous"},
             {"name": "roomIndex", "type": "Uint16Array", "dataType": "categorical"},
@@ -273,8 +288,8 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
         "navbake": {
             "version": __version__,
             "mujoco": mujoco_version(),
-            "sceneDigest": stages.scene.digest,
-            **stages.stated_settings,
+            "sceneDigest": scene.digest,
+            **standing.stated_settings,
             "worldFrame": {
                 "up": "z",
                 "unit": "m",
@@ -283,11 +298,11 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
             },
             "maxSlope": agent.max_slope,
             "levels": [{"name": level.name, "ground": written_ground(level)} for level in levels],
-            "links": [*_cut_steps(stages).tolist(), *_named_links(stages)],
+            "links": [*standing.steps, *_named_links(standing, moving)],
             **{name: table for name, table in traffic.items() if table},
             "names": config.names.enabled,
-            "rooms": stages.room_table,
-            "doors": [_door_entry(door) for door in doors],
+            "rooms": moving.room_table,
+            "doors": [_door_entry(door) for door in moving.cut_doors],
             **({"warnings": warned} if warned else {}),
         },
     }
@@ -303,23 +318,14 @@ def _door_entry(door: Door) -> Json:
     return entry
 
 
-def _named_links(stages: Stages) -> list[Json]:
+def _named_links(standing: Standing, moving: Moving) -> list[Json]:
     """The named links as a file states them, with cells counted on each level's rectangle."""
 
     def cut(stop: Stop) -> Stop:
-        window, width = stages.boxes.windows[stop.level], stages.lattice.width
-        return replace(stop, cell=int(cut_cells(np.array([stop.cell]), window, width)[0][0]))
+        window = standing.boxes.windows[stop.level]
+        cells, _ = cut_cells(np.array([stop.cell]), window, standing.lattice.width)
+        return replace(stop, cell=int(cells[0]))
 
-    links = stages.links.links
+    links = moving.links.links
     return [Link(stops=tuple(map(cut, link.stops)), **link.fields).to_json() for link in links]
 
-
-def _cut_steps(stages: Stages) -> Int:
-    """The steps with cells counted on each level's own rectangle."""
-    links = stages.floors.links.copy()
-    for number, window in enumerate(stages.boxes.windows):
-        for level, cell in ((0, 1), (2, 3)):
-            here = links[:, level] == number
-            # a linked cell has a floor, so that none drops out
-            links[here, cell] = cut_cells(links[here, cell], window, stages.lattice.width)[0]
-    return links

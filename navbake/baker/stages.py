@@ -1,15 +1,20 @@
 """The stages of a bake, each a named value that one can stop at and look at.
 
-scene → columns → floors → occupancy → contents → rooms → doors → areas → links; `build_grid` makes
-a grid of them.
+    scene ─ divide ─┬─ structure ─ columns ─ floors ─ walls ─ rooms ─┐
+                    ├─ movables ──────────────── occupants ──────────┼─ grid
+                    └─ leaves ───────────────── doors ───────────────┘
+
+What stands alone makes floors, walls and rooms; leaves are doors or not once rooms are known; what
+can move, and leaves that are no doors, are only ever in the way. `build_grid` makes a grid of the
+`Standing` and the `Moving` that come of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,25 +25,47 @@ from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns, list_shapes
 from navbake.baker.columns import Columns, ColumnSource, ShapeSource
 from navbake.baker.connect import label_parts
-from navbake.baker.contents.contents import CellFinder, Contents
-from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
-from navbake.baker.doors.doors import Placing, Surroundings, cut_door, place_doors, pose_leaves
-from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, fill_holes, find_floors
+from navbake.baker.contents.contents import (
+    Contents,
+    StandingCells,
+    classify_contents,
+    find_standing,
+)
+from navbake.baker.contents.kinds import wall_candidates
+from navbake.baker.contents.lost_floors import find_lost_floors
+from navbake.baker.contents.occupants import LevelOccupants, count_taken, find_occupants
+from navbake.baker.doors.doors import (
+    Leaf,
+    PlacedLeaf,
+    Surroundings,
+    close_leaves,
+    cut_door,
+    place_doors,
+    pose_leaves,
+)
+from navbake.baker.floors.levels import Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
-from navbake.baker.lattice import Window, lay_lattice, lay_whole
+from navbake.baker.lattice import Window, cut_cells, lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
-from navbake.baker.rooms.flags import ColumnFlags, RoomFlags, read_flags
+from navbake.baker.rooms.flags import RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
+from navbake.baker.scene.divide import MOVABLE, mark_structure
 from navbake.baker.scene.extents import Extents, measure_geoms
+from navbake.baker.scene.leaves import mark_geoms
 from navbake.baker.scene.model import CompileLimits, OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.traffic.areas import PaintedAreas, paint_areas
-from navbake.baker.traffic.ground import Ground, Space
+from navbake.baker.traffic.ground import Ground, Obstacles, Space
 from navbake.baker.traffic.links import BakedLinks, find_links
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
+from navbake.config.settings import (
+    SCAN_HOLES,
+    BakeConfig,
+    settings_digest,
+    settings_to_state,
+)
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Door
@@ -60,57 +87,108 @@ def bake_stages(
     """Load a scene, and give the stages of its bake.
 
     A stage runs when it is first asked for, so that one can look at the columns of a scene
-    whose floors cannot be found. All of them run at once where bodies look like doors, because
-    only the rooms on both sides tell doors from other leaves; `doors.find: false` avoids that.
-    For the arguments, see `navbake.bake`, for `progress`, `baker.clock`.
+    whose floors cannot be found. For the arguments, see `navbake.bake`, for `progress`,
+    `baker.clock`.
     """
     config, opened = take_input(scene, data, settings)
-    stages = take_first_look(config, StageClock(progress), opened=opened)
-    if all(candidate.named for candidate in stages.candidates):
-        return stages
-    return settle_doors(stages)
+    return open_stages(config, StageClock(progress), opened=opened)
 
 
-def take_first_look(
+def open_stages(
     config: BakeConfig,
     clock: StageClock,
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
 ) -> Stages:
-    """Load a scene, if it isn't `opened`; the stages that take every candidate for a door."""
+    """Load a scene, if it isn't `opened`, and give the stages of its bake."""
     ensure_compiled()
     with clock.stage("scene"):
-        scene = load_scene(config.scene, config.agent, config.floors, limits=limits, opened=opened)
+        scene = load_scene(config, limits=limits, opened=opened)
         lattice = lay_lattice(scene, config)
-        candidates, unmatched = find_candidates(scene, config.doors)
-    return Stages(config, scene, lattice, candidates, unmatched, clock)
+    return Stages(config, scene, lattice, clock)
 
 
-def settle_doors(stages: Stages) -> Stages:
-    """Decide which candidates are doors, and give the stages of the scene without just these.
+class FloorLattice(NamedTuple):
+    """The lattice on which floors are judged, and the window of it that is baked."""
 
-    A candidate that joins no two rooms, such as the leaf of a cupboard, is a part of the scene:
-    it may carry a floor, occupy cells and be a wall. So all stages run again with it. That may
-    change the rooms, and so whether another candidate joins two of them: each pass rejects one.
+    lattice: Lattice
+    window: Window
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What follows from what stands, and from closed leaves: nothing that moves changes it.
+
+    Attributes:
+        lattice: the cells.
+        judged: where floors were judged.
+        floors: the storeys.
+        floor_layers: the floor of each level as it is written, of the whole lattice.
+        occupancy: the cells that what stands occupies.
+        contents: what stands in the cells; None where neither names nor rooms need it.
+        rooms: the room of each cell.
+        boxes: the rectangle and the box of each level.
+        holes: see `Stages.holes`.
+        space: what links are found in; None where there are none.
+        stated_settings: the settings and their digest, as a file states them.
+        steps: the steps of the floors, with cells counted on each level's own rectangle.
     """
-    while stages.rejected:
-        stages = replace(stages, candidates=stages.settled)
-    return stages
+
+    lattice: Lattice
+    judged: FloorLattice
+    floors: Floors
+    floor_layers: list[NDArray[np.float32]]
+    occupancy: Occupancy
+    contents: Contents | None
+    rooms: Rooms
+    boxes: LevelBoxes
+    holes: Float
+    space: Space | None
+    stated_settings: Json
+    steps: list[list[int]]
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What follows from the pose of a scene, too.
+
+    Attributes:
+        scene: the scene in its pose.
+        doors: what each leaf is, and what it blocks in each state.
+        occupants: what can move, and leaves that are no doors, in the cells of each level.
+        occupied: the cells of each level that anything but doors occupies.
+        squares: the cells whose squares anything but doors meets; None where these are the same.
+        taken: by body id, how many cells each takes that nothing else does, see `count_taken`.
+        lost_floors: by body id, how much floor there would be on what can move [m²].
+        cut_doors: the doors as the grid has them.
+        room_table: the table of rooms as a file states it, with the doors between them.
+        areas: the areas of the settings, painted on the levels.
+        links: the named links.
+    """
+
+    scene: Scene
+    doors: list[PlacedLeaf]
+    occupants: list[LevelOccupants]
+    occupied: list[Bool]
+    squares: list[Bool] | None
+    taken: Int
+    lost_floors: dict[int, float]
+    cut_doors: list[Door]
+    room_table: list[Json]
+    areas: PaintedAreas
+    links: BakedLinks
 
 
 @dataclass(eq=False)
 class Stages:
-    """What each stage of a bake finds, where some bodies are taken for doors.
+    """What each stage of a bake finds.
 
     A stage runs when it is first asked for, after those that it builds on, and its value is kept.
-    A value that is known already, as of a scene in which little moved, may be written instead.
     """
 
     config: BakeConfig
-    scene: Scene  # doors included
+    scene: Scene
     lattice: Lattice
-    candidates: list[DoorCandidate]  # what all stages but that of doors do without
-    unmatched: list[str] = field(default_factory=list)  # warnings of patterns that name no door
     clock: StageClock = field(default_factory=StageClock, repr=False)
 
     @cached_property
@@ -119,157 +197,194 @@ class Stages:
         return Footprint.of(self.config.agent, self.lattice.cell_size)
 
     @cached_property
-    def doorless(self) -> Scene:
-        """The scene without the candidates."""
-        return without_doors(self.scene, self.candidates)
-
-    @cached_property
-    def tiled(self) -> ShapeSource:
-        """The geometry of the scene without doors, listed by tiles of the lattice."""
-        return self._tile(self.lattice)
-
-    @cached_property
-    def judged(self) -> tuple[Lattice, Window]:
+    def judged(self) -> FloorLattice:
         """The lattice on which floors are judged, and the window of it that is baked."""
-        return lay_whole(self.lattice, self.scene.bounds, self.config.grid.max_cells)
+        return judge_on(self.lattice, self.scene, self.config)
 
     @cached_property
-    def judged_shapes(self) -> ShapeSource:
-        """The geometry without doors by tiles of the lattice on which floors are judged."""
-        lattice, _ = self.judged
-        return self.tiled if lattice == self.lattice else self._tile(lattice)
+    def tiles(self) -> ShapeSource:
+        """What stands, by tiles of the lattice."""
+        return self._list_structure(self.lattice)
 
     @cached_property
-    def judged_columns(self) -> ColumnSource:
-        """All surfaces on that lattice, of which not all are kept where they are many."""
-        config = self.config
-        return ColumnBlocks(self.judged_shapes, config.agent, config.floors.crack, self.clock)
+    def floor_tiles(self) -> ShapeSource:
+        """What stands, by tiles of the lattice on which floors are judged."""
+        lattice = self.judged.lattice
+        return self.tiles if lattice == self.lattice else self._list_structure(lattice)
+
+    @cached_property
+    def floor_columns(self) -> ColumnSource:
+        """All surfaces of what stands on that lattice; not all are kept where they are many."""
+        return ColumnBlocks(
+            self.floor_tiles, self.config.agent, self.config.floors.crack, self.clock
+        )
 
     @cached_property
     def columns(self) -> Columns:
-        """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
-        return join_columns(self.judged_columns, self.judged[1], self.lattice)
+        """All surfaces of what stands on the line through each cell's centre, or beside a crack."""
+        return join_columns(self.floor_columns, self.judged.window, self.lattice)
 
     @property
-    def baked_columns(self) -> ColumnSource:
+    def column_blocks(self) -> ColumnSource:
         """The same columns, of which not all are kept where they are many."""
-        columns, (_, window) = self.judged_columns, self.judged
-        is_whole = columns.lattice == self.lattice
-        return columns if is_whole else WindowColumns(columns, window, self.lattice)
+        columns = self.floor_columns
+        if columns.lattice == self.lattice:
+            return columns
+        return WindowColumns(columns, self.judged.window, self.lattice)
 
     @cached_property
+    def _floors_and_extents(self) -> tuple[Floors, Extents | None]:
+        columns = self.floor_columns
+        extents: Callable[[], Extents | None] = lambda: None  # noqa: E731
+        if self.config.names.enabled or self.config.rooms.sources:
+            # columns took all threads, and expanded the triangles that are measured
+            extents = run_beside(measure_geoms, self.scene.structure, len(self.scene.geoms))
+        with self.clock.stage("floors"):
+            floors = judge_floors(
+                columns,
+                self.floor_tiles,
+                scene=self.scene,
+                lattice=self.lattice,
+                judged=self.judged,
+                config=self.config,
+            )
+            return floors, extents()
+
+    @property
     def floors(self) -> Floors:
         """The storeys of the whole scene, cut to the lattice: their floors, the steps between."""
-        # columns take all threads; most of what floors take then is one thread's
-        _ = self.judged_columns, self._extents
-        return self.judge_floors()[0]
+        return self._floors_and_extents[0]
+
+    @property
+    def extents(self) -> Extents | None:
+        """Boxes round the geoms that stand; None where neither names nor rooms need them."""
+        return self._floors_and_extents[1]
 
     @cached_property
-    def _extents(self) -> Callable[[], Extents | None]:
-        """Boxes round the geoms, measured beside what is asked for next; none if nothing asks."""
-        if not self.config.names.enabled and not self.config.rooms.sources:
-            return lambda: None
-        return run_beside(measure_geoms, self.doorless.shapes, len(self.doorless.geoms))
+    def standing_cells(self) -> StandingCells:
+        """What stands in the cells, and what rooms read of their columns, seen in one pass."""
+        floors = self.floors
+        columns = self.column_blocks
+        with self.clock.stage("occupancy"):
+            probed = None
+            if self.extents is not None:
+                probed = wall_candidates(self.scene, self.extents)
+            return find_standing(
+                columns,
+                self.tiles,
+                floors=floors,
+                footprint=self.footprint,
+                agent=self.config.agent,
+                probed=probed,
+                clock=self.clock,
+            )
 
-    def judge_floors(self, finder: FloorFinder | None = None) -> tuple[Floors, FloorFinder]:
-        """Find `floors`, and what keeps those of the whole scene up to date.
-
-        `finder` is the last one, in which columns may have been replaced; None if there is none.
-        """
-        config, columns, shapes = self.config, self.judged_columns, self.doorless.shapes
-        given = None if config.levels == "auto" else list(config.levels)
-        test = self.occupancy_test(columns)
-        with self.clock.stage("floors"):
-            try:
-                if finder is not None:
-                    floors = finder.find(columns, shapes, test)
-                else:
-                    asked = config.agent, config.floors, given, test
-                    floors, finder = find_floors(columns, shapes, *asked)
-                if columns.lattice != self.lattice:
-                    floors = crop_floors(floors, self.judged[1])
-            except SceneError as error:
-                path = config.scene.path
-                where = _describe_extent(self.doorless, config)
-                raise SceneError(f"{path}: {error}{where}") from error
-            return floors, finder
-
-    def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
-        """Tells which cells are occupied by what is as narrow as a point, and ends a sheet."""
-        point = self.config.agent.model_copy(update={"radius": 0.0})
-        narrow = Footprint.of(point, self.lattice.cell_size)
-
-        def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
-            volume = narrow if band is None else narrow.between(band)
-            asked = columns.at(cells), self.judged_shapes.at(cells), volume, cells, floors
-            return look_at_cells(*asked).occupied
-
-        return is_occupied
-
-    @cached_property
+    @property
     def occupancy(self) -> Occupancy:
-        """The cells of each storey that are occupied."""
-        return self.cells[0].occupancy
+        """The cells of each storey that what stands occupies."""
+        return self.standing_cells.occupancy
 
     @cached_property
     def contents(self) -> Contents | None:
         """What stands in the cells; None where neither names nor rooms need it."""
-        finder, _ = self.cells
+        cells = self.standing_cells
         with self.clock.stage("contents"):
-            return finder.found(self.config.names)
+            if self.extents is None:
+                return None
+            return classify_contents(
+                self.scene,
+                cells.levels,
+                floors=self.floors,
+                extents=self.extents,
+                agent=self.config.agent,
+                settings=self.config.names,
+            )
 
     @cached_property
     def room_flags(self) -> RoomFlags:
-        """All that rooms depend on beside settings."""
-        found = self.baked_columns, self.floors, self.cells[1], self.contents
-        return read_flags(self.doorless, *found, self.config.rooms, self.config.agent)
+        """All that rooms depend on beside settings and leaves."""
+        return read_flags(
+            self.scene,
+            self.column_blocks,
+            floors=self.floors,
+            column_flags=self.standing_cells.column_flags,
+            contents=self.contents,
+            settings=self.config.rooms,
+            agent=self.config.agent,
+        )
+
+    @cached_property
+    def leaves(self) -> list[Leaf]:
+        """The leaves in each of their states."""
+        with self.clock.stage("doors"):
+            return pose_leaves(self.scene, self.scene.leaves, self.lattice, self.footprint.reach)
 
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms; doors are not named in it yet."""
-        _ = self.contents  # which is timed by itself
-        max_step = self.config.agent.traversable_floor_height
+        contents = self.contents
+        leaves = self.leaves
         with self.clock.stage("rooms"):
-            return find_rooms(self.room_flags, self.config.rooms, max_step)
+            return find_rooms(
+                self.room_flags,
+                self.config.rooms,
+                max_step=self.config.agent.traversable_floor_height,
+                closed_leaves=close_leaves(leaves, self.floors.levels, self.footprint),
+            )
 
     @cached_property
-    def cells(self) -> tuple[CellFinder, ColumnFlags]:
-        """What finds occupancy and contents, and what rooms read of columns, seen in one pass."""
-        floors, columns, agent = self.floors, self.baked_columns, self.config.agent
-        with self.clock.stage("occupancy"):
-            finder = CellFinder(self.doorless, self.lattice, floors, agent, self._extents())
-            of_columns = ColumnFlags(floors, agent)
-            for block in columns.blocks():
-                finder.add(block, block.near or self.tiled.rows(block.known_rows))
-                with self.clock.part("rooms"):
-                    first, end = block.known_rows.cells(self.lattice)
-                    crossings = block.crossings._replace(start=block.start[first : end + 1])
-                    of_columns.look(slice(first, end), crossings, floors.levels)
-            return finder, of_columns
+    def doors(self) -> list[PlacedLeaf]:
+        """What each leaf is, and what it blocks in each state."""
+        around = self.around_doors
+        leaves = self.leaves
+        with self.clock.stage("doors"):
+            return place_doors(leaves, around)
 
     @property
     def around_doors(self) -> Surroundings:
-        """What doors stand in."""
-        levels, found = self.floors.levels, (self.occupancy, self.rooms, self.footprint)
-        return Surroundings(self.baked_columns, levels, *found, self.config.agent)
+        """What leaves are placed in."""
+        return Surroundings(
+            columns=self.column_blocks,
+            floors=self.floors.levels,
+            rooms=self.rooms,
+            footprint=self.footprint,
+            agent=self.config.agent,
+        )
 
     @cached_property
-    def doors(self) -> list[Placing]:
-        """What each candidate is, and what it blocks in each state."""
-        around = self.around_doors
-        with self.clock.stage("doors"):
-            posed = self.candidates, self.lattice, self.footprint.reach
-            return place_doors(pose_leaves(self.scene, *posed), around)
+    def occupants(self) -> list[LevelOccupants]:
+        """What can move, and leaves that are no doors, in the cells of each level."""
+        in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
+        floors = self.floors
+        with self.clock.stage("occupants"):
+            return find_occupants(
+                self.scene.shapes.only(in_the_way),
+                self.lattice,
+                floors=floors,
+                footprint=self.footprint,
+                agent=self.config.agent,
+            )
 
     @cached_property
-    def cut_doors(self) -> dict[Placing, Door]:
-        """The doors as the grid has them."""
-        return {one: self.cut_door(one) for one in self.placed}
+    def areas(self) -> PaintedAreas:
+        """The areas of the settings, painted on the levels."""
+        rooms = self.rooms
+        if not self.config.areas:
+            return PaintedAreas([], [], [])
+        with self.clock.stage("areas"):
+            return paint_areas(self.scene, self.lattice, self.floors.levels, rooms, self.config)
 
-    def cut_door(self, placing: Placing) -> Door:
-        """A door as the grid has it."""
-        windows, width = self.boxes.windows, self.lattice.width
-        return cut_door(placing, windows, width, self.config.doors.state)
+    @cached_property
+    def links(self) -> BakedLinks:
+        """The named links, those of the settings and those that are found."""
+        standing = self.standing
+        doors = self.doors
+        occupants = self.occupants
+        if not self.config.links:
+            return BakedLinks([], [])
+        with self.clock.stage("links"):
+            occupied = join_occupancy(standing.occupancy.levels, occupants)
+            return make_links(self.scene, standing, doors, occupied, self.config)
 
     @cached_property
     def holes(self) -> Float:
@@ -280,91 +395,245 @@ class Stages:
         # a file of one mesh is few geoms
         shapes = [report.shape for report in self.scene.geoms] if self.scene.parts else []
         is_open = any(shape.startswith(("surface", "partly closed")) for shape in shapes)
-        if not is_open or self.judged[0] != self.lattice:
+        if not is_open or self.judged.lattice != self.lattice:
             return np.empty(0)
-        level, cell_area = self.floors.levels[0], self.lattice.cell_size**2
+        cell_area = self.lattice.cell_size**2
+        level = self.floors.levels[0]
         if level.unseen is None:
-            is_occupied = self.occupancy_test(self.judged_columns)
+            is_occupied = occupancy_test(self.floor_columns, self.floor_tiles, self.config)
             level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
         part, _ = label_parts(np.asarray(level.unseen))
         areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
         return areas
 
-    @property
-    def placed(self) -> list[Placing]:
-        """The candidates that are doors."""
-        return [one for one in self.doors if one.cells]
-
-    @property
-    def rejected(self) -> list[DoorCandidate]:
-        """The candidates that are parts of the scene; see `settle_doors`."""
-        return [one.candidate for one in self.doors if one.is_part]
-
-    @property
-    def settled(self) -> list[DoorCandidate]:
-        """The candidates without those that are rejected."""
-        return [one.candidate for one in self.doors if not one.is_part]
+    @cached_property
+    def standing(self) -> Standing:
+        """What follows from what stands, for the grid and its updates."""
+        space = None
+        if self.config.links:
+            space = Space([Obstacles(self.column_blocks, self.tiles)], self.footprint)
+        boxes = find_level_boxes(
+            self.floors.levels,
+            self.occupancy.levels,
+            lattice=self.lattice,
+            scene_box=self.scene.bounds,
+            agent_height=self.config.agent.height,
+        )
+        return Standing(
+            lattice=self.lattice,
+            judged=self.judged,
+            floors=self.floors,
+            floor_layers=[level.floor.astype(np.float32) for level in self.floors.levels],
+            occupancy=self.occupancy,
+            contents=self.contents,
+            rooms=self.rooms,
+            boxes=boxes,
+            holes=self.holes,
+            space=space,
+            stated_settings={
+                "settingsDigest": settings_digest(self.config),
+                "settings": settings_to_state(self.config),
+            },
+            steps=_cut_steps(self.floors.links, boxes, self.lattice.width),
+        )
 
     @cached_property
-    def areas(self) -> PaintedAreas:
-        """The areas of the settings, painted on the levels."""
-        if not self.config.areas:
-            return PaintedAreas([], [], [])
-        known = self.scene, self.lattice, self.floors.levels, self.rooms, self.config
-        with self.clock.stage("areas"):
-            return paint_areas(*known)
+    def moving(self) -> Moving:
+        """What follows from the pose, too, for the grid and its updates."""
+        standing = self.standing
+        occupied = join_occupancy(standing.occupancy.levels, self.occupants)
+        squares = join_squares(standing.occupancy, self.occupants)
+        in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
+        placed_doors = [placed for placed in self.doors if placed.is_door]
+        return Moving(
+            scene=self.scene,
+            doors=self.doors,
+            occupants=self.occupants,
+            occupied=occupied,
+            squares=squares,
+            taken=count_taken(
+                self.occupants,
+                standing.occupancy.levels,
+                self.scene.mover_of,
+                self.scene.model.nbody,
+            ),
+            lost_floors=find_lost_floors(
+                self.scene.shapes.only(in_the_way),
+                self.scene.mover_of,
+                levels=self.floors.levels,
+                lattice=self.lattice,
+                agent=self.config.agent,
+            ),
+            cut_doors=[
+                cut_placed(placed, standing, occupied, squares, self.config)
+                for placed in placed_doors
+            ],
+            room_table=list_rooms(self.rooms, placed_doors),
+            areas=self.areas,
+            links=self.links,
+        )
 
-    @cached_property
-    def links(self) -> BakedLinks:
-        """The named links, those of the settings and those that are found."""
-        if not self.config.links:
-            return BakedLinks([], [])
-        columns, taken, placed = self.baked_columns, self.occupancy.levels, self.placed
-        with self.clock.stage("links"):
-            floors = np.stack([level.floor for level in self.floors.levels])
-            free = ~(np.stack(taken) | np.isnan(floors))
-            for number, level in enumerate(free):  # as doors are, so are their links
-                for door in placed:
-                    for cells in door.cells.values():
-                        level.ravel()[cells[number]] = False
-            space = Space(columns, self.tiled, self.footprint)
-            known = self.doorless, self.lattice, floors, free, space, self.config.agent
-            return find_links(Ground(*known), self.config.links)
-
-    @cached_property
-    def boxes(self) -> LevelBoxes:
-        """The rectangle and the box of each level, by which the original client finds it."""
-        found, height = (self.floors.levels, self.occupancy.levels), self.config.agent.height
-        return find_level_boxes(*found, self.lattice, self.scene.bounds, height)
-
-    @cached_property
-    def floor_layers(self) -> list[NDArray[np.float32]]:
-        """The floor of each level as it is written, of the whole lattice."""
-        return [level.floor.astype(np.float32) for level in self.floors.levels]
-
-    @cached_property
-    def room_table(self) -> list[Json]:
-        """The table of rooms as a file states it, with the doors between them."""
-        closed = {one.candidate.id: (one.rooms, one.closed_cells) for one in self.placed}
-        return [room.to_json() for room in self.rooms.with_doors(closed).table]
-
-    @cached_property
-    def stated_settings(self) -> Json:
-        """The settings and their digest, as a file states them."""
-        digest, state = settings_digest(self.config), settings_to_state(self.config)
-        return {"settingsDigest": digest, "settings": state}
-
-    def _tile(self, lattice: Lattice) -> ShapeSource:
+    def _list_structure(self, lattice: Lattice) -> ShapeSource:
         reach = max(self.footprint.reach, self.config.floors.crack)
-        return list_shapes(self.doorless.shapes, lattice, reach)
+        return list_shapes(self.scene.structure, lattice, reach)
 
-    def free_geometry(self) -> None:
-        """Give back the memory of columns and of listed geometry: the settled doors need none."""
-        _ = self.holes, self.areas, self.links
-        geometry = "tiled", "judged_shapes", "judged_columns", "columns"
-        for name in (*geometry, "_extents", "cells", "room_flags"):
-            self.__dict__.pop(name, None)
-        self.doorless.shapes.forget_triangles()
+
+def judge_on(lattice: Lattice, scene: Scene, config: BakeConfig) -> FloorLattice:
+    """The lattice on which floors are judged: the whole scene's, around the one that is baked."""
+    return FloorLattice(*lay_whole(lattice, scene.bounds, config.grid.max_cells))
+
+
+def judge_floors(
+    columns: ColumnSource,
+    tiles: ShapeSource,
+    scene: Scene,
+    lattice: Lattice,
+    judged: FloorLattice,
+    config: BakeConfig,
+) -> Floors:
+    """Find the floors of the whole scene, and cut them to the lattice that is baked.
+
+    Args:
+        columns, tiles: what stands, on the lattice on which floors are judged.
+    """
+    try:
+        floors, _ = find_floors(
+            columns,
+            scene.structure,
+            agent=config.agent,
+            settings=config.floors,
+            given=None if config.levels == "auto" else list(config.levels),
+            is_occupied=occupancy_test(columns, tiles, config),
+        )
+        if judged.lattice != lattice:
+            floors = crop_floors(floors, judged.window)
+    except SceneError as error:
+        raise SceneError(
+            f"{config.scene.path}: {error}{_describe_extent(scene, config)}"
+        ) from error
+    return floors
+
+
+def occupancy_test(
+    columns: ColumnSource, tiles: ShapeSource, config: BakeConfig
+) -> OccupancyTest:
+    """Tells which cells are occupied by what is as narrow as a point, and ends a sheet."""
+    point = config.agent.model_copy(update={"radius": 0.0})
+    narrow = Footprint.of(point, columns.lattice.cell_size)
+
+    def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
+        volume = narrow if band is None else narrow.between(band)
+        return look_at_cells(columns.at(cells), tiles.at(cells), volume, cells, floors).occupied
+
+    return is_occupied
+
+
+def mark_in_the_way(scene: Scene, doors: Sequence[PlacedLeaf], config: BakeConfig) -> Bool:
+    """Mark the geoms that are only ever in the way: movables, and leaves that are no doors.
+
+    With `exclude.movable`, such leaves are left out, too.
+    """
+    in_the_way = scene.roles == MOVABLE
+    if not config.scene.exclude.movable:
+        rejected = [placed.candidate for placed in doors if not placed.is_door]
+        in_the_way |= mark_geoms(len(in_the_way), rejected)
+    return in_the_way
+
+
+def join_occupancy(
+    standing: Sequence[Bool], occupants: Sequence[LevelOccupants]
+) -> list[Bool]:
+    """The cells of each level that anything but doors occupies.
+
+    `standing` are those that what stands occupies.
+    """
+    joined = []
+    for layer, level in zip(standing, occupants, strict=True):
+        occupied = layer.copy()
+        occupied.ravel()[level.occupied] = True
+        joined.append(occupied)
+    return joined
+
+
+def join_squares(
+    standing: Occupancy, occupants: Sequence[LevelOccupants]
+) -> list[Bool] | None:
+    """The cells of each level whose squares anything but doors meets; None where all are such."""
+    if standing.solid is None:
+        return None
+    joined = []
+    for layer, level in zip(standing.solid, occupants, strict=True):
+        solid = layer.copy()
+        solid.ravel()[level.solid] = True
+        joined.append(solid)
+    return joined
+
+
+def cut_placed(
+    placed: PlacedLeaf,
+    standing: Standing,
+    occupied: list[Bool],
+    squares: list[Bool] | None,
+    config: BakeConfig,
+) -> Door:
+    """A door as the grid has it: its cells that nothing else occupies, on each level's rectangle."""
+    return cut_door(
+        placed,
+        occupied,
+        squares,
+        windows=standing.boxes.windows,
+        width=standing.lattice.width,
+        wanted=config.doors.state,
+    )
+
+
+def list_rooms(rooms: Rooms, doors: Sequence[PlacedLeaf]) -> list[Json]:
+    """The table of rooms as a file states it, with the doors between them."""
+    closed = {placed.candidate.id: (placed.rooms, placed.closed_cells) for placed in doors}
+    return [room.to_json() for room in rooms.with_doors(closed).table]
+
+
+def _cut_steps(links: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
+    """The steps with cells counted on each level's own rectangle."""
+    steps = links.copy()
+    for number, window in enumerate(boxes.windows):
+        for level, cell in ((0, 1), (2, 3)):
+            here = steps[:, level] == number
+            # a linked cell has a floor, so that none drops out
+            steps[here, cell] = cut_cells(steps[here, cell], window, width)[0]
+    return steps.tolist()
+
+
+def make_links(
+    scene: Scene,
+    standing: Standing,
+    doors: Sequence[PlacedLeaf],
+    occupied: Sequence[Bool],
+    config: BakeConfig,
+) -> BakedLinks:
+    """Find the named links: those of the settings, and those that their rules find.
+
+    `occupied` are the cells of each level that anything but doors occupies.
+    """
+    if standing.space is None:
+        return BakedLinks([], [])
+    floors = np.stack([level.floor for level in standing.floors.levels])
+    free = ~(np.stack(occupied) | np.isnan(floors))
+    for placed in doors:  # as doors are, so are their links
+        for cells in placed.blocked.values() if placed.is_door else ():
+            for level, blocked in zip(free, cells, strict=True):
+                level.ravel()[blocked] = False
+    in_the_way = mark_in_the_way(scene, doors, config)
+    ground = Ground(
+        scene=scene,
+        shapes=scene.shapes.only(mark_structure(scene.roles) | in_the_way),
+        lattice=standing.lattice,
+        floors=floors,
+        free=free,
+        space=standing.space.with_shapes(scene.shapes.only(in_the_way), standing.lattice),
+        agent=config.agent,
+    )
+    return find_links(ground, config.links)
 
 
 def _describe_extent(scene: Scene, config: BakeConfig) -> str:

@@ -1,7 +1,7 @@
 """Keeps the grid of a scene up to date while things in it move, by the functions that a bake calls.
 
-Columns are cast again near what moved, floors merged again from their blocks, and occupancy and
-contents found again in these cells; rooms and doors only if anything that they read has changed.
+Poses → what moved → cells near it → occupants of these cells → doors near them → the grid. Floors,
+walls and rooms stay the same objects; where what stands has changed, the whole scene is baked.
 """
 
 from __future__ import annotations
@@ -10,53 +10,57 @@ import logging
 import threading
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from operator import is_
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from navbake.baker import column_blocks
 from navbake.baker.arguments import take_input
 from navbake.baker.clock import StageClock
-from navbake.baker.column_blocks import cast_at, list_once, place_columns
-from navbake.baker.columns import Columns, take_columns, take_runs
-from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
-from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
-from navbake.baker.floors.levels import FloorFinder
-from navbake.baker.following import (
-    FollowedDoors,
-    FollowedScene,
-    FullBake,
-    Moved,
+from navbake.baker.contents.lost_floors import find_lost_floors
+from navbake.baker.contents.occupants import (
     boxes_of,
+    count_taken,
+    find_occupants,
+    replace_occupants,
 )
-from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
-from navbake.baker.lattice import cells_near, cut_cells, lay_lattice
+from navbake.baker.doors.doors import PlacedLeaf, Surroundings, place_doors, pose_leaves
+from navbake.baker.following import FollowedScene, Moved
+from navbake.baker.kernels.constants import TOUCH
+from navbake.baker.lattice import cells_near, lay_lattice
 from navbake.baker.pipeline import build_grid
-from navbake.baker.rooms.flags import RoomFlags, are_equal, find_markers
-from navbake.baker.scene.scene import open_file
-from navbake.baker.stages import Stages, take_first_look
+from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.scene import Scene, open_file
+from navbake.baker.stages import (
+    Moving,
+    Standing,
+    cut_placed,
+    join_occupancy,
+    join_squares,
+    list_rooms,
+    make_links,
+    mark_in_the_way,
+    open_stages,
+)
+from navbake.baker.traffic.areas import paint_areas
 from navbake.config.keywords import SettingKeywords
+from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.rooms import Door
 from navbake.threads import LEAST_CELLS, limit_threads
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
 
 LOG = logging.getLogger("navbake")
 
-# If moved geometry is near more than this share of the cells, a full bake is as fast
-MOST_CELLS = 0.5
-# Who asks for the columns of more than this share of the cells gets a copy of all, which is kept
-COPY_SHARE = 1 / 8
-# A full store of columns is made so many times as large as it has to be
-GROWTH = 1.25
+
+class WholeBake(Exception):
+    """Raised when an update needs a whole bake; the text says why."""
 
 
 class Changes(NamedTuple):
@@ -81,12 +85,20 @@ class Changes(NamedTuple):
     seconds: float
 
 
+class BakedScene(NamedTuple):
+    """What a bake found, and what doors are placed in when they move."""
+
+    standing: Standing
+    moving: Moving
+    around_doors: Surroundings
+
+
 class Baker:
     """Bakes a scene, and keeps its grid up to date while bodies move and joints turn.
 
-    `grid` is what `navbake.bake` makes of the scene in its pose of now, bit for bit. An update asks
-    again only what is near to what moved, as far as nothing else depends on it; see
-    ``docs/live.md``. Bodies with a free joint are part of the scene, where they stand.
+    `grid` is what `navbake.bake` makes of the scene in its pose of now, bit for bit. An update
+    looks again only near what moved; floors, walls and rooms are made by what stands, so that they
+    stay. See ``docs/live.md``.
 
     Grids are never written to: each update makes a new one, which shares with the last what is the
     same in both. So whoever holds a grid has a snapshot that stays as it is, and any thread may
@@ -121,14 +133,15 @@ class Baker:
     ) -> None:
         config, opened = take_input(scene, data, settings, exclude, robot)
         opened = opened or open_file(config.scene)
-        self._config, self._opened, self._threads = config, opened, threads
+        self._config = config
+        self._opened = opened
+        self._threads = threads
         self._lock = threading.Lock()
         with limit_threads(threads):
-            first = take_first_look(config, StageClock(), opened=opened)
-            self._scene = FollowedScene(config, opened, first.scene)
-            # None while they are brought up to date, and after that has failed
-            self._passes: list[LiveStages] | None = self._bake(first)
-            self._grid = build_grid(self._passes[-1].stages)
+            # None while it is brought up to date, and after that has failed
+            self._baked: BakedScene | None = self._bake(opened)
+            self._scene = FollowedScene(config, opened, self._baked.moving.scene)
+            self._grid = build_grid(config, self._baked.standing, self._baked.moving)
         for warning in self._grid.warnings:
             warnings.warn(warning, BakeWarning, stacklevel=2)
 
@@ -180,44 +193,182 @@ class Baker:
         with self._lock, limit_threads(self._threads):
             moved = self._scene.pose(data, bodies, joints)
             # an error, or an interruption, anywhere below: the next update bakes all again
-            known, self._passes = self._passes, None
-            passes, reason = self._follow(known, moved)
-            moved.scene.digest = moved.digest()  # found beside all of that
-            old, grid = self._grid, build_grid(passes[-1].stages)
+            before = self._baked
+            self._baked = None
+            reason = ""
+            try:
+                if before is None:
+                    raise WholeBake("the last update failed")
+                now = follow(before, moved, self._config)
+            except WholeBake as why:
+                reason = str(why)
+                LOG.debug("the whole scene is baked again: %s", reason)
+                now = self._bake(self._opened._replace(data=moved.scene.data))
+            now.moving.scene.digest = moved.digest()  # found beside all of that
+            old = self._grid
+            grid = build_grid(self._config, now.standing, now.moving)
             cells, is_new = _compare(old, grid)
-            self._scene.keep(moved.scene)
-            self._grid, self._passes = grid, passes
+            self._scene.keep(now.moving.scene)
+            self._grid = grid
+            self._baked = now
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
 
-    def _follow(self, known: list[LiveStages] | None, moved: Moved) -> tuple[list[LiveStages], str]:
-        """Bring the stages up to date, or find them anew; with why."""
-        try:
-            if known is None:
-                raise FullBake("the last update failed")
-            candidates, unmatched = self._doors.pose(moved.scene, moved.every)
-            passes, reasons = list[LiveStages](), list[str]()
-            for one in known:  # until one rejects nothing: others were of another pose
-                reasons.append(one.follow(moved, candidates, unmatched))
-                passes.append(one)
-                candidates = one.stages.settled
-                if len(candidates) == len(one.stages.candidates):
-                    break
-            return self._settle(passes), next(filter(None, reasons), "")
-        except FullBake as why:
-            LOG.debug("all is baked again: %s", why)
-            opened = self._opened._replace(data=moved.scene.data)
-            return self._bake(take_first_look(self._config, StageClock(), opened=opened)), str(why)
+    def _bake(self, opened: OpenScene) -> BakedScene:
+        stages = open_stages(self._config, StageClock(), opened=opened)
+        return BakedScene(stages.standing, stages.moving, stages.around_doors)
 
-    def _bake(self, first: Stages) -> list[LiveStages]:
-        """Find all stages; see `settle_doors`."""
-        self._doors = FollowedDoors(self._config, first.scene, first.candidates, first.unmatched)
-        return self._settle([LiveStages(first)])
 
-    def _settle(self, passes: list[LiveStages]) -> list[LiveStages]:
-        """Find the stages again without what the last ones reject as doors, until none does."""
-        while (last := passes[-1].stages).rejected:
-            passes.append(LiveStages(replace(last, candidates=last.settled)))
-        return passes
+def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
+    """Bring a baked scene up to date after something moved.
+
+    Raises:
+        WholeBake: what stands is another, or the lattice, or how leaves close.
+    """
+    standing = before.standing
+    was = before.moving
+    scene = moved.scene
+    if moved.structure:
+        raise WholeBake(moved.structure)
+    if lay_lattice(scene, config) != standing.lattice:
+        raise WholeBake("the grid is another one: the box round the scene has changed")
+    doors = _follow_doors(before, scene)
+    in_the_way_before = mark_in_the_way(was.scene, was.doors, config)
+    in_the_way = mark_in_the_way(scene, doors, config)
+    differs = moved.geoms & (in_the_way_before | in_the_way)
+    differs |= in_the_way_before ^ in_the_way
+    boxes = [
+        boxes_of(was.scene.shapes.only(differs & in_the_way_before)),
+        boxes_of(scene.shapes.only(differs & in_the_way)),
+    ]
+    reach = before.around_doors.footprint.reach + 2 * TOUCH
+    cells = cells_near(standing.lattice, np.concatenate(boxes), reach)
+    moving = replace(was, scene=scene, doors=doors)
+    # few cells are not worth a second thread
+    with limit_threads(1 if len(cells) < LEAST_CELLS else None):
+        if differs.any():
+            moving = _follow_occupants(moving, before, in_the_way, differs, cells, config)
+        if doors is not was.doors or len(cells):
+            moving = _cut_doors_again(moving, before, cells, config)
+        if config.areas and moved.geoms.any():
+            areas = paint_areas(
+                scene, standing.lattice, standing.floors.levels, standing.rooms, config
+            )
+            moving = replace(moving, areas=areas)
+        if config.links and moved.geoms.any():
+            links = make_links(scene, standing, doors, moving.occupied, config)
+            moving = replace(moving, links=links)
+    return before._replace(moving=moving)
+
+
+def _follow_doors(before: BakedScene, scene: Scene) -> list[PlacedLeaf]:
+    """The leaves of a scene as they are now; the same list where none is another.
+
+    Raises:
+        WholeBake: a leaf closes other cells than before, so that rooms may be others.
+    """
+    was = before.moving.doors
+    placed = {one.candidate: one for one in was}
+    others = [leaf for leaf in scene.leaves if leaf not in placed]
+    if not others:
+        return was
+    around = before.around_doors
+    lattice = before.standing.lattice
+    leaves = pose_leaves(scene, others, lattice, around.footprint.reach)
+    by_id = {one.candidate.id: one for one in was}
+    for one in place_doors(leaves, around):
+        former = by_id.get(one.candidate.id)
+        if former is None or not closes_alike(one, former):
+            raise WholeBake(f"the leaf {one.candidate.id!r} closes other cells")
+        placed[one.candidate] = one
+    return [placed[leaf] for leaf in scene.leaves]
+
+
+def closes_alike(one: PlacedLeaf, other: PlacedLeaf) -> bool:
+    """Whether two leaves close the same cells, and part the same rooms."""
+    return (
+        one.is_door == other.is_door
+        and one.rooms == other.rooms
+        and len(one.closed_cells) == len(other.closed_cells)
+        and all(map(np.array_equal, one.closed_cells, other.closed_cells))
+    )
+
+
+def _follow_occupants(
+    moving: Moving,
+    before: BakedScene,
+    in_the_way: Bool,
+    differs: Bool,
+    cells: Int,
+    config: BakeConfig,
+) -> Moving:
+    """Find again what is in the way in some cells.
+
+    Args:
+        in_the_way: the geoms that are, now.
+        differs: the geoms that were or are, and differ.
+    """
+    standing = before.standing
+    scene = moving.scene
+    shapes = scene.shapes.only(in_the_way)
+    found = find_occupants(
+        shapes,
+        standing.lattice,
+        floors=standing.floors,
+        footprint=before.around_doors.footprint,
+        agent=config.agent,
+        cells=cells,
+    )
+    num_cells = standing.lattice.width * standing.lattice.height
+    occupants = replace_occupants(moving.occupants, cells, num_cells, found)
+    moved_bodies = np.unique(scene.mover_of[differs])
+    lost_floors = find_lost_floors(
+        shapes.only(np.isin(scene.mover_of, moved_bodies)),
+        scene.mover_of,
+        levels=standing.floors.levels,
+        lattice=standing.lattice,
+        agent=config.agent,
+    )
+    kept = {k: area for k, area in moving.lost_floors.items() if k not in moved_bodies}
+    return replace(
+        moving,
+        occupants=occupants,
+        occupied=join_occupancy(standing.occupancy.levels, occupants),
+        squares=join_squares(standing.occupancy, occupants),
+        taken=count_taken(
+            occupants, standing.occupancy.levels, scene.mover_of, scene.model.nbody
+        ),
+        lost_floors=dict(sorted((kept | lost_floors).items())),
+    )
+
+
+def _cut_doors_again(
+    moving: Moving, before: BakedScene, cells: Int, config: BakeConfig
+) -> Moving:
+    """The doors as the grid has them: those that moved, and those with any of some cells, again."""
+    standing = before.standing
+    was = before.moving
+    is_near = np.zeros(standing.lattice.width * standing.lattice.height, dtype=np.bool_)
+    is_near[cells] = True
+    former = [placed for placed in was.doors if placed.is_door]
+    cut_by = dict(zip(former, was.cut_doors, strict=True))
+    cut_doors = list[Door]()
+    placed_doors = [placed for placed in moving.doors if placed.is_door]
+    for placed in placed_doors:
+        cut = cut_by.get(placed)
+        if cut is None or _has_any(placed, is_near):
+            cut = cut_placed(placed, standing, moving.occupied, moving.squares, config)
+        cut_doors.append(cut)
+    room_table = was.room_table
+    same = len(placed_doors) == len(former)
+    if not (same and all(map(closes_alike, placed_doors, former))):
+        room_table = list_rooms(standing.rooms, placed_doors)
+    return replace(moving, cut_doors=cut_doors, room_table=room_table)
+
+
+def _has_any(placed: PlacedLeaf, marked: Bool) -> bool:
+    """Whether a leaf blocks any of the marked cells in any of its states."""
+    levels: Sequence[Sequence[Int]] = [*placed.blocked.values(), *placed.blocked_squares.values()]
+    return any(marked[cells].any() for level in levels for cells in level)
 
 
 def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
@@ -239,232 +390,3 @@ def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
                 differs |= changed
         cells.append(np.flatnonzero(differs))
     return cells, False
-
-
-# ---------------------------------------------------------------- stages
-
-
-class KeptColumns:
-    """The columns of a lattice, each a run of one store; see `ColumnSource`.
-
-    A new column is appended, and its cell points at it from then on. When the store is full, what
-    no cell points at is dropped (as in a log-structured store; Rosenblum and Ousterhout, 1992).
-    """
-
-    def __init__(self, columns: Columns) -> None:
-        self.lattice = columns.lattice
-        self._cells = np.arange(self.lattice.width * self.lattice.height)
-        self._all: Columns | None = None  # a copy of all, until one changes
-        self._some: tuple[Bool, Columns] | None = None  # the cells that were asked for last
-        self._hold(columns.crossings)
-
-    def _hold(self, crossings: Crossings) -> None:
-        """Make the crossings of all cells the whole store, without room for more."""
-        self._first, self._counts = crossings.start[:-1].copy(), np.diff(crossings.start)
-        self._used, self._arrays = len(crossings.z), list[NDArray[Any]](crossings[1:])
-
-    def _make_room(self, more: int) -> None:
-        """Make room for `more` crossings at least."""
-        if self._counts.sum() < self._used:  # drop what no cell points at
-            self._hold(self.take(self._cells))
-        room = int((self._used + more) * GROWTH) + 100
-        for number, array in enumerate(self._arrays):
-            self._arrays[number] = np.empty((room, *array.shape[1:]), dtype=array.dtype)
-            self._arrays[number][: self._used] = array[: self._used]
-
-    def blocks(self) -> Iterator[Columns]:
-        """All columns, in one block."""
-        if self._all is None:
-            self._all = Columns(self.lattice, self.take(self._cells))
-        yield self._all
-
-    def at(self, cells: Int | Int32) -> Columns:
-        """Columns in which those of some cells are known, whatever the order of their ids."""
-        if self._all is not None or len(cells) > COPY_SHARE * len(self._cells):
-            return next(self.blocks())
-        if self._some is None or not self._some[0][cells].all():
-            mask = np.zeros(len(self._cells), dtype=np.bool_)
-            mask[cells] = True
-            asked = np.flatnonzero(mask)
-            self._some = mask, place_columns(self.lattice, asked, self.take(asked))
-        return self._some[1]
-
-    def take(self, cells: Int) -> Crossings:
-        """The columns of some cells, ascending, numbered as these are."""
-        return take_runs(self._arrays, self._first[cells], self._counts[cells])
-
-    def put(self, cells: Int, crossings: Crossings) -> None:
-        """Replace the columns of some cells, ascending; crossings are numbered as these are."""
-        self._all, self._some, end = None, None, self._used + len(crossings.z)
-        if end > len(self._arrays[0]):
-            self._make_room(len(crossings.z))
-            end = self._used + len(crossings.z)
-        for array, new in zip(self._arrays, crossings[1:], strict=True):
-            array[self._used : end] = new
-        self._first[cells] = self._used + crossings.start[:-1]
-        self._counts[cells], self._used = np.diff(crossings.start), end
-
-
-class LiveStages:
-    """The `stages` of a scene with some bodies taken for doors, kept up to date.
-
-    Columns and floors are kept on the lattice on which floors are judged, all other stages on the
-    window of it that is baked.
-    """
-
-    def __init__(self, stages: Stages) -> None:
-        self._finder: FloorFinder
-        stages.floors, self._finder = stages.judge_floors()
-        source, (lattice, _) = stages.judged_columns, stages.judged
-        self._kept = None
-        if lattice.width * lattice.height <= column_blocks.KEPT_CELLS:
-            (columns,) = source.blocks()
-            self._kept = KeptColumns(columns)
-        self._take_over(stages)
-
-    def _take_over(self, stages: Stages) -> None:
-        """Find all stages after the floors, and keep what updates need of them."""
-        _ = stages.contents
-        self._markers = find_markers(stages.scene, stages.config.rooms)
-        self._cells = stages.cells
-        self._room_flags: RoomFlags | None = stages.room_flags
-        _ = stages.doors
-        stages.free_geometry()
-        self.stages = stages
-
-    def follow(self, moved: Moved, candidates: list[DoorCandidate], unmatched: list[str]) -> str:
-        """Bring all up to date, with other candidates for doors or the same.
-
-        Returns why all stages after the floors were found anew, "" if they were not. After an
-        error, this object is of no use.
-
-        Raises:
-            FullBake: the lattice is another one, or so much moved that a bake takes no longer.
-            SceneError: there is no floor.
-        """
-        was, scene = self.stages, moved.scene
-        now = replace(was, scene=scene, candidates=candidates, unmatched=unmatched)
-        now.stated_settings = was.stated_settings
-        left_out, leaves_out = (mark_geoms(len(moved.geoms), s.candidates) for s in (was, now))
-        # moved, unless as doors before and now; or in the scene only before, or only now
-        differs = (moved.geoms & ~(left_out & leaves_out)) | (left_out ^ leaves_out)
-        boxes = np.concatenate([boxes_of(one.doorless.shapes.only(differs)) for one in (was, now)])
-        if lay_lattice(scene, now.config) != was.lattice or now.judged != was.judged:
-            raise FullBake("the grid is another one: the box round the scene has changed")
-        (lattice, window), reach = now.judged, max(now.footprint.reach, now.config.floors.crack)
-        near = cells_near(lattice, boxes, reach + 2 * TOUCH)
-        if len(near) > MOST_CELLS * lattice.width * lattice.height:
-            raise FullBake("what moved is near most of the cells")
-        if self._kept:
-            now.judged_columns = self._kept
-        known, self._markers = self._markers, find_markers(scene, now.config.rooms)
-        planes, before = (len(one.doorless.shapes.planes.geom) for one in (now, was))
-        flags_hold = np.array_equal(known[1], self._markers[1]) and planes == before
-        flags_hold &= not (moved.every & known[0]).any()
-        flags_hold &= np.array_equal(_box(was), _box(now))
-        now.floors, touched, changed = was.floors, near[:0], near[:0]
-        # few cells are not worth a second thread
-        with limit_threads(1 if len(near) < LEAST_CELLS else None):
-            if len(near):
-                flags_hold &= self._cast(now, near)
-                now.floors, finder = now.judge_floors(self._finder)
-                levels = [
-                    [(one.name, one.ground) for one in some.floors.levels] for some in (was, now)
-                ]
-                if finder.changed is None or levels[0] != levels[1]:
-                    self._take_over(now)
-                    return "there are other levels"
-                changed = cut_cells(finder.changed, window, lattice.width)[0]
-                touched = cut_cells(near, window, lattice.width)[0]
-                touched = list_once(was.lattice, np.append(touched, changed))
-            now.occupancy, now.contents = was.occupancy, was.contents
-            if len(touched):
-                flags_hold &= self._look_again(now, differs, touched, not len(changed))
-                flags_hold &= np.array_equal(was.floors.links, now.floors.links)
-            if not len(changed):
-                now.floor_layers = was.floor_layers
-                if len(now.floors.levels) == 1 and np.array_equal(_box(was), _box(now)):
-                    now.boxes = was.boxes  # which then depend on floors alone
-            else:
-                self._room_flags = None  # they share the arrays of floors, which were written to
-        if not flags_hold or self._room_flags is None:
-            now.cells = self._cells
-            flags, self._room_flags = self._room_flags, now.room_flags
-            flags_hold = flags is not None and are_equal(now.room_flags, flags)
-        if flags_hold or are_equal(now.rooms, was.rooms):
-            now.rooms = was.rooms
-        now.doors = _follow_doors(was, now, touched)
-        if now.rooms is was.rooms and now.doors is was.doors:
-            now.room_table = was.room_table
-        if now.boxes.windows == was.boxes.windows:
-            known_doors = was.cut_doors
-            now.cut_doors = {one: known_doors.get(one) or now.cut_door(one) for one in now.placed}
-        now.free_geometry()
-        self.stages = now
-        return ""
-
-    def _cast(self, now: Stages, near: Int) -> bool:
-        """Cast columns again; returns whether surely no surface changed that marks a room."""
-        config, marks = now.config, self._markers[0]
-        found = cast_at(now.judged_shapes, config.agent, config.floors.crack, near)
-        crossings = take_columns(found.crossings, near)
-        self._finder.replace(near, found, now.doorless.shapes.planes)
-        if self._kept is None:
-            return not marks.any()
-        holds = not marks.any() or _same_surfaces(self._kept.take(near), crossings, marks)
-        self._kept.put(near, crossings)
-        return holds
-
-    def _look_again(self, now: Stages, differs: Bool, touched: Int, floors_hold: bool) -> bool:
-        """Find occupancy and contents again in the cells near what moved or with another floor.
-
-        Returns whether rooms depend on nothing that changed there.
-        """
-        columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
-        crossings, was = take_columns(columns.crossings, touched), now.contents
-        holds = not of_columns.look(touched, crossings, now.floors.levels)
-        known = now.doorless, now.floors, columns, now.tiled.at(touched)
-        finder.look_again(*known, touched, differs, floors_hold)
-        now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
-        if was is not None and now.contents is not None:
-            holds &= now.contents.have_same_walls(was, touched)
-            # widths of gaps are measured up to walls
-            own = now.contents.partitions[differs]
-            holds &= not ((own == WALL) | (own == BUILDING)).any()
-        return holds
-
-
-def _box(stages: Stages) -> Float:
-    """The box round the scene, infinite where it is endless."""
-    bounds = stages.scene.bounds
-    return np.full((2, 3), np.inf) if bounds is None else bounds
-
-
-def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
-    """Place again the doors that moved, and those near cells that something touched."""
-    around, known = now.around_doors, {one.candidate: one for one in was.doors}
-    mask = np.zeros(now.lattice.shape, dtype=np.bool_)
-    mask.ravel()[touched] = True
-    new = [one for one in now.candidates if one not in known]
-    leaves = pose_leaves(now.scene, new, now.lattice, now.footprint.reach)
-    leaves += [
-        one.leaf
-        for one in map(known.get, now.candidates)
-        if one and (now.rooms is not was.rooms or one.depends_on(mask, around))
-    ]
-    for one in place_doors(leaves, around):
-        if one.candidate not in known or not are_equal(one, known[one.candidate]):
-            known[one.candidate] = one
-    doors = [known[one] for one in now.candidates]
-    same = len(doors) == len(was.doors) and all(map(is_, doors, was.doors))
-    return was.doors if same else doors
-
-
-def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:
-    """Whether some geoms have the same surfaces in columns of the same cells."""
-    found = []
-    for columns in (old, new):
-        cell = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-        own = geoms[columns.geom]
-        found.append((cell[own], columns.z[own], columns.normal[own], columns.geom[own]))
-    return all(np.array_equal(one, other) for one, other in zip(*found, strict=True))

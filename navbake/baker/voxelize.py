@@ -141,7 +141,8 @@ class Voxelizer:
             bodies = [*exclusions.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
             update = {"exclude": exclusions.model_copy(update={"bodies": bodies})}
             self._settings = config.scene.model_copy(update=update if ignore else {})
-            self.scene = load_scene(self._settings, config.agent, config.floors, opened=opened)
+            config = config.model_copy(update={"scene": self._settings})
+            self.scene = load_scene(config, opened=opened)
         self.shapes = self.scene.shapes
         self._labels: dict[Any, Labels] = {}
 

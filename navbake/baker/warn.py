@@ -7,19 +7,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from navbake.baker.doors.doors import warn_doors
+from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.reach import TOLD_AREA
 from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.names import body_name
-from navbake.baker.stages import Stages
+from navbake.baker.scene.scene import Scene
+from navbake.baker.stages import Moving, Standing
+from navbake.config.settings import BakeConfig
 from navbake.errors import printable
 
 SPARSE = 64  # a first look at floors reads one row of so many
 # How far below a given ground the floor that it means lies at most: the thickness of a slab [m]
 NEAR_GROUND = 0.5
 LEAST_HOLE = 0.05  # of the holes of a mesh that a warning names [m²]
-MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
+MAX_MOVABLE = 3  # bodies that can move that a warning names at most
 # Warnings of large surfaces, from which size on [m²]
 DROPPED = {
     "tops": (
@@ -66,52 +69,56 @@ LOST = {
 }
 
 
-def collect_warnings(stages: Stages) -> list[str]:
-    """The warnings of all stages, in their order."""
+def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> list[str]:
+    """The warnings of all stages: those of what stands in their order, then those of the pose."""
+    scene = moving.scene
     warnings = [
-        *stages.scene.warnings,
-        *stages.unmatched,
-        *_warn_part_judged(stages),
-        *_warn_nothing_free(stages),
-        *_warn_movable(stages),
-        *_warn_patches(stages, DROPPED),
-        *_warn_high_grounds(stages),
-        *_warn_unreached(stages),
-        *_warn_patches(stages, LOST),
-        *_warn_holes(stages),
-        *_warn_hidden_ground(stages),
-        *(stages.contents.warnings if stages.contents else ()),
-        *stages.rooms.warnings,
-        *warn_doors(stages.placed, stages.config.doors.state),
-        *_warn_interleaved(stages),
-        *stages.areas.warnings,
-        *stages.links.warnings,
+        *scene.warnings,
+        *scene.unused,
+        *_warn_part_judged(config, standing, scene),
+        *_warn_patches(standing.floors, scene, DROPPED),
+        *_warn_high_grounds(config, standing),
+        *_warn_unreached(standing.floors, moving),
+        *_warn_patches(standing.floors, scene, LOST),
+        *_warn_holes(config, standing),
+        *_warn_hidden_ground(config, standing.floors, scene),
+        *(standing.contents.warnings if standing.contents else ()),
+        *standing.rooms.warnings,
+        *_warn_interleaved(standing),
+        *_warn_nothing_free(config, standing.floors, moving),
+        *_warn_movable(standing, moving),
+        *_warn_lost_floors(moving),
+        *warn_doors([placed for placed in moving.doors if placed.is_door], config.doors.state),
+        *moving.areas.warnings,
+        *moving.links.warnings,
     ]
     return [printable(warning) for warning in warnings]
 
 
-def _warn_part_judged(stages: Stages) -> Iterator[str]:
+def _warn_part_judged(config: BakeConfig, standing: Standing, scene: Scene) -> Iterator[str]:
     """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
-    (whole, _), bounds = stages.judged, stages.scene.bounds
-    if bounds is not None and find_cropped(whole, bounds).any():
+    whole = standing.judged.lattice
+    if scene.bounds is not None and find_cropped(whole, scene.bounds).any():
         x0, y0, x1, y1 = whole.bounds
         yield (
             "which floors are roofs or reached was decided on a part of the scene, "
             f"x {x0:.6g} to {x1:.6g} m and y {y0:.6g} to {y1:.6g} m: all of it has more cells than "
-            f"`grid.max_cells` = {stages.config.grid.max_cells}"
+            f"`grid.max_cells` = {config.grid.max_cells}"
         )
 
 
-def _warn_nothing_free(stages: Stages) -> Iterator[str]:
+def _warn_nothing_free(
+    config: BakeConfig, floors: Floors, moving: Moving
+) -> Iterator[str]:
     """Warn of levels without a cell that an agent can stand in."""
     full = [
         repr(level.name)
-        for level, taken in zip(stages.floors.levels, stages.occupancy.levels, strict=True)
+        for level, taken in zip(floors.levels, moving.occupied, strict=True)
         if not (level.standable > taken).any()  # one pass: standable, and not taken
     ]
     if full:
-        agent = stages.config.agent
-        lying = "; does the scene lie on its side (`scene.up`)?" if stages.scene.parts else ""
+        agent = config.agent
+        lying = "; does the scene lie on its side (`scene.up`)?" if moving.scene.parts else ""
         yield (
             f"nothing is free on {', '.join(full)}: an agent {agent.height:g} m high of "
             f"{agent.radius:g} m radius can stand nowhere there; `navbake why` names what blocks a "
@@ -119,43 +126,71 @@ def _warn_nothing_free(stages: Stages) -> Iterator[str]:
         )
 
 
-def _warn_movable(stages: Stages) -> Iterator[str]:
-    """Warn of bodies with a free joint that take floor: agents, and things that move later."""
-    taken = stages.contents.taken if stages.contents else np.zeros(0, dtype=np.int64)
-    bodies = np.flatnonzero(taken)
-    if len(bodies):
-        area, model = taken * stages.lattice.cell_size**2, stages.scene.model
-        first = bodies[np.argsort(-taken[bodies], kind="stable")][:MAX_MOVABLE].tolist()
-        named = [f"{body_name(model, body)!r} ({area[body]:.2f} m²)" for body in first]
+def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
+    """Warn of what can move and takes floor: robots, and things that move later."""
+    scene = moving.scene
+    bodies = np.flatnonzero(moving.taken)
+    bodies = bodies[~scene.stands[bodies]]  # else a leaf that hangs on no joint
+    largest = bodies[np.argsort(-moving.taken[bodies], kind="stable")].tolist()
+    robots = [body for body in largest if body in scene.actuated]
+    things = [body for body in largest if body not in scene.actuated]
+
+    def name(bodies: list[int]) -> str:
+        named = []
+        for body in bodies[:MAX_MOVABLE]:
+            area = moving.taken[body] * standing.lattice.cell_size**2
+            named.append(f"{body_name(scene.model, body)!r} ({area:.2f} m²)")
         more = f", and {len(bodies) - len(named)} more" if len(bodies) > len(named) else ""
+        return ", ".join(named) + more
+
+    if robots:
+        pattern = body_name(scene.model, robots[0])
         yield (
-            f"bodies with a free joint take floor, where they stand now: "
-            f"{', '.join(named)}{more}; `scene.exclude.movable: true` leaves all such "
-            f"bodies out, `scene.exclude.bodies` those that its patterns name"
+            f"bodies with actuators take floor, where they stand now: {name(robots)}; what is to "
+            f"drive through the grid is left out by `robot=` in Python, by "
+            f"`scene.exclude.bodies: [{pattern}]` in the settings"
+        )
+    if things:
+        yield (
+            f"bodies that can move take floor, where they stand now: {name(things)}; "
+            f"`scene.exclude.movable: true` leaves all such bodies out, `scene.exclude.bodies` "
+            f"those that its patterns name"
         )
 
 
-def _warn_patches(stages: Stages, texts: dict[str, tuple[float, str]]) -> Iterator[str]:
+def _warn_lost_floors(moving: Moving) -> Iterator[str]:
+    """Warn of what can move and would be floor where there is none."""
+    for body, area in moving.lost_floors.items():
+        name = body_name(moving.scene.model, body)
+        yield (
+            f"{name!r} moves and carries no floor, though {area:.1f} m² of it lie over none: "
+            f"`floors.movable: [{name}]` makes floor of it in the baked pose"
+        )
+
+
+def _warn_patches(
+    floors: Floors, scene: Scene, texts: dict[str, tuple[float, str]]
+) -> Iterator[str]:
     """Warn of large surfaces: the name, area and height of the first, and how many more."""
     for name, (least, text) in texts.items():
-        patches = [one for one in getattr(stages.floors, name) if one.area >= least]
+        patches = [one for one in getattr(floors, name) if one.area >= least]
         if patches:
             first, more = patches[0], f", and {len(patches) - 1} more" if patches[1:] else ""
             x, y, z = first.place
             area, height = f"{first.area:.1f}", f"{z:.2f}"
-            on = repr(stages.scene.geoms[first.geom].name)
+            on = repr(scene.geoms[first.geom].name)
             cells = sum(len(one.cells) for one in patches)
             what = f"{on} ({area} m² at {height} m{more})"
             keep = f"`floors.from: [[{x:.2f}, {y:.2f}, {height}]]` keeps it"
             yield text.format(what=what, keep=keep, cells=cells, area=area, z=height, name=on)
 
 
-def _warn_high_grounds(stages: Stages) -> Iterator[str]:
+def _warn_high_grounds(config: BakeConfig, standing: Standing) -> Iterator[str]:
     """Warn of grounds in `levels` that are a little higher than the floors that were meant.
 
     Their level has no floor within a step above, another a large one within `NEAR_GROUND` below.
     """
-    config, levels = stages.config, stages.floors.levels
+    levels = standing.floors.levels
     given = [] if config.levels == "auto" else [level.ground for level in config.levels]
     step, cell_area = config.agent.traversable_floor_height, config.grid.cell_size**2
     for level in levels:
@@ -175,14 +210,14 @@ def _warn_high_grounds(stages: Stages) -> Iterator[str]:
             )
 
 
-def _warn_unreached(stages: Stages) -> Iterator[str]:
+def _warn_unreached(floors: Floors, moving: Moving) -> Iterator[str]:
     """Warn of what no step leads to, level by level; not of a level at which a link stops."""
-    linked = {stop.level for link in stages.links.links for stop in link.stops}
-    for part in stages.floors.unreached:
+    linked = {stop.level for link in moving.links.links for stop in link.stops}
+    for part in floors.unreached:
         if part.whole and part.level in linked:
             continue
-        name, patch = stages.floors.levels[part.level].name, part.patch
-        on, area = stages.scene.geoms[patch.geom].name, f"{patch.area:.1f} m²"
+        name, patch = floors.levels[part.level].name, part.patch
+        on, area = moving.scene.geoms[patch.geom].name, f"{patch.area:.1f} m²"
         x, y, z = patch.place
         what = f"{area} of {name!r} (most of it on {on!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
         if part.whole:
@@ -194,20 +229,21 @@ def _warn_unreached(stages: Stages) -> Iterator[str]:
         )
 
 
-def _warn_holes(stages: Stages) -> Iterator[str]:
+def _warn_holes(config: BakeConfig, standing: Standing) -> Iterator[str]:
     """Warn of holes in the floor of a mesh."""
-    area = stages.holes[stages.holes >= LEAST_HOLE]
+    area = standing.holes[standing.holes >= LEAST_HOLE]
     if len(area):
         holes = "a hole" if len(area) == 1 else f"{len(area)} holes"
         text = "closed and marked in the layer `unseen`"
-        if not stages.config.floors.fill:
+        if not config.floors.fill:
             text = "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
         yield f"the mesh is open in its floor, {holes} of {area.sum():.2f} m² in all: {text}"
 
 
-def _warn_hidden_ground(stages: Stages) -> Iterator[str]:
+def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
     """Warn of an infinite level plane that lies lower than all floors of the grid."""
-    config, levels, planes = stages.config, stages.floors.levels, stages.scene.shapes.planes
+    levels = floors.levels
+    planes = scene.shapes.planes
     if config.grid.bounds is not None or config.grid.margin > 0:
         return
     step = config.agent.traversable_floor_height
@@ -218,7 +254,7 @@ def _warn_hidden_ground(stages: Stages) -> Iterator[str]:
         lowest = min(float(np.nanmin(level.floor)) for level in levels)
         is_hidden = (planes.normal[:, 2] >= 1.0 - 1e-9) & (planes.pos[:, 2] < lowest - step)
         for plane in np.flatnonzero(is_hidden)[:1].tolist():
-            name, z = stages.scene.geoms[planes.geom[plane]].name, planes.pos[plane, 2]
+            name, z = scene.geoms[planes.geom[plane]].name, planes.pos[plane, 2]
             yield (
                 f"{name!r} is endless, and the grid covers only the box of the "
                 f"other geoms, which hides it: `grid.margin` or `grid.bounds` shows the ground at "
@@ -226,13 +262,13 @@ def _warn_hidden_ground(stages: Stages) -> Iterator[str]:
             )
 
 
-def _warn_interleaved(stages: Stages) -> Iterator[str]:
+def _warn_interleaved(standing: Standing) -> Iterator[str]:
     """Warn of free cells that the original client takes for another level's."""
-    boxes = stages.boxes
+    boxes = standing.boxes
     if boxes.lost:
-        pairs = zip(stages.floors.levels, stages.occupancy.levels, strict=True)
+        pairs = zip(standing.floors.levels, standing.occupancy.levels, strict=True)
         num_free = sum(np.count_nonzero(~np.isnan(level.floor[~taken])) for level, taken in pairs)
-        names = ", ".join(repr(stages.floors.levels[number].name) for number in boxes.lost_on)
+        names = ", ".join(repr(standing.floors.levels[number].name) for number in boxes.lost_on)
         yield (
             f"levels interleave in height: MINOS's client finds a position's level by `bbox` "
             f"and misses {boxes.lost} of {num_free} free cells, on {names}; navbake goes by "

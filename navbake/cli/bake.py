@@ -81,7 +81,7 @@ def geoms(
     overrides: Overrides = None,
     model_path: ModelPath = None,
 ) -> None:
-    """List the geoms of a scene: which count, as what, and why.
+    """List the geoms of a scene: which count, as what, what of them stands or can move, and why.
 
     Example: navbake geoms house.xml
     """
@@ -91,19 +91,19 @@ def geoms(
     overrides = [*(overrides or []), *options.override_model_path(model_path)]
     settings = load_config(config, overrides)
     options.say_if_sample(config)
-    scene = load_scene(settings.scene, settings.agent, settings.floors)
+    scene = load_scene(settings)
     print_warnings(scene.warnings)
     if as_json:
-        keys = ("id", "name", "body", "type", "counted", "shape", "reason")
+        keys = ("id", "name", "body", "type", "counted", "shape", "role", "reason")
         found = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
         print_json({"scene_id": scene.id, "geoms": found, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
     rows = [
-        (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.reason)
+        (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.role, g.reason)
         for g in scene.geoms
     ]
-    headings = ("id", "geom", "body", "type", "counted", "as", "why")
+    headings = ("id", "geom", "body", "type", "counted", "as", "role", "why")
     printing.print_tables(make_table(headings, rows, numbers=("id",)))
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 

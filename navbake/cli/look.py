@@ -166,7 +166,7 @@ def view(
             opened = open_file(config.scene)
             grid = run_bake(config, progress=progress, opened=opened).grid
         print_warnings(list(grid.warnings))
-        baked = load_scene(config.scene, config.agent, config.floors, opened=opened)
+        baked = load_scene(config, opened=opened)
         return Exhibit(grid, baked, config)
 
     is_grid = source.name.lower().endswith(GRIDS)

@@ -95,7 +95,9 @@ SceneId = Annotated[
 class ExcludeSettings(Settings):
     bodies: Patterns = setting([], "body name patterns (*, ?, [...]), with child bodies")
     geoms: Patterns = setting([], "geom name patterns")
-    movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
+    movable: bool = setting(
+        False, "true: leave out all bodies that can move, but for doors; or false"
+    )
 
 
 SCAN_HOLES = 2.0  # `floors.fill` of scans [m²]
@@ -287,6 +289,9 @@ class FloorSettings(Settings):
     roofs: bool = setting(False, "keep roofs as levels: true or false")
     voids: bool = setting(False, "keep voids under 1.8 m (plenums) as levels: true or false")
     reach: Literal["all", "steps"] = setting("all", "floors: all, or those that steps lead to")
+    movable: Patterns = setting(
+        [], "body name patterns of what carries floors though it moves (a drawbridge, a stage)"
+    )
     starts: list[Position] = Field(
         default=[],
         alias="from",
@@ -479,7 +484,9 @@ def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
     left_out: Any = {"output": True, "verify": True, "grid": {"max_cells"}}
     left_out["scene"] = {"path", "model_path"}
-    # a grid without links, areas and agents has the digest that it had before there were any
+    # a grid without these has the digest that it had before there were any
+    if not config.floors.movable:
+        left_out["floors"] = {"movable"}
     left_out |= {name: True for name in ("agents", "areas", "links") if not getattr(config, name)}
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -80,7 +80,7 @@ def find_source(
         opened = open_memory(given, data, config.scene) if in_memory else None
     else:
         config = as_config(given)
-    scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
+    scene = load_scene(config, opened=opened)
     notes = []
     digest, version = grid.navbake.get("sceneDigest"), grid.navbake.get("mujoco", "another version")
     if digest is None:

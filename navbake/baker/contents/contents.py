@@ -1,59 +1,81 @@
-"""What stands in each cell: whether it is occupied, by which geoms, what they are, and their names.
+"""What stands in each cell: whether the cell is occupied, by which geoms, what they are, their names.
 
-One walk over the cells finds all, block by block, and again for some cells where things move.
+What stands is looked at once, block by block; what can move is looked at by itself, see
+`navbake.baker.contents.occupants`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import Blocks, BlockTable
-from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.blocks import Blocks, list_rows
+from navbake.baker.clock import StageClock
+from navbake.baker.columns import Columns, ColumnSource, ShapeSource, TiledShapes
 from navbake.baker.connect import ranges
-from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
+from navbake.baker.contents.cell_names import name_geoms
 from navbake.baker.contents.kinds import (
     COVERING,
-    NEAR_FLOOR,
     THING_HEIGHT,
     WALL_BAND,
-    Classified,
     GeomsOverFloors,
     classify_geoms,
     find_carriers,
     find_steps,
-    is_static,
-    is_surface,
-    wall_candidates,
 )
-from navbake.baker.floors.levels import Floors
+from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels import contents as kernels
-from navbake.baker.kernels.constants import BUILDING, OBJECT, SLACK, TOUCH, WALL
+from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.contents import LevelContents
-from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS, Listing
-from navbake.baker.lattice import Window
+from navbake.baker.kernels.walk import Listing
 from navbake.baker.occupancy.occupancy import NO_LISTING, Footprint, Found, Occupancy, look_at_cells
-from navbake.baker.scene.extents import Extents, measure_geoms
-from navbake.baker.scene.names import find_free_bodies
+from navbake.baker.rooms.column_flags import flag_columns
+from navbake.baker.scene.extents import Extents
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.threads import LEAST_CELLS, run_in_bands
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Int, Int32
 
-# Lists get so many times the room that they are expected to need, and so many where some are
-# replaced, as the old ones stay
-SPARE, ROOM = 1.1, 2
+# Lists get so many times the room that they are expected to need
+SPARE = 1.1
 # How far above its floors the last storey ends, whatever moves at the scene's top [m]
 OPEN_ABOVE = 100.0
 # Empty columns of `measure_blocks`
 NO_MEASURES = np.empty((0, 7), dtype=np.int64), np.empty((0, 2))
+
+
+class LevelLook(NamedTuple):
+    """What was found over the floors of some cells of a level.
+
+    Attributes:
+        cells: those of the cells that have a floor, shape (n,).
+        found: the answers for these.
+        listing: the lists of what stands in them; empty if none are asked for.
+    """
+
+    cells: Int
+    found: Found
+    listing: Listing
+
+
+class StandingCells(NamedTuple):
+    """What stands in the cells of all storeys.
+
+    Attributes:
+        occupancy: the cells that it occupies.
+        levels: the geoms in each cell, by level; empty if they are not asked for.
+        column_flags: flags of each cell's column, by level, see `flag_columns`.
+    """
+
+    occupancy: Occupancy
+    levels: list[LevelContents]
+    column_flags: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
@@ -66,8 +88,6 @@ class Contents:
         partitions: the same for rooms, which walls by shape and panes part whatever their names.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
-        taken: how many cells each body with a free joint takes, see `count_taken`; shape
-            (nbody,), int64.
     """
 
     levels: list[LevelContents]
@@ -75,315 +95,237 @@ class Contents:
     partitions: NDArray[np.uint8]
     names: list[str]
     warnings: list[str]
-    taken: Int
 
-    def have_same_walls(self, other: Contents, cells: Int) -> bool:
-        """Whether `mark_walls` is the same in contents that differ at most in some cells."""
-        same_kinds = np.array_equal(self.partitions, other.partitions)
-        asked = cells if same_kinds else None
-        levels = range(len(self.levels))
-        return all(
-            np.array_equal(self.mark_walls(k, asked), other.mark_walls(k, asked)) for k in levels
-        )
-
-    def mark_walls(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
-        """Mark the cells, all or some, that a wall stands in and blocks.
+    def mark_walls(self, level: int) -> tuple[Bool, Bool]:
+        """Mark the cells that a wall stands in and blocks.
 
         Also returns those that a building's mesh blocks only below `WALL_BAND`.
         """
         listed = self.levels[level]
-        asked = np.arange(len(listed.first)) if cells is None else cells
-        shape = listed.lattice.shape if cells is None else cells.shape
-        walls, lows = np.empty((2, len(asked)), dtype=np.bool_)
-        known = listed, self.partitions, asked, walls, lows
-        run_in_bands(kernels.mark_walls, len(asked), *known, least=LEAST_CELLS)
-        return walls.reshape(shape), lows.reshape(shape)
-
-    def user_data(self, level: int, window: Window) -> UserData:
-        """Name what stands in a storey's cells, as the original client does.
-
-        `objects` are all things but walls and the building's own floors, ceilings and stairs, also
-        those that one stands on (rugs, pallets); `walls` the walls. Both stand, hang or lie between
-        the floor and the next storey. `blockers` are what the agent's disc or square meets in its
-        band, where these are not the same names. `navbake.navgrid.door_states.with_door_names` adds
-        the doors.
-
-        The data is by cell id on the window: sorted names under each key that has any.
-        """
-        # deferred: planning and plotting don't need it
-        return UserData(partial(self._name_cells, level, window))
-
-    def _name_cells(self, level: int, window: Window) -> Shared:
-        listed = self.levels[level]
-        cell, geom, flags = take_entries(listed, np.arange(len(listed.first)))
-        kind, carrier = self.kinds[geom], listed.carrier
-        stands, is_upper = (flags & STANDS) > 0, (flags & PROBED) > 0
-        is_wall = (kind == WALL) | ((kind == BUILDING) & is_upper)
-        bits = np.where(flags & BLOCKS, BLOCKERS, 0)
-        bits |= np.where(stands & is_wall, WALLS, 0)
-        bits |= np.where(stands & (kind == OBJECT), OBJECTS, 0)
-        below = np.flatnonzero(carrier >= 0)
-        below = below[self.kinds[carrier[below]] == OBJECT]
-        cell = np.concatenate([cell, below])
-        geom = np.concatenate([geom, carrier[below]])
-        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-        with collector_off():
-            return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
+        cells = np.arange(len(listed.first))
+        walls = np.empty(len(cells), dtype=np.bool_)
+        lows = np.empty(len(cells), dtype=np.bool_)
+        run_in_bands(
+            kernels.mark_walls,
+            len(cells),
+            listed,
+            self.partitions,
+            cells,
+            walls,
+            lows,
+            least=LEAST_CELLS,
+        )
+        return walls.reshape(listed.lattice.shape), lows.reshape(listed.lattice.shape)
 
 
-class CellFinder:
-    """Finds what stands in all cells, block by block, and again in some where things move.
+def find_tops(floors: Floors) -> list[float]:
+    """The height at which each storey ends: the next one's ground; inf for the last [m]."""
+    return [*(level.ground for level in floors.levels[1:]), np.inf]
 
-    Attributes:
-        occupancy: of the cells looked at so far; the others count as open.
+
+def look_at_level(
+    columns: Columns,
+    tiled: TiledShapes,
+    footprint: Footprint,
+    cells: Int,
+    level: LevelFloor,
+    top: float,
+    agent: AgentSettings,
+    probed: Bool | None,
+) -> LevelLook:
+    """Look at what is over the floors of some cells of a level, ascending.
 
     Args:
-        scene: the scene without its doors.
-        floors: the storeys.
-        agent: who stands there.
-        extents: of the scene's geoms; None where contents are not asked for.
+        columns, tiled: the geometry that is looked for, near these cells.
+        top: where the storey ends [m].
+        probed: by geom id, whether it is tested in the walls' band; None to list nothing.
     """
-
-    def __init__(
-        self,
-        scene: Scene,
-        lattice: Lattice,
-        floors: Floors,
-        agent: AgentSettings,
-        extents: Extents | None,
-    ) -> None:
-        self._scene, self._floors, self._agent, self._extents = scene, floors, agent, extents
-        self._footprint = Footprint.of(agent, lattice.cell_size)
-        has_solid = self._footprint.radius > 0.0
-        taken = [np.isnan(level.floor) for level in floors.levels]
-        solid = [mask.copy() for mask in taken] if has_solid else None
-        self.occupancy = Occupancy(taken, 0, 0, solid)
-        self._listed: list[LevelContents] = []
-        if extents is not None:
-            num = lattice.width * lattice.height
-            for _ in floors.levels:
-                first, carrier = np.zeros(num, dtype=np.int32), np.full(num, -1, dtype=np.int32)
-                nothing = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
-                self._listed.append(
-                    LevelContents(lattice, first, *nothing, carrier, np.full(num, np.inf))
-                )
-            self._judge(scene, extents)
-            self._names, self._free_body = name_geoms(scene), find_free_bodies(scene.model)
-            self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
-        self._used = [0 for _ in self._listed]
-        # of each level, how geoms stand over its floors in each block; and where that may change
-        self._blocks = Blocks(lattice)
-        self._measures = [BlockTable(self._blocks.num, *NO_MEASURES) for _ in self._listed]
-        self._unmeasured = self._blocks.all()
-        self._steps: tuple[Int, Int, Float] | None = None
-        self._basis: list[NDArray[Any]] = []  # of what `_classified` is found from
-        self._classified: Classified | None = None
-
-    def _judge(self, scene: Scene, extents: Extents) -> None:
-        """Mark geoms by their shapes and joints alone; the classes of others follow from these."""
-        self._static, self._probed = is_static(scene), wall_candidates(scene, extents)
-        self._decisive = self._static | is_surface(scene) | self._probed
-
-    def add(self, columns: Columns, tiled: TiledShapes) -> None:
-        """Add the cells of a block; blocks come in the order of their rows."""
-        lattice = columns.lattice
-        cells = np.arange(*columns.known_rows.cells(lattice))
-        self._look(columns, tiled, cells, (int(cells[-1]) + 1) / (lattice.width * lattice.height))
-
-    def look_again(
-        self,
-        scene: Scene,
-        floors: Floors,
-        columns: Columns,
-        tiled: TiledShapes,
-        cells: Int,
-        moved: Bool,
-        floors_hold: bool,
-    ) -> None:
-        """Update cells where things moved; earlier results of `found` are not changed.
-
-        Args:
-            cells: all near what moved, and all whose column or floor changed, ascending.
-            moved: by geom id, whether its geometry changed.
-            floors_hold: whether no floor changed its height.
-        """
-        self._scene, was, self._floors = scene, self._floors, floors
-        if not floors_hold or not np.array_equal(was.links, floors.links):
-            self._steps = None
-        self._unmeasured |= self._blocks.holding(cells)
-        for one, other in zip(was.levels, floors.levels, strict=True):
-            differs = np.flatnonzero(one.standable != other.standable)
-            self._unmeasured |= self._blocks.holding(differs)
-        if self._extents is not None:
-            new = measure_geoms(scene.shapes.only(moved), len(moved))
-            extents = Extents(*(array.copy() for array in self._extents))
-            for old, now in zip(extents, new, strict=True):
-                old[moved] = now[moved]
-            self._extents = extents
-            # moving parts count in the body whose size makes a static panel furniture
-            self._judge(scene, extents)
-            roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
-            own = np.unique(roots[moved])
-            of_moving = self._static & np.isin(roots, own[own > 0])
-            if ((self._decisive & moved) | of_moving).any():
-                self._basis = []
-        self._look(columns, tiled, cells, None)
-
-    def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
-        """Find what stands in some cells, ascending; `share` as for `_put_lists`."""
-        floors, (taken, by_ray, by_fcl, solid) = self._floors, self.occupancy
-        # each storey ends at the next one's ground, or else high above its floors [m]
-        tops = [*(level.ground for level in floors.levels[1:]), np.inf]
-        listing, probed = NO_LISTING, np.empty(0, dtype=np.bool_)
-        if self._extents is not None:
-            probed = self._probed
-        for k, (level, top) in enumerate(zip(floors.levels, tops, strict=True)):
-            floor = level.floor.ravel()[cells]
-            has_floor = ~np.isnan(floor)
-            here, heights = cells[has_floor], floor[has_floor]
-            if self._extents is not None:
-                num, band = len(here), (WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH)
-                first, carrier = np.empty((2, num), dtype=np.int32)
-                ceiling = np.minimum(top, heights + OPEN_ABOVE)
-                ceiling = np.maximum(ceiling, heights + self._agent.height) - TOUCH
-                min_up = agent_limits(self._agent).min_up
-                listing = Listing(ceiling, first, carrier, np.empty(num), probed, *band, min_up)
-            found = look_at_cells(columns, tiled, self._footprint, here, heights, listing)
-            for layers, mask in ((taken, found.occupied), (solid, found.solid)):
-                if layers is not None:
-                    layer = layers[k].reshape(-1)
-                    layer[cells] = True
-                    layer[here] = mask
-            if share is not None:
-                by_ray, by_fcl = by_ray + found.by_ray, by_fcl + found.by_fcl
-            if self._extents is not None:
-                self._put_lists(k, cells, has_floor, listing, found, share)
-        self.occupancy = Occupancy(taken, by_ray, by_fcl, solid)
-
-    def _put_lists(
-        self,
-        k: int,
-        cells: Int,
-        has_floor: Bool,
-        listing: Listing,
-        found: Found,
-        share: float | None,
-    ) -> None:
-        """Put the lists of some cells into a level's contents.
-
-        `share` of all cells are known with these; None for an update, which copies the contents.
-        """
-        listed, used, num = self._listed[k], self._used[k], len(found.geom)
-        carrier, gap = np.full(len(cells), -1, dtype=np.int32), np.full(len(cells), np.inf)
-        first = np.zeros(len(cells), dtype=np.int32)
-        carrier[has_floor], gap[has_floor] = listing.carrier, listing.gap
-        if share is None:
-            count_taken(listed, cells, self._free_body, self._taken, -1)
-            if not np.array_equal(listed.carrier[cells], carrier):
-                self._steps = None
-            listed = listed._replace(first=listed.first.copy(), carrier=listed.carrier.copy())
-        if used + num > len(listed.geom):
-            if share is None:
-                listed, used = _compact(listed)
-            more = ROOM if share is None else SPARE / share if share < 1.0 else 1.0
-            size = int((used + num) * more)
-            geom, flags = np.empty(size, dtype=np.int32), np.empty(size, dtype=np.uint8)
-            geom[:used], flags[:used] = listed.geom[:used], listed.flags[:used]
-            listed = listed._replace(geom=geom, flags=flags)
-        listed.geom[used : used + num] = found.geom
-        listed.flags[used : used + num] = found.flags
-        first[has_floor] = listing.first + np.int32(used)
-        listed.first[cells], listed.carrier[cells], listed.gap[cells] = first, carrier, gap
-        self._listed[k], self._used[k] = listed, used + num
-        count_taken(listed, cells, self._free_body, self._taken, 1)
-
-    def found(self, settings: NameSettings) -> Contents | None:
-        """The contents of all cells; None where they are not asked for."""
-        extents, floors, scene, agent = self._extents, self._floors, self._scene, self._agent
-        if extents is None:
-            return None
-        over_floors, counts, stood_on = self._measure_levels(extents)
-        if self._steps is None:
-            carrier = np.stack([level.carrier for level in self._listed])
-            self._steps = find_steps(floors, carrier, self._listed[0].lattice)
-        cell_size, step = self._listed[0].lattice.cell_size, agent.traversable_floor_height
-        carriers = find_carriers(counts, stood_on, cell_size, step, self._steps)
-        # geoms are classified again only where their basis has changed, in which it does not matter
-        # how deep one reaches under a floor
-        static, decisive = self._static, self._decisive
-        base = np.maximum(over_floors.base, min(NEAR_FLOOR, agent.height / 2))
-        measured = np.stack([base, *over_floors[1:]])[:, decisive]
-        basis = [measured, carriers.building, carriers.things[static], carriers.stood_on[static]]
-        basis.append(decisive)
-        same = len(basis) == len(self._basis) and all(map(np.array_equal, basis, self._basis))
-        if not same or self._classified is None:
-            known = scene, extents, over_floors, carriers, agent, settings
-            self._classified = classify_geoms(*known)
-            self._basis = basis
-        kinds, partitions, warnings = self._classified
-        levels, taken = list(self._listed), self._taken.copy()
-        return Contents(levels, kinds, partitions, self._names, warnings, taken)
-
-    def _measure_levels(self, extents: Extents) -> tuple[GeomsOverFloors, Int, Bool]:
-        """How geoms stand over floors, and the arguments of `find_carriers`."""
-        num, heights = len(extents.low), (extents.low, extents.high)
-        base, rise, stood_on = np.full(num, np.inf), np.full(num, -np.inf), np.zeros(num, np.bool_)
-        on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
-        limits, stale = (on_floor, COVERING + SLACK), np.flatnonzero(self._unmeasured)
-        counts = np.zeros((len(self._listed), 5, num), dtype=np.int64)
-        for k, (listed, level) in enumerate(zip(self._listed, self._floors.levels, strict=True)):
-            layers = level.floor.ravel(), level.standable.ravel()
-            asked = listed, layers, heights, limits
-            self._measures[k].fill(kernels.measure_blocks, stale, *asked)
-            _, (rows, over) = self._measures[k].take()
-            geom = rows[:, 0]
-            np.add.at(counts[k].T, geom, rows[:, 1:6])
-            stood_on[geom[rows[:, 6] > 0]] = True
-            np.minimum.at(base, geom, over[:, 0])
-            np.maximum.at(rise, geom, over[:, 1])
-        self._unmeasured = np.zeros_like(self._unmeasured)
-        area = counts[:, :2].max(axis=0) * self._listed[0].lattice.cell_size ** 2
-        return GeomsOverFloors(base, rise, *area), counts[:, 2:].sum(axis=0), stood_on
+    floor = level.floor.ravel()[cells]
+    has_floor = ~np.isnan(floor)
+    here = cells[has_floor]
+    heights = floor[has_floor]
+    listing = NO_LISTING
+    if probed is not None:
+        ceiling = np.minimum(top, heights + OPEN_ABOVE)
+        listing = Listing(
+            ceiling=np.maximum(ceiling, heights + agent.height) - TOUCH,
+            first=np.empty(len(here), dtype=np.int32),
+            carrier=np.empty(len(here), dtype=np.int32),
+            gap=np.empty(len(here)),
+            probed=probed,
+            low=WALL_BAND[0] + TOUCH,
+            high=WALL_BAND[1] - TOUCH,
+            min_up=agent_limits(agent).min_up,
+        )
+    found = look_at_cells(columns, tiled, footprint, here, heights, listing)
+    return LevelLook(here, found, listing)
 
 
-def take_entries(listed: LevelContents, cells: Int) -> tuple[Int, Int32, NDArray[np.uint8]]:
-    """What stands in some cells, by cell and then geom: places in `cells`, geoms and flags."""
-    first, counts = listed.first[cells], np.zeros(len(cells), dtype=np.int64)
-    left = np.flatnonzero(listed.geom[first] >= 0)
+def find_standing(
+    columns: ColumnSource,
+    tiles: ShapeSource,
+    floors: Floors,
+    footprint: Footprint,
+    agent: AgentSettings,
+    probed: Bool | None,
+    clock: StageClock,
+) -> StandingCells:
+    """Find what stands in all cells, and flag their columns for rooms, in one pass over the blocks.
+
+    Args:
+        columns: of what stands.
+        tiles: what stands, by tiles of the same lattice.
+        probed: see `look_at_level`.
+        clock: times the flags as a part of rooms.
+    """
+    lattice = columns.lattice
+    num_cells = lattice.width * lattice.height
+    tops = find_tops(floors)
+    taken = [np.isnan(level.floor) for level in floors.levels]
+    solid = [mask.copy() for mask in taken] if footprint.radius > 0.0 else None
+    flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
+    lists = [GrowingLists(lattice) for _ in floors.levels if probed is not None]
+    by_ray = 0
+    by_fcl = 0
+    for block in columns.blocks():
+        tiled = block.near or tiles.rows(block.known_rows)
+        first, end = block.known_rows.cells(lattice)
+        cells = np.arange(first, end)
+        for k, level in enumerate(floors.levels):
+            look = look_at_level(
+                block,
+                tiled,
+                footprint=footprint,
+                cells=cells,
+                level=level,
+                top=tops[k],
+                agent=agent,
+                probed=probed,
+            )
+            taken[k].reshape(-1)[look.cells] = look.found.occupied
+            if solid is not None:
+                solid[k].reshape(-1)[look.cells] = look.found.solid
+            by_ray += look.found.by_ray
+            by_fcl += look.found.by_fcl
+            if probed is not None:
+                lists[k].append(look, end / num_cells)
+        with clock.part("rooms"):
+            crossings = block.crossings._replace(start=block.start[first : end + 1])
+            for k, level in enumerate(floors.levels):
+                flag_columns(crossings, level, slice(first, end), agent, flags[k])
+    levels = [growing.listed for growing in lists]
+    return StandingCells(Occupancy(taken, by_ray, by_fcl, solid), levels, flags)
+
+
+class GrowingLists:
+    """The lists of a level's cells, while blocks are added; `listed` has what was added."""
+
+    def __init__(self, lattice: Lattice) -> None:
+        num = lattice.width * lattice.height
+        self._used = 0
+        self.listed = LevelContents(
+            lattice=lattice,
+            first=np.zeros(num, dtype=np.int32),
+            geom=np.empty(0, dtype=np.int32),
+            flags=np.empty(0, dtype=np.uint8),
+            carrier=np.full(num, -1, dtype=np.int32),
+            gap=np.full(num, np.inf),
+        )
+
+    def append(self, look: LevelLook, share: float) -> None:
+        """Add the lists of some cells; `share` of all cells are known with these."""
+        used = self._used
+        needed = used + len(look.found.geom)
+        if needed > len(self.listed.geom):
+            size = int(needed * SPARE / share) if share < 1.0 else needed
+            geom = np.empty(size, dtype=np.int32)
+            flags = np.empty(size, dtype=np.uint8)
+            geom[:used] = self.listed.geom[:used]
+            flags[:used] = self.listed.flags[:used]
+            self.listed = self.listed._replace(geom=geom, flags=flags)
+        self.listed.geom[used:needed] = look.found.geom
+        self.listed.flags[used:needed] = look.found.flags
+        self.listed.first[look.cells] = look.listing.first + np.int32(used)
+        self.listed.carrier[look.cells] = look.listing.carrier
+        self.listed.gap[look.cells] = look.listing.gap
+        self._used = needed
+
+
+def classify_contents(
+    scene: Scene,
+    levels: Sequence[LevelContents],
+    floors: Floors,
+    extents: Extents,
+    agent: AgentSettings,
+    settings: NameSettings,
+) -> Contents:
+    """Classify what stands in the cells: walls, buildings, their floors and ceilings, or things.
+
+    Args:
+        levels: the geoms in each cell.
+        extents: of all that stands.
+    """
+    over_floors, counts, stood_on = _measure_levels(levels, floors, extents)
+    carrier = np.stack([listed.carrier for listed in levels])
+    lattice = levels[0].lattice
+    carriers = find_carriers(
+        counts=counts,
+        stood_on=stood_on,
+        cell_size=lattice.cell_size,
+        step=agent.traversable_floor_height,
+        steps=find_steps(floors, carrier, lattice),
+    )
+    kinds, partitions, warnings = classify_geoms(
+        scene,
+        extents,
+        over_floors=over_floors,
+        carriers=carriers,
+        agent=agent,
+        settings=settings,
+    )
+    return Contents(list(levels), kinds, partitions, name_geoms(scene), warnings)
+
+
+def _measure_levels(
+    levels: Sequence[LevelContents], floors: Floors, extents: Extents
+) -> tuple[GeomsOverFloors, Int, Bool]:
+    """How geoms stand over floors, and the arguments of `find_carriers`."""
+    num = len(extents.low)
+    heights = (extents.low, extents.high)
+    base = np.full(num, np.inf)
+    rise = np.full(num, -np.inf)
+    stood_on = np.zeros(num, dtype=np.bool_)
+    on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
+    limits = (on_floor, COVERING + SLACK)
+    blocks = np.arange(Blocks(levels[0].lattice).num)
+    counts = np.zeros((len(levels), 5, num), dtype=np.int64)
+    for k, (listed, level) in enumerate(zip(levels, floors.levels, strict=True)):
+        layers = (level.floor.ravel(), level.standable.ravel())
+        _, (rows, over) = list_rows(
+            kernels.measure_blocks, blocks, NO_MEASURES, listed, layers, heights, limits
+        )
+        geom = rows[:, 0]
+        np.add.at(counts[k].T, geom, rows[:, 1:6])
+        stood_on[geom[rows[:, 6] > 0]] = True
+        np.minimum.at(base, geom, over[:, 0])
+        np.maximum.at(rise, geom, over[:, 1])
+    area, upper_area = counts[:, :2].max(axis=0) * levels[0].lattice.cell_size ** 2
+    over_floors = GeomsOverFloors(base, rise, area, upper_area)
+    return over_floors, counts[:, 2:].sum(axis=0), stood_on
+
+
+def take_entries(
+    first: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
+) -> tuple[Int, Int32, NDArray[np.uint8]]:
+    """What lists say of some cells, by cell and then geom: places in `cells`, geoms and flags.
+
+    The list of cell i begins at `first[i]` and ends before the geom -1.
+    """
+    begin = first[cells]
+    counts = np.zeros(len(cells), dtype=np.int64)
+    left = np.flatnonzero(geom[begin] >= 0)
     while len(left):  # cells whose lists go on
         counts[left] += 1
-        left = left[listed.geom[first[left] + counts[left]] >= 0]
-    cell, place = ranges(first, first + counts)
-    return cell, listed.geom[place], listed.flags[place]
-
-
-def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by: int) -> None:
-    """Add `by` to `taken` for each body and each of some cells that it takes.
-
-    A cell that only bodies with a free joint block is taken by each of these; `body_of` each geom
-    is -1 for none. So a cup on a table takes none.
-    """
-    if not (body_of >= 0).any():
-        return
-    cell, geom, flags = take_entries(listed, cells)
-    blocks = (flags & BLOCKS) > 0
-    cell, body = cell[blocks], body_of[geom[blocks]]
-    is_fixed = np.zeros(len(cells), dtype=np.bool_)
-    is_fixed[cell[body < 0]] = True
-    free = ~is_fixed[cell]
-    pairs = np.unique(cell[free] * len(taken) + body[free])
-    taken += by * np.bincount(pairs % len(taken), minlength=len(taken))
-
-
-def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
-    """Contents without the lists that no cell has, and the length of the others."""
-    cell, geom, flags = take_entries(listed, np.arange(len(listed.first)))
-    is_first = np.diff(cell, prepend=-1) > 0
-    # an end before each list but the first, which begins at 1
-    place = np.arange(len(cell)) + np.cumsum(is_first)
-    size = len(cell) + int(np.count_nonzero(is_first)) + 1
-    geoms, marks = np.full(size, -1, dtype=np.int32), np.zeros(size, dtype=np.uint8)
-    geoms[place], marks[place] = geom, flags
-    first = np.zeros_like(listed.first)
-    first[cell[is_first]] = place[is_first]
-    return listed._replace(first=first, geom=geoms, flags=marks), size
+        left = left[geom[begin[left] + counts[left]] >= 0]
+    cell, place = ranges(begin, begin + counts)
+    return cell, geom[place], flags[place]

@@ -12,6 +12,7 @@ from navbake.baker.connect import connect
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import BUILDING, OBJECT, SAME, SLACK, STRUCTURE, WALL
 from navbake.baker.lattice import list_differing
+from navbake.baker.scene.divide import STANDING
 from navbake.baker.scene.extents import Extents
 from navbake.baker.scene.names import (
     all_names,
@@ -99,7 +100,7 @@ class GeomsOverFloors(NamedTuple):
 def wall_candidates(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms that may be walls, panes or hold a building, by their own shape alone."""
     tall = extents.high - extents.low >= TALL
-    slender = _is_slender(extents, *THIN, THICK) & is_static(scene) | _is_slender(extents, THIN[0])
+    slender = _is_slender(extents, *THIN, THICK)
     return tall & slender | _may_hold_building(is_surface(scene), extents)
 
 
@@ -112,14 +113,6 @@ def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors)
 def is_surface(scene: Scene) -> Bool:
     """Mark the geoms made of triangles other than hulls."""
     return np.array([report.shape in TRIANGLES for report in scene.geoms], dtype=np.bool_)
-
-
-def is_static(scene: Scene) -> Bool:
-    """Mark the geoms that neither a joint nor a mocap body moves."""
-    model = scene.model
-    body = model.geom_bodyid
-    fixed: Bool = (model.body_weldid[body] == 0) & (model.body_mocapid[model.body_rootid[body]] < 0)
-    return fixed
 
 
 def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
@@ -158,7 +151,7 @@ def find_walls(
     """
     named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
     hinted = np.array([bool(HINTED.search(names)) for names in named_by_geom], dtype=np.bool_)
-    static, slender = is_static(scene) & ~excluded, _is_slender(extents, *THIN)
+    static, slender = (scene.roles == STANDING) & ~excluded, _is_slender(extents, *THIN)
     stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted
     named &= (over_floors.rise >= NAMED_TALL) | (slender & (over_floors.rise >= LOW))
@@ -390,7 +383,7 @@ def classify_geoms(
 ) -> Classified:
     """Kinds and partitions of geoms, see `Contents`, and warnings."""
     buildings = find_buildings(scene, extents, over_floors)
-    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
+    ceilings = find_ceilings(extents, over_floors.base, scene.roles == STANDING, agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL

@@ -14,14 +14,15 @@ from functools import cached_property
 import numpy as np
 
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, cast_columns, tile_shapes
-from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
+from navbake.baker.doors.poses import pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE, SLACK
 from navbake.baker.kernels.overlap import lines_blocked
 from navbake.baker.lattice import EDGES, Window, cut_cells
-from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
+from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
+from navbake.baker.scene.leaves import DoorCandidate, largest_side
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
@@ -60,16 +61,16 @@ class Leaf:
 
 
 @dataclass(frozen=True, eq=False)
-class Placing:
+class PlacedLeaf:
     """A candidate among floors and rooms: a door, a part of the scene, or neither."""
 
     leaf: Leaf
-    is_part: bool = False  # of the scene: it is on the lattice and joins no two rooms
+    is_door: bool = False
     rooms: RoomIds = (None, None)
     # by state and level, the cells that the door alone blocks, ascending; empty for no door
-    cells: dict[str, list[Int]] = field(default_factory=dict)
+    blocked: dict[str, list[Int]] = field(default_factory=dict)
     # the cells whose squares the door alone meets; empty where the footprint is the square
-    solid: dict[str, list[Int]] = field(default_factory=dict)
+    blocked_squares: dict[str, list[Int]] = field(default_factory=dict)
     closed_cells: Sequence[Int] = ()  # by level, what the closed door blocks, whatever else does
     carried: str = ""  # a warning of the floor that it carries
 
@@ -81,13 +82,13 @@ class Placing:
     @cached_property
     def is_stuck(self) -> bool:
         """Whether its open state blocks most of what its closed one does."""
-        closed, opened = self.cells["closed"], self.cells.get("open", [])
+        closed, opened = self.blocked["closed"], self.blocked.get("open", [])
         both = sum(len(np.intersect1d(*pair)) for pair in zip(closed, opened, strict=False))
         return both > 0 and both >= STUCK * sum(map(len, closed))
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
-        return wanted if wanted == "removed" or wanted in self.cells else "modelled"
+        return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
 
     def depends_on(self, touched: Bool, around: Surroundings) -> bool:
         """Whether a change in the cells of a mask, (height, width), may change it."""
@@ -99,7 +100,17 @@ class Placing:
         return leaf.sight is not None and bool(touched.ravel()[leaf.sight[leaf.sight >= 0]].any())
 
 
-def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: str) -> Door:
+def free_cells(blocked, occupied):
+    return {
+        s: [ids[~m.ravel()[ids]] for ids, m in zip(by, occupied, strict=True)] for s, by in blocked.items()
+    }
+
+
+def close_leaves(leaves, floors, footprint):
+    return []
+
+
+def cut_door(placing, occupied, solid_layers, windows, width, wanted) -> Door:
     """The door in a state, with cells on each level's window of the lattice, of a `width`."""
 
     def cut(levels: list[Int]) -> dict[int, Runs]:
@@ -107,12 +118,14 @@ def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: st
         inside = ((k, cut_cells(*pair, width)[0]) for k, pair in pairs if len(pair[0]))
         return {number: to_runs(cells) for number, cells in inside if len(cells)}
 
-    cells, solid = ({s: cut(c) for s, c in of.items()} for of in (placing.cells, placing.solid))
+    own = free_cells(placing.blocked, occupied)
+    squares = free_cells(placing.blocked_squares, solid_layers) if solid_layers is not None else {}
+    cells, solid = ({s: cut(c) for s, c in of.items()} for of in (own, squares))
     state, known = placing.state(wanted), placing.candidate
     return Door(known.id, known.joint, placing.rooms, state, cells, solid)
 
 
-def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
+def warn_doors(doors: Sequence[PlacedLeaf], wanted: str) -> list[str]:
     """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
     stuck = [
         f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "
@@ -133,7 +146,6 @@ class Surroundings:
 
     columns: ColumnSource
     floors: Sequence[LevelFloor]
-    occupancy: Occupancy
     rooms: Rooms
     footprint: Footprint
     agent: AgentSettings
@@ -196,7 +208,7 @@ def _lines_of_sight(extents: Extents, geoms: Int, lattice: Lattice) -> Int | Non
     return np.where(inside, rows * lattice.width + cols, -1)
 
 
-def place_doors(leaves: Sequence[Leaf], around: Surroundings) -> list[Placing]:
+def place_doors(leaves: Sequence[Leaf], around: Surroundings) -> list[PlacedLeaf]:
     """Decide which candidates are doors, and find the cells that each door blocks in each state.
 
     A candidate that no pattern names is a door when it stands between two rooms, or between a
@@ -206,7 +218,7 @@ def place_doors(leaves: Sequence[Leaf], around: Surroundings) -> list[Placing]:
         return [_place_door(leaf, around) for leaf in leaves]
 
 
-def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
+def _place_door(leaf: Leaf, around: Surroundings) -> PlacedLeaf:
     candidate = leaf.candidate
     # by state; one that can't move is closed as it is modelled, and blocks nothing when it is open
     blocked: dict[str, tuple[list[Int], list[Int]]] = {}
@@ -218,14 +230,10 @@ def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
     closed, _ = blocked["closed"]
     rooms = _rooms_beside(leaf, closed, around)
     if rooms is None and not candidate.named:
-        return Placing(leaf, not leaf.is_beside)
+        return PlacedLeaf(leaf, False)
 
-    def only_free(number: int, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
-        pairs = {s: zip(both[number], occupied, strict=True) for s, both in blocked.items()}
-        return {s: [ids[~mask.ravel()[ids]] for ids, mask in both] for s, both in pairs.items()}
-
-    cells = only_free(0, around.occupancy.levels)
-    solid = only_free(1, around.occupancy.solid) if around.occupancy.solid is not None else {}
+    cells = {s: both[0] for s, both in blocked.items()}
+    solid = {s: both[1] for s, both in blocked.items()}
     carried = ""
     for state, shapes in leaf.tops.items():
         area = _walkable_area(shapes, around)
@@ -235,7 +243,7 @@ def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
             what = f"{area:.1f} m² of floor {WHEN[state]}"
             carried = f"door {candidate.id!r} carries {what}, {missing}: {hint}"
             break
-    return Placing(leaf, False, rooms or (None, None), cells, solid, closed, carried)
+    return PlacedLeaf(leaf, True, rooms or (None, None), cells, solid, closed, carried)
 
 
 def _blocked_cells(near: Near | None, around: Surroundings) -> tuple[list[Int], list[Int]]:

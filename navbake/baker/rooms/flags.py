@@ -15,11 +15,8 @@ from numpy.typing import NDArray
 from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import Contents
-from navbake.baker.contents.kinds import WALL_BAND
 from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels import gaps as kernels
-from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BUILDING, SAME, WALL
 from navbake.baker.rooms.gaps import WIDEST
 from navbake.baker.rooms.walls import find_windows
@@ -30,7 +27,6 @@ from navbake.baker.scene.shapes import Shapes, Solids, solid_bounds
 from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
 from navbake.errors import ConfigError
 from navbake.navgrid.lattice import Lattice, cover_cells
-from navbake.threads import LEAST_CELLS, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # The scene goes on beyond the lattice where it does so by more than this share of a cell
@@ -109,59 +105,29 @@ def are_equal(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-class ColumnFlags:
-    """Flags of each cell's column.
-
-    Attributes:
-        bits: by level, (cells,), see `flag_columns`.
-        decisive: by level, (cells,), which of them rooms depend on, as `read_flags` finds.
-    """
-
-    def __init__(self, floors: Floors, agent: AgentSettings) -> None:
-        self._limits = agent_limits(agent)
-        self.bits = [np.zeros(level.floor.size, dtype=np.uint8) for level in floors.levels]
-        self.decisive = list[NDArray[np.uint8]]()
-
-    def look(self, cells: slice | Int, crossings: Crossings, levels: Sequence[LevelFloor]) -> bool:
-        """Flag some cells, as which the columns are numbered; whether any decisive flag changed."""
-        changed, found = False, np.empty(len(crossings.start) - 1, dtype=np.uint8)
-        for number, (bits, level) in enumerate(zip(self.bits, levels, strict=True)):
-            asked = crossings, level.floor.ravel()[cells], level.ground, self._limits, WALL_BAND[0]
-            run_in_bands(kernels.flag_columns, len(found), *asked, found, least=LEAST_CELLS)
-            if self.decisive:
-                changed |= bool(((bits[cells] ^ found) & self.decisive[number][cells]).any())
-            bits[cells] = found
-        return changed
-
-
 def read_flags(
     scene: Scene,
     columns: ColumnSource,
     floors: Floors,
-    of_columns: ColumnFlags,
+    column_flags: Sequence[NDArray[np.uint8]],
     contents: Contents | None,
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
     """Read all that rooms depend on from a scene and its earlier stages."""
     lattice, levels = columns.lattice, list[LevelFlags]()
-    of_columns.decisive = []
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
         if contents is not None:
             wall, low = contents.mark_walls(number)
-        marked = of_columns.bits[number].reshape(lattice.shape)
+        marked = column_flags[number].reshape(lattice.shape)
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
         edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells
-        decisive = np.full(edge.shape, sum(kernels.COLUMN_FLAGS), dtype=np.uint8)
-        decisive[~edge] -= kernels.TALL
         edge &= ~tall
         longest = np.sqrt(2) * np.count_nonzero(edge) * lattice.cell_size  # if all touch
         if longest <= EDGE_LENGTH:
             sky[:] = False
-            decisive -= kernels.SKY
-        of_columns.decisive.append(decisive.ravel())
         levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
     ends = ~EVERY_SIDE
     if scene.bounds is not None:
@@ -169,12 +135,12 @@ def read_flags(
         (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
         more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
         ends = more <= BEYOND * lattice.cell_size
-    has_ground = len(scene.shapes.planes.geom) > 0
+    has_ground = len(scene.structure.planes.geom) > 0
     is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
     if contents is not None:
         is_wall = np.isin(contents.partitions, (WALL, BUILDING))
     marks = mark_rooms(scene, columns, floors.levels, settings, agent)
-    walls = scene.shapes.only(is_wall)
+    walls = scene.structure.only(is_wall)
     return RoomFlags(lattice, levels, empty, ends, walls, has_ground, floors.links, marks)
 
 

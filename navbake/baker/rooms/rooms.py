@@ -113,7 +113,7 @@ class NamedRoom(NamedTuple):
     outdoors: bool = False
 
 
-def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Rooms:
+def find_rooms(flags, settings, max_step, closed_leaves) -> Rooms:
     """Find the room that each cell belongs to.
 
     A cell's room is that of the first source that has one for it; for ``auto`` see `share_rest`.

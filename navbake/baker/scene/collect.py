@@ -49,6 +49,7 @@ def choose_geoms(
     model: Any,
     settings: SceneSettings,
     hides_room: Callable[[int], bool],
+    movable: Bool,
     ground: int | None = None,
     said: Mapping[int, str] | None = None,
 ) -> tuple[list[Choice], list[str]]:
@@ -60,12 +61,12 @@ def choose_geoms(
     those that can collide on a body, not the world, with drawn geoms of another group that can't.
     `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless that hides
     room for an agent; or as `said`, by geom id, where the scene's file says it. `ground` always
-    counts.
+    counts. Bodies that are marked as `movable`, shape (nbody,), are left out.
 
     Returns a choice for each geom, by its id, and what the user should know.
     """
     names = all_names(model).geoms
-    excluded, notes = _find_excluded(model, settings, names)
+    excluded, notes = _find_excluded(model, settings, movable, names)
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     any_collides = any(can and not out for can, out in zip(collides, excluded, strict=True))
     counts = _rule(model, settings.geoms, collides, any_collides)
@@ -131,20 +132,19 @@ def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tu
 
 
 def _find_excluded(
-    model: Any, settings: SceneSettings, names: list[GeomNames]
+    model: Any, settings: SceneSettings, movable: Bool, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
     """Why each geom is excluded, with its body or one above, or empty; and unmatched patterns."""
     exclude, parents = settings.exclude, model.body_parentid.tolist()
-    free = set(model.jnt_bodyid[model.jnt_type == constants.FREE].tolist())
     of_bodies, bodies = [""] * model.nbody, all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
         pattern = _first_match(exclude.bodies, bodies[body])
         if pattern:
             of_bodies[body] = f"excluded: body {bodies[body]!r} matches {pattern!r}"
-        elif exclude.movable and body in free:
-            of_bodies[body] = f"excluded: body {bodies[body]!r} is movable (free joint)"
-        else:
+        elif of_bodies[parents[body]]:
             of_bodies[body] = of_bodies[parents[body]]
+        elif movable[body]:
+            of_bodies[body] = f"excluded: body {bodies[body]!r} can move"
     reasons = [of_bodies[body] for body in model.geom_bodyid.tolist()]
     for geom, name in enumerate(names) if exclude.geoms else ():
         pattern = _first_match(exclude.geoms, name.geom)

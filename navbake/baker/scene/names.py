@@ -6,9 +6,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from navbake.baker.kernels.constants import FREE, MESH, SDF
+from navbake.baker.kernels.constants import MESH, SDF
 from navbake.known_names import find_near
-from navbake.types import Int
+from navbake.types import Bool, Int
 
 
 class GeomNames(NamedTuple):
@@ -106,14 +106,8 @@ def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
     return np.arange(low, high, dtype=np.int64)
 
 
-def find_free_bodies(model: Any) -> Int:
-    """By geom, the id of the body with a free joint that it is part of, -1 for none.
-
-    Such a body is a child of the world.
-    """
-    root = np.full(model.nbody, -1, dtype=np.int64)
-    end = find_subtree_ends(model)
-    for body in model.jnt_bodyid[model.jnt_type == FREE].tolist():
-        root[body : end[body]] = body
-    free: Int = root[model.geom_bodyid]
-    return free
+def mark_body(model: Any, first: int, end: int) -> Bool:
+    """Mark the geoms of the bodies from `first` to before `end`, shape (ngeom,)."""
+    mask = np.zeros(model.ngeom, dtype=np.bool_)
+    mask[geoms_of_bodies(model, first, end)] = True
+    return mask

@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +21,34 @@ from navbake.baker.scene.collect import (
     choose_geoms,
     collect_shapes,
 )
+from navbake.baker.scene.divide import (
+    LEAF,
+    ROLES,
+    Division,
+    divide,
+    find_actuated_bodies,
+    mark_structure,
+)
+from navbake.baker.scene.leaves import DoorCandidate
 from navbake.baker.scene.mesh_scene import MeshPart, box_of
 from navbake.baker.scene.model import CompileLimits, OpenScene, load_isolated, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pieces import catch_warnings
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
-from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, stem_of
+from navbake.config.settings import (
+    AgentSettings,
+    BakeConfig,
+    FloorSettings,
+    SceneSettings,
+    stem_of,
+)
 from navbake.errors import SceneError
 from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
-from navbake.types import Bool, Float
+from navbake.types import Bool, Float, Int
 
 LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
 WORTH_THREAD = 1 << 17  # hashing so many bytes takes longer than starting a thread
@@ -56,6 +72,7 @@ class GeomReport:
     # with the number of triangles that were turned to face out
     shape: str
     reason: str  # why it is counted or left out
+    role: str = ""  # structure, movable or leaf; empty where it isn't counted
 
 
 @dataclass
@@ -65,7 +82,7 @@ class Scene:
     id: str
     geoms: list[GeomReport]  # by geom id
     shapes: Shapes  # the counted geoms' geometry, world frame
-    bounds: Float | None  # corners of all counted finite geoms, (2, 3) [m]; None without
+    bounds: Float | None  # corners of all finite geoms that stand, (2, 3) [m]; None without
     digest: str  # sha256 of the posed model: what its geoms are, where, and what they can do
     warnings: list[str]  # one line each
     hints: list[str]  # those of them that say that axes or units look wrong
@@ -76,32 +93,66 @@ class Scene:
     choices: list[Choice]  # by geom id
     parts: dict[int, MeshPart]  # the exact meshes of a mesh scene by geom id, world frame
     meshes: MeshTriangles  # what the model's meshes count by, for geoms in other poses
+    roles: NDArray[np.uint8]  # by geom id, see `divide`
+    movable: Bool  # by body id, whether it can move and carries no floor
+    stands: Bool  # by body id, whether it makes floors, walls and rooms
+    movers: Int  # by body id, the topmost body that moves it; itself if none does
+    actuated: frozenset[int]  # of these, those that actuators move
+    leaves: list[DoorCandidate]  # bodies that may be doors, by body id
+    cars: list[int]  # bodies that are cars of lifts, by body id
+    unused: list[str]  # warnings of patterns of doors that match nothing, one line each
+
+    @property
+    def mover_of(self) -> Int:
+        """By geom id, the topmost body that moves it; its own body if none does."""
+        movers: Int = self.movers[self.model.geom_bodyid]
+        return movers
+
+    @cached_property
+    def structure(self) -> Shapes:
+        """The geometry of what stands."""
+        return self.shapes.only(mark_structure(self.roles))
 
 
 @collector_off()
 def load_scene(
-    settings: SceneSettings,
-    agent: AgentSettings | None = None,
-    floors: FloorSettings | None = None,
+    config: BakeConfig,
     *,
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
 ) -> Scene:
-    """Load a scene, pose it and choose the geoms that count.
+    """Load a scene, pose it, choose the geoms that count, and divide them by what can move.
 
-    Agent and floors are for `scene.meshes: auto`, see `HiddenRoom`. With limits, MuJoCo compiles in
-    a child process; `opened` is the model of a scene in memory.
+    With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
     """
+    settings = config.scene
     model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
     digest = run_beside(lambda: start_digest(model, data, parts)())
     meshes = MeshTriangles(model)
-    room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
-    try:
-        said = {geom: part.mode for geom, part in parts.items()}
-        choices, notes = choose_geoms(model, settings, room.is_in_hull, ground, said)
+    room = HiddenRoom(model, data, meshes, config.agent, config.floors)
+    said = {geom: part.mode for geom, part in parts.items()}
+
+    def choose(left_out: Bool) -> tuple[list[Choice], Shapes, dict[int, str], list[str]]:
+        """Choose geoms without those of some bodies; their shapes, what these are, and notes."""
+        choices, notes = choose_geoms(model, settings, room.is_in_hull, left_out, ground, said)
         shapes, kinds, shape_notes = collect_shapes(model, data, choices, parts, meshes=meshes)
+        return choices, shapes, kinds, [*notes, *shape_notes]
+
+    def divide_chosen(choices: list[Choice], shapes: Shapes) -> Division:
+        counted = np.array([choice.counted for choice in choices], dtype=np.bool_)
+        return divide(model, data, shapes, counted, config)
+
+    try:
+        choices, shapes, kinds, notes = choose(np.zeros(model.nbody, dtype=np.bool_))
+        division = divide_chosen(choices, shapes)
+        if settings.exclude.movable:
+            # but for what may be a door
+            left_out = division.movable.copy()
+            left_out[model.geom_bodyid[division.roles == LEAF]] = False
+            choices, shapes, kinds, notes = choose(left_out)
+            division = divide_chosen(choices, shapes)
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error
     own = [choice for geom, choice in enumerate(choices) if geom != ground]
@@ -116,19 +167,43 @@ def load_scene(
     hints = [text for text in warnings if parts and "`scene.up" in text]
     size = _warn_size(settings, parts, shapes.bounds)
     hints += size
-    warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *shape_notes]
+    warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *division.warnings]
     types = model.geom_type.tolist()
     geoms = [
         GeomReport(
-            geom, names.geom, names.body, TYPE_NAMES.get(types[geom], "unknown"), choice.counted,
-            kinds.get(geom, ""), choice.reason,
+            id=geom,
+            name=names.geom,
+            body=names.body,
+            type=TYPE_NAMES.get(types[geom], "unknown"),
+            counted=choice.counted,
+            shape=kinds.get(geom, ""),
+            reason=choice.reason,
+            role=ROLES[division.roles[geom]],
         )
         for geom, (names, choice) in enumerate(zip(all_names(model).geoms, choices, strict=True))
-    ]  # fmt: skip
+    ]
     return Scene(
-        settings.id or stem_of(settings.path), geoms, shapes, shapes.bounds,
-        digest(), warnings, hints, model, data, choices, parts, meshes,
-    )  # fmt: skip
+        id=settings.id or stem_of(settings.path),
+        geoms=geoms,
+        shapes=shapes,
+        bounds=shapes.only(mark_structure(division.roles)).bounds,
+        digest=digest(),
+        warnings=warnings,
+        hints=hints,
+        model=model,
+        data=data,
+        choices=choices,
+        parts=parts,
+        meshes=meshes,
+        roles=division.roles,
+        movable=division.movable,
+        stands=division.stands,
+        movers=division.movers,
+        actuated=frozenset(division.movers[[*find_actuated_bodies(model)]].tolist()),
+        leaves=division.leaves,
+        cars=division.cars,
+        unused=division.unused,
+    )
 
 
 def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> OpenScene:

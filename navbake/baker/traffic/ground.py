@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import ColumnSource, ShapeSource
+from navbake.baker.columns import ColumnSource, ShapeSource, cast_columns, tile_shapes
 from navbake.baker.connect import connect, touching
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.scene.scene import Scene
+from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Stop
@@ -41,19 +42,32 @@ class MadeLink(NamedTuple):
     fields: Json
 
 
-class Space(NamedTuple):
-    """Geometry that an agent may collide with, on the whole lattice or on a window of it."""
+class Obstacles(NamedTuple):
+    """Geometry that an agent may collide with, by columns and by tiles of one lattice."""
 
     columns: ColumnSource
-    tiled: ShapeSource
+    tiles: ShapeSource
+
+
+class Space(NamedTuple):
+    """What an agent may collide with, on the whole lattice or on a window of it."""
+
+    obstacles: Sequence[Obstacles]
     footprint: Footprint
     window: Window | None = None
+
+    def with_shapes(self, shapes: Shapes, lattice: Lattice) -> Space:
+        """The space with further geometry."""
+        tiled = tile_shapes(shapes, lattice, self.footprint.reach)
+        more = Obstacles(cast_columns(tiled), tiled)
+        return self._replace(obstacles=[*self.obstacles, more])
 
 
 class Ground(NamedTuple):
     """The levels of a bake as finders of links read them."""
 
-    scene: Scene  # without its doors
+    scene: Scene
+    shapes: Shapes  # of all that is no door
     lattice: Lattice
     floors: Float  # of all levels, shape (levels, height, width) of the whole lattice
     free: Bool  # the same; not where a door blocks in any of its states
@@ -135,10 +149,12 @@ class Ground(NamedTuple):
         cells, floors, whose = (np.concatenate(arrays) for arrays in zip(*asked, strict=True))
         if space.window is not None:
             cells = cut_cells(cells, space.window, width)[0]
-        columns = space.columns.at(np.unique(cells))
-        met = look_at_cells(columns, space.tiled.at(cells), space.footprint, cells, floors).occupied
         clear = np.ones(len(found), dtype=np.bool_)
-        clear[whose[met]] = False
+        for obstacles in space.obstacles:
+            columns = obstacles.columns.at(np.unique(cells))
+            tiled = obstacles.tiles.at(cells)
+            met = look_at_cells(columns, tiled, space.footprint, cells, floors).occupied
+            clear[whose[met]] = False
         return clear
 
     def group(self, found: Leaps) -> list[tuple[Leaps, np.void, float]]:

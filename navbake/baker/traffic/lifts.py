@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.columns import cast_columns, tile_shapes
-from navbake.baker.kernels.constants import BOX, SLACK, SLIDE
+from navbake.baker.kernels.constants import BOX, SLACK
 from navbake.baker.lattice import Window
+from navbake.baker.scene.cars import VERTICAL, find_lift_joints, measure_car
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import measure_geoms
-from navbake.baker.scene.names import all_names, find_subtree_ends, geoms_of_bodies
+from navbake.baker.scene.names import all_names, find_subtree_ends, mark_body
 from navbake.baker.scene.pose import data_with_joints
-from navbake.baker.traffic.ground import WAYS, Ground, Landing, MadeLink, Space
+from navbake.baker.traffic.ground import WAYS, Ground, Landing, MadeLink, Obstacles, Space
 from navbake.config.traffic import LinkSettings
 from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
@@ -23,9 +24,6 @@ from navbake.types import Bool, Float, Int
 LADDERS = ("*ladder*",)  # bodies and geoms that are ladders, if no patterns are given
 LADDER_GAP = 0.6  # between a ladder and where one stands beside it [m]
 LIFT_GAP = 0.5  # between the floor of a car and a landing [m]
-UPRIGHT = 0.999  # cosine of a lift's joint with the vertical
-LEAST_CAR = 0.25  # area of a car's floor [m²]
-FLAT = 0.01  # of a car's floor, from its height [m]
 
 
 def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
@@ -38,7 +36,7 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     model, names = ground.scene.model, all_names(ground.scene.model)
     patterns, gap = rule.patterns or LADDERS, LADDER_GAP if rule.gap is None else rule.gap
     things, ends, taken = list[tuple[str, Bool]](), find_subtree_ends(model), set[int]()
-    bodies = [(name, _mark_body(model, k, int(ends[k]))) for k, name in enumerate(names.bodies)][1:]
+    bodies = [(name, mark_body(model, k, int(ends[k]))) for k, name in enumerate(names.bodies)][1:]
     geoms = [(own.geom, np.arange(model.ngeom) == k) for k, own in enumerate(names.geoms)]
     for name, mask in bodies + geoms:
         own = set(np.flatnonzero(mask).tolist())
@@ -47,20 +45,13 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
             taken |= own
     links = []
     for name, mask in things:
-        box = ground.scene.shapes.only(mask).bounds
+        box = ground.shapes.only(mask).bounds
         if box is None:
             continue
         if len(stops := list(_stops_beside(box, gap, ground))) > 1:
             width = round(float(np.diff(box[:, :2], axis=0).max()), 6)
             links.append(MadeLink(stops, {"name": name, "width": width}))
     return links
-
-
-def _mark_body(model: Any, first: int, end: int) -> Bool:
-    """The geoms of the bodies from `first` to before `end`, shape (ngeom,)."""
-    mask = np.zeros(model.ngeom, dtype=np.bool_)
-    mask[geoms_of_bodies(model, first, end)] = True
-    return mask
 
 
 def _stops_beside(box: Float, gap: float, ground: Ground) -> Iterator[Stop]:
@@ -134,63 +125,75 @@ def _landing(car: Car, level: int, ground: Ground) -> Landing:
 
 
 def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[Car]:
-    scene, lattice, model = ground.scene, ground.lattice, ground.scene.model
-    names, ends = all_names(model).bodies, find_subtree_ends(model)
-    slides = (model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, np.bool_)
-    slides &= model.body_jntnum[model.jnt_bodyid] == 1
-    slides &= np.abs(scene.data.xaxis[:, 2]) > UPRIGHT
-    for joint in np.flatnonzero(slides).tolist():
-        body, axis = int(model.jnt_bodyid[joint]), float(scene.data.xaxis[joint, 2])
-        if not any(fnmatchcase(names[body], pattern) for pattern in patterns):
-            continue
-        own = _mark_body(model, body, int(ends[body]))
-        shapes = scene.shapes.only(own)
+    scene = ground.scene
+    lattice = ground.lattice
+    model = scene.model
+    names = all_names(model).bodies
+    ends = find_subtree_ends(model)
+    for joint in find_lift_joints(model, scene.data, patterns):
+        body = int(model.jnt_bodyid[joint])
+        own = mark_body(model, body, int(ends[body]))
+        shapes = ground.shapes.only(own)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, gap + lattice.cell_size)
-        if bounds is None or window is None:
+        if body not in scene.cars or bounds is None or window is None:
             continue
         part = lattice.cut(*window)
-        columns = cast_columns(tile_shapes(shapes, part, 0.0))
-        cell, z = np.repeat(np.arange(part.width * part.height), np.diff(columns.start)), columns.z
-        # up to what is next above it in its column
-        is_last = np.append(cell, -1)[1:] != cell
-        headroom = np.where(is_last, np.inf, np.append(z, np.inf)[1:] - z)
-        flat = columns.normal[:, 2] >= np.cos(np.radians(ground.agent.max_slope)) - SLACK
-        flat &= headroom >= ground.agent.height - SLACK
-        heights, count = np.unique(np.round(z[flat], 3), return_counts=True)
-        # the lowest of those that are large: not the roof of the car
-        height = heights[2 * count >= count.max(initial=0)].min(initial=np.inf)
-        flat &= np.abs(z - height) <= FLAT
-        if np.count_nonzero(flat) * lattice.cell_size**2 < LEAST_CAR:
+        car_floor = measure_car(shapes, part, ground.agent)
+        if car_floor is None:
             continue
         floor, outline = np.zeros((2, *lattice.shape), dtype=np.bool_)
-        for mask, cells in ((floor, cell[flat]), (outline, cell)):
+        for mask, cells in ((floor, car_floor.cells), (outline, car_floor.outline)):
             mask[window][np.divmod(cells, part.width)] = True
-        carrier = int(np.bincount(columns.geom[flat]).argmax())
+        carrier = car_floor.carrier
         width = float(measure_geoms(shapes, model.ngeom).thin[carrier])
-        now, top = float(scene.data.qpos[model.jnt_qposadr[joint]]), float(z[flat].max())
-        low, high = sorted(top + axis * (end - now) for end in model.jnt_range[joint].tolist())
+        axis = float(scene.data.xaxis[joint, 2])
+        now = float(scene.data.qpos[model.jnt_qposadr[joint]])
+        reach = model.jnt_range[joint].tolist()
+        low, high = sorted(car_floor.height + axis * (end - now) for end in reach)
         # where it stands: by its floor's frame if that is an upright box, else by its bounds
         middle, yaw, size = bounds.mean(axis=0), 0.0, np.diff(bounds, axis=0)[0]
         turn = scene.data.geom_xmat[carrier]
-        if model.geom_type[carrier] == BOX and turn[8] >= UPRIGHT:
+        if model.geom_type[carrier] == BOX and turn[8] >= VERTICAL:
             middle, size = scene.data.geom_xpos[carrier], 2.0 * model.geom_size[carrier]
             yaw = float(np.arctan2(turn[3], turn[0]))
         place = (round(float(v), 6) + 0.0 for v in (middle[0], middle[1], yaw, size[0], size[1]))
-        cells = window, floor, outline
-        yield Car(names[body], joint, own, *cells, top, low, high, width, tuple(place))
+        yield Car(
+            name=names[body],
+            joint=joint,
+            geoms=own,
+            window=window,
+            floor=floor,
+            outline=outline,
+            z=car_floor.height,
+            low=low,
+            high=high,
+            width=width,
+            place=tuple(place),
+        )
 
 
 def _space_at(car: Car, height: float, ground: Ground) -> Space:
     """The geometry round a car when its floor is at a height."""
-    scene, model = ground.scene, ground.scene.model
+    scene = ground.scene
+    model = scene.model
     axis = float(scene.data.xaxis[car.joint, 2])
     position = float(scene.data.qpos[model.jnt_qposadr[car.joint]]) + axis * (height - car.z)
     data = data_with_joints(model, scene.data, {car.joint: position})
-    kinds = scene.shapes.solids, scene.shapes.planes, scene.shapes.meshes
+    kinds = ground.shapes.solids, ground.shapes.planes, ground.shapes.meshes
     known = np.unique(np.concatenate([kind.geom for kind in kinds]))
-    chosen = scene.choices, scene.parts, known[car.geoms[known]].tolist(), scene.meshes
-    moved, *_ = collect_shapes(model, data, *chosen)
-    lattice, footprint = ground.lattice.cut(*car.window), ground.space.footprint
-    tiled = tile_shapes(scene.shapes.replaced(moved, car.geoms), lattice, footprint.reach)
-    return Space(cast_columns(tiled), tiled, footprint, car.window)
+    moved, *_ = collect_shapes(
+        model,
+        data,
+        choices=scene.choices,
+        parts=scene.parts,
+        only=known[car.geoms[known]].tolist(),
+        meshes=scene.meshes,
+    )
+    footprint = ground.space.footprint
+    tiled = tile_shapes(
+        ground.shapes.replaced(moved, car.geoms),
+        ground.lattice.cut(*car.window),
+        footprint.reach,
+    )
+    return Space([Obstacles(cast_columns(tiled), tiled)], footprint, car.window)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
-from navbake.baker.doors.candidates import find_candidates, pose_doors, without_doors
+from navbake.baker.scene.leaves import find_candidates, pose_doors, without_doors
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies

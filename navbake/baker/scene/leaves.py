@@ -2,13 +2,13 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
 
 from navbake.baker.kernels.constants import HINGE, SLIDE
-from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.names import (
     all_names,
@@ -17,8 +17,6 @@ from navbake.baker.scene.names import (
     joint_name,
     warn_unmatched,
 )
-from navbake.baker.scene.pose import data_with_joints
-from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import DoorSettings
 from navbake.types import Bool, Int
@@ -55,18 +53,33 @@ class DoorCandidate:
         return shapes.only(mark_geoms(len(shapes.endless), [self]))
 
 
-def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
+def find_candidates(
+    model: Any,
+    data: Any,
+    shapes: Shapes,
+    counted: Bool,
+    movable: Bool,
+    stands: Bool,
+    settings: DoorSettings,
+) -> tuple[list[DoorCandidate], list[str]]:
     """Find bodies that may be doors, by name or by shape, by body id; warn of unused patterns.
 
-    A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up. One
-    without a joint, as in IFC models, stands between walls that are higher than it. The descendants
-    of a candidate are part of it.
+    A leaf that no pattern names hangs on what stands, by one hinge or slide, about or along any
+    axis: garage doors tilt, and rollers go up. One without a joint, as in IFC models, stands
+    between walls that are higher than it. The descendants of a candidate are part of it.
+
+    Args:
+        model, data: the posed model.
+        shapes: all geometry that counts.
+        counted: by geom, whether it counts.
+        movable: by body, whether it can move.
+        stands: by body, whether it is part of what stands.
+        settings: patterns, and whether leaves are looked for.
     """
     if not settings.patterns and not settings.find:
         return [], []
-    model = scene.model
-    names, ends = all_names(model).bodies, find_subtree_ends(model)
-    counted = np.array([report.counted for report in scene.geoms], dtype=np.bool_)
+    names = all_names(model).bodies
+    ends = find_subtree_ends(model)
     # the hinge or slide of each body that has no other joint
     alone = np.isin(model.jnt_type, (HINGE, SLIDE)) & (model.body_jntnum[model.jnt_bodyid] == 1)
     joints = {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(alone).tolist()}
@@ -75,20 +88,23 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     matches[0] = []
     searched = set[int]()
     if settings.find:
-        moves = model.body_weldid > 0
+        hung = (k for k in joints if movable[k] and stands[model.body_parentid[k]])
         # a leaf without a joint stands between other geoms
         num_bodies = model.nbody if counted.sum() > 1 else 1
-        static = (body for body in range(1, num_bodies) if not moves[body : ends[body]].any())
-        searched = {body for body in (*joints, *static) if not matches[body]}
+        jointless = (k for k in range(1, num_bodies) if k not in joints)
+        fixed = (k for k in jointless if not movable[k : ends[k]].any())
+        searched = {body for body in (*hung, *fixed) if not matches[body]}
     geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
     for body in range(1, model.nbody):
         if body in searched or matches[body]:
             under = geoms_of_bodies(model, body, int(ends[body]))
             geoms[body] = under[counted[under]]
-    leaves = _find_leaves(scene, {body: geoms[body] for body in searched})
-    if fixed := {body: leaf for body, leaf in leaves.items() if body not in joints}:
-        extents = measure_geoms(scene.shapes, model.ngeom)
-        for body, leaf in fixed.items():
+    leaves = _find_leaves(shapes, model.ngeom, {body: geoms[body] for body in searched})
+    fixed_leaves = {body: leaf for body, leaf in leaves.items() if body not in joints}
+    if fixed_leaves:
+        # what can move is no jamb
+        extents = measure_geoms(shapes.only(stands[model.geom_bodyid]), model.ngeom)
+        for body, leaf in fixed_leaves.items():
             if not _stands_between_jambs(leaf, geoms[body], extents):
                 del leaves[body]
     found, end = list[int](), 0  # and the end of the bodies of the last candidate
@@ -101,18 +117,26 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     for body in found:
         # names that aren't UTF-8 may look the same
         name = names[body] + (f" (body {body})" if count[names[body]] > 1 else "")
-        joint, named = joints.get(body, -1), bool(matches[body])
-        moves = (None, {}) if joint < 0 else (joint_name(model, joint), _positions(scene, joint))
-        candidates.append(DoorCandidate(name, moves[0], geoms[body], moves[1], joint, named))
+        joint = joints.get(body, -1)
+        candidates.append(
+            DoorCandidate(
+                id=name,
+                joint=None if joint < 0 else joint_name(model, joint),
+                geoms=geoms[body],
+                positions={} if joint < 0 else _positions(model, data, joint),
+                joint_id=joint,
+                named=bool(matches[body]),
+            )
+        )
     used = {pattern for body in found for pattern in matches[body]}
     unused = [pattern for pattern in settings.patterns if pattern not in used]
     return candidates, [_warn_unmatched(p, names, matches, geoms) for p in unused]
 
 
-def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> dict[int, int]:
+def _find_leaves(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> dict[int, int]:
     """Bodies whose largest geom, in the modelled pose, is as tall, thin and wide as a door."""
-    mask = np.isin(np.arange(scene.model.ngeom), [k for own in geoms.values() for k in own])
-    extents = measure_geoms(scene.shapes.only(mask), scene.model.ngeom)
+    mask = np.isin(np.arange(num_geoms), [k for own in geoms.values() for k in own])
+    extents = measure_geoms(shapes.only(mask), num_geoms)
     sides = {body: largest_side(extents, own) for body, own in geoms.items() if len(own)}
     return {
         body: leaf
@@ -140,39 +164,15 @@ def _stands_between_jambs(leaf: int, own: Int, extents: Extents) -> bool:
     return True
 
 
-def _positions(scene: Scene, joint: int) -> dict[str, float]:
+def _positions(model: Any, data: Any, joint: int) -> dict[str, float]:
     """A joint's positions by state: it opens to the end of its range that is farther from 0."""
-    model = scene.model
     low, high = (float(v) for v in model.jnt_range[joint])
     if not model.jnt_limited[joint]:
         low, high = 0.0, QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
     closed = min(max(0.0, low), high)
     opened = low if closed - low > high - closed else high
-    modelled = float(scene.data.qpos[model.jnt_qposadr[joint]])
+    modelled = float(data.qpos[model.jnt_qposadr[joint]])
     return {"modelled": modelled, "open": opened, "closed": closed}
-
-
-def without_doors(scene: Scene, doors: Sequence[DoorCandidate]) -> Scene:
-    """The scene without the geometry of some bodies."""
-    if not doors:
-        return scene
-    return replace(scene, shapes=scene.shapes.only(~mark_geoms(scene.model.ngeom, doors)))
-
-
-def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
-    """The geometry of all doors in one state; doors without that state stay as modelled."""
-    mask = mark_geoms(scene.model.ngeom, doors)
-    moved = {
-        door.joint_id: float(position)
-        for door in doors
-        if (position := door.position(state)) is not None and position != door.positions["modelled"]
-    }
-    if not moved:
-        return scene.shapes.only(mask)
-    data = data_with_joints(scene.model, scene.data, moved)
-    geoms = np.flatnonzero(mask).tolist()
-    known = scene.choices, scene.parts, geoms, scene.meshes
-    return collect_shapes(scene.model, data, *known)[0]
 
 
 def largest_side(extents: Extents, geoms: Int) -> int:

@@ -1,0 +1,73 @@
+"""What can move and would be floor: a bridge, a stage, over which the grid then has none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from navbake.baker.columns import cast_columns, tile_shapes
+from navbake.baker.contents.occupants import boxes_of, geoms_of
+from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.kernels.constants import SLACK
+from navbake.baker.scene.shapes import Shapes
+from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Bool, Float, Int
+
+# The least floor on something that can move that is worth a warning [m²]
+LEAST_FLOOR = 1.0
+
+
+def find_lost_floors(
+    shapes: Shapes,
+    mover_of: Int,
+    levels: Sequence[LevelFloor],
+    lattice: Lattice,
+    agent: AgentSettings,
+) -> dict[int, float]:
+    """Find the bodies that can move whose tops would be floor where what stands has none below.
+
+    Args:
+        shapes: the geometry of what can move.
+        mover_of: by geom id, the body that it moves with.
+
+    Returns:
+        The area of each body's top over no floor, `LEAST_FLOOR` or more, by body id [m²].
+    """
+    boxes = boxes_of(shapes)
+    movers = mover_of[geoms_of(shapes)]
+    size = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
+    large = np.flatnonzero(np.bincount(movers, size) >= LEAST_FLOOR - SLACK)
+    areas = dict[int, float]()
+    for mover in large.tolist():
+        own = movers == mover
+        low = boxes[own, :3].min(axis=0)
+        high = boxes[own, 3:].max(axis=0)
+        window = lattice.window(np.stack([low, high]))
+        if window is None:
+            continue
+        bare = np.ones(lattice.cut(*window).shape, dtype=np.bool_)
+        for level in levels:
+            bare &= ~(level.floor[window] <= high[2])
+        if np.count_nonzero(bare) * lattice.cell_size**2 < LEAST_FLOOR - SLACK:
+            continue
+        top = _find_top(shapes.only(mover_of == mover), lattice.cut(*window), agent)
+        bare = ~np.isnan(top)
+        for level in levels:
+            bare &= ~(level.floor[window] <= top)
+        area = np.count_nonzero(bare) * lattice.cell_size**2
+        if area >= LEAST_FLOOR - SLACK:
+            areas[mover] = area
+    return areas
+
+
+def _find_top(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
+    """The height of the top of each column, NaN where it is none that one can stand on [m]."""
+    columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
+    has_any: Bool = np.diff(columns.start) > 0
+    last = columns.start[1:][has_any] - 1
+    is_flat = columns.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
+    top = np.full(len(has_any), np.nan)
+    top[has_any] = np.where(is_flat, columns.z[last], np.nan)
+    return top.reshape(lattice.shape)

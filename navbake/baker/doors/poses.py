@@ -1,0 +1,35 @@
+"""The geometry of leaves in the states of doors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.leaves import DoorCandidate, mark_geoms
+from navbake.baker.scene.pose import data_with_joints
+from navbake.baker.scene.scene import Scene
+from navbake.baker.scene.shapes import Shapes
+
+
+def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
+    """The geometry of all doors in one state; doors without that state stay as modelled."""
+    mask = mark_geoms(scene.model.ngeom, doors)
+    moved = {
+        door.joint_id: float(position)
+        for door in doors
+        if (position := door.position(state)) is not None and position != door.positions["modelled"]
+    }
+    if not moved:
+        return scene.shapes.only(mask)
+    data = data_with_joints(scene.model, scene.data, moved)
+    geoms = np.flatnonzero(mask).tolist()
+    return collect_shapes(
+        scene.model,
+        data,
+        choices=scene.choices,
+        parts=scene.parts,
+        only=geoms,
+        meshes=scene.meshes,
+    )[0]
