@@ -386,6 +386,8 @@ def list_by_band(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int3
 def _list(
     boxes: Float, grow: float, lattice: Lattice, count: int, *, by_band: bool
 ) -> tuple[Int, Int32]:
+    if not len(boxes):
+        return np.zeros(count + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
     threads, chunks = num_threads(), 1
     if threads > 1 and len(boxes) > WORTH * count:
         # no more counts than boxes, however many threads there are

@@ -30,6 +30,8 @@ CHOOSING = (
     "geom_rgba", "geom_matid", "mat_rgba",
 )  # fmt: skip
 
+# What of it tells how joints turn
+TURNING = "jnt_range", "jnt_limited", "jnt_axis", "jnt_pos"
 # Of a data, that a pose is
 PARTS = "qpos", "mocap_pos", "mocap_quat"
 
@@ -42,12 +44,34 @@ class Moved(NamedTuple):
         geoms: the geoms that count now or did, and whose geometry or way to count differs, by id.
         structure: why what stands, or what marks rooms, is another; empty where it isn't.
         digest: returns the scene's digest, which it does not have yet.
+        compared: what the next pose is compared with.
     """
 
     scene: Scene
     geoms: Bool
     structure: str
     digest: Callable[[], str]
+    compared: Compared
+
+
+class Compared(NamedTuple):
+    """What two poses of a model are compared by.
+
+    Attributes:
+        choices: what decides which geoms count.
+        poses: of the geoms, (ngeom, 12).
+        turning: what says how hinges and slides turn, and how far; users write there.
+        positions: of the hinges and slides.
+        marking_geoms: the geoms that may mark rooms, (ngeom,) bool.
+        marking_sites: the poses and sizes of the sites that may.
+    """
+
+    choices: list[bytes]
+    poses: Float
+    turning: list[bytes]
+    positions: Float
+    marking_geoms: Bool
+    marking_sites: Float
 
 
 class FollowedScene:
@@ -67,17 +91,27 @@ class FollowedScene:
         self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
         self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
         self._hinged_geoms = _mark_hinged_geoms(model)
-        self.keep(scene)
+        self._turning_positions = model.jnt_qposadr[np.isin(model.jnt_type, (HINGE, SLIDE))]
+        self.keep(scene, self._read(scene.data))
 
-    def keep(self, scene: Scene) -> None:
+    def _read(self, data: Any) -> Compared:
+        model = self._model
+        geoms, sites = find_markers(model, data, self._config.rooms)
+        return Compared(
+            choices=[getattr(model, name).tobytes() for name in CHOOSING],
+            poses=np.hstack([data.geom_xpos, data.geom_xmat]),
+            turning=[getattr(model, name).tobytes() for name in TURNING],
+            positions=data.qpos[self._turning_positions],
+            marking_geoms=geoms,
+            marking_sites=sites,
+        )
+
+    def keep(self, scene: Scene, compared: Compared) -> None:
         """Take a scene for the one that the next pose is compared with."""
-        self._choices = _read_choices(self._model)
         if scene.data is self._next:
             self._next = self.scene.data
         self.scene = scene
-        self._poses = _poses_of(scene.data)
-        self._turns = _read_turns(scene.model, scene.data)
-        self._markers = find_markers(scene, self._config.rooms)
+        self._compared = compared
         # whoever reads it on another thread has the last pose, or this one
         self.kept = tuple(getattr(scene.data, part).copy() for part in PARTS)
 
@@ -101,12 +135,15 @@ class FollowedScene:
             self._turn_joint(data, name, position)
         self._check_finite(data)
         place_geoms(model, data)
-        moved = (_poses_of(data) != self._poses).any(axis=1)
-        is_counted_otherwise = self._choices != _read_choices(model)
-        if is_counted_otherwise or self._may_count_otherwise(moved & (model.geom_type == MESH), data):
+        compared = self._read(data)
+        moved = (compared.poses != self._compared.poses).any(axis=1)
+        is_counted_otherwise = compared.choices != self._compared.choices
+        meshes = moved & (model.geom_type == MESH)
+        if is_counted_otherwise or self._may_count_otherwise(meshes, data):
             scene = load_scene(self._config, opened=self._opened._replace(data=data))
             geoms = find_differing(was.shapes, scene.shapes)
             geoms |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
+            scene.leaves = self._keep_leaves(scene.leaves, moved | geoms, compared)
             digest: Callable[[], str] = lambda: scene.digest  # noqa: E731
         else:
             digest = start_digest(model, data, was.parts, self._names)
@@ -123,10 +160,14 @@ class FollowedScene:
                     meshes=was.meshes,
                 )
                 shapes = shapes.replaced(after, geoms)
-            scene = self._follow_leaves(replace(was, shapes=shapes, digest="", data=data), moved)
-        return Moved(scene, geoms, self._find_other_structure(scene, geoms, moved), digest)
+            scene = replace(was, shapes=shapes, digest="", data=data)
+            scene = self._follow_leaves(scene, moved, compared)
+        structure = self._find_other_structure(scene, geoms, moved, compared)
+        return Moved(scene, geoms, structure, digest, compared)
 
-    def _find_other_structure(self, scene: Scene, geoms: Bool, moved: Bool) -> str:
+    def _find_other_structure(
+        self, scene: Scene, geoms: Bool, moved: Bool, compared: Compared
+    ) -> str:
         """Why what stands, or what marks rooms, is another than before; empty where it isn't."""
         was = self.scene
         differs = geoms & (mark_structure(was.roles) | mark_structure(scene.roles))
@@ -135,19 +176,20 @@ class FollowedScene:
             return f"{name!r}, which stands, has changed"
         if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
-        marking_geoms, sites = find_markers(scene, self._config.rooms)
-        if (moved & marking_geoms).any() or not np.array_equal(sites, self._markers[1]):
+        marks = compared.marking_geoms & scene.stands[scene.model.geom_bodyid]
+        sites = self._compared.marking_sites
+        if (moved & marks).any() or not np.array_equal(compared.marking_sites, sites):
             return "what marks rooms has changed"
         return ""
 
-    def _follow_leaves(self, scene: Scene, moved: Bool) -> Scene:
-        """The scene with the leaves of now; those that don't differ are as they were."""
-        turns = _read_turns(scene.model, scene.data)
-        is_other = (turns != self._turns).any(axis=1)
-        may_differ = self._hinged_geoms | mark_geoms(len(moved), scene.leaves)
-        if not is_other.any() and not (moved & may_differ).any():
+    def _follow_leaves(self, scene: Scene, moved: Bool, compared: Compared) -> Scene:
+        """The scene with the leaves of now."""
+        turn_otherwise = compared.turning != self._compared.turning
+        is_turned = not np.array_equal(compared.positions, self._compared.positions)
+        may_be_leaf = self._hinged_geoms | mark_geoms(len(moved), scene.leaves)
+        if not turn_otherwise and not is_turned and not (moved & may_be_leaf).any():
             return scene
-        found, unused = find_candidates(
+        leaves, unused = find_candidates(
             scene.model,
             scene.data,
             shapes=scene.shapes,
@@ -156,20 +198,29 @@ class FollowedScene:
             stands=scene.stands,
             settings=self._config.doors,
         )
-        known = {leaf.id: leaf for leaf in scene.leaves}
-
-        def is_same(leaf: DoorCandidate) -> bool:
-            before = known.get(leaf.id)
-            if before is None or moved[leaf.geoms].any():
-                return False
-            if leaf.joint_id >= 0 and is_other[leaf.joint_id]:
-                return False
-            same = before.joint_id == leaf.joint_id and before.named == leaf.named
-            return same and np.array_equal(before.geoms, leaf.geoms)
-
-        leaves = [known[leaf.id] if is_same(leaf) else leaf for leaf in found]
+        leaves = self._keep_leaves(leaves, moved, compared)
         roles = give_roles(scene.model, scene.roles > 0, scene.movable, scene.stands, leaves)
         return replace(scene, leaves=leaves, unused=unused, roles=roles)
+
+    def _keep_leaves(
+        self, leaves: list[DoorCandidate], moved: Bool, compared: Compared
+    ) -> list[DoorCandidate]:
+        """The leaves of now, of which those that don't differ are the objects that they were."""
+        turn_otherwise = compared.turning != self._compared.turning
+        former = {leaf.id: leaf for leaf in self.scene.leaves}
+
+        def is_same(leaf: DoorCandidate) -> bool:
+            before = former.get(leaf.id)
+            if before is None or turn_otherwise or moved[leaf.geoms].any():
+                return False
+            return (
+                before.joint_id == leaf.joint_id
+                and before.positions == leaf.positions
+                and before.named == leaf.named
+                and np.array_equal(before.geoms, leaf.geoms)
+            )
+
+        return [former[leaf.id] if is_same(leaf) else leaf for leaf in leaves]
 
     def _may_count_otherwise(self, meshes: Bool, data: Any) -> bool:
         """Whether one of some meshes is or was so large that its pose decides as what it counts."""
@@ -237,14 +288,6 @@ class FollowedScene:
             raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
-def _read_choices(model: Any) -> list[bytes]:
-    return [getattr(model, name).tobytes() for name in CHOOSING]
-
-
-def _poses_of(data: Any) -> Float:
-    return np.hstack([data.geom_xpos, data.geom_xmat])
-
-
 def _mark_hinged_geoms(model: Any) -> Bool:
     """Mark the geoms of bodies with a hinge or slide, and of all that hangs on them."""
     ends = find_subtree_ends(model)
@@ -252,16 +295,6 @@ def _mark_hinged_geoms(model: Any) -> Bool:
     for body in model.jnt_bodyid[np.isin(model.jnt_type, (HINGE, SLIDE))].tolist():
         marked[geoms_of_bodies(model, body, int(ends[body]))] = True
     return marked
-
-
-def _read_turns(model: Any, data: Any) -> Float:
-    """By joint, how a hinge or slide turns and how far, and its position; users write there."""
-    is_turning = np.isin(model.jnt_type, (HINGE, SLIDE))
-    position = np.where(is_turning, data.qpos[model.jnt_qposadr], 0.0)
-    limited = model.jnt_limited[:, None]
-    return np.hstack(
-        [model.jnt_range, limited, model.jnt_axis, model.jnt_pos, position[:, None]]
-    )
 
 
 def find_differing(was: Shapes, now: Shapes) -> Bool:

@@ -103,10 +103,15 @@ def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
     x0, y0, x1, y1 = lattice.bounds
     far = reach + 4 * lattice.cell_size  # boxes may be endless
     low, high = (x0 - far, y0 - far), (x1 + far, y1 + far)
+    west, south = (boxes[:, :2].clip(low, high) - reach).T
+    east, north = (boxes[:, 3:5].clip(low, high) + reach).T
+    first_row, first_col = lattice.rows_cols(np.stack([west, north], axis=1))
+    last_row, last_col = lattice.rows_cols(np.stack([east, south], axis=1))
     mask = np.zeros(lattice.shape, dtype=np.bool_)
-    for corners in boxes.reshape(-1, 2, 3)[:, :, :2].clip(low, high):
-        if window := lattice.window(corners, reach):
-            mask[window] = True
+    rows = np.stack([first_row - 1, last_row + 2]).clip(0, lattice.height).T.tolist()
+    cols = np.stack([first_col - 1, last_col + 2]).clip(0, lattice.width).T.tolist()
+    for (row, past_row), (col, past_col) in zip(rows, cols, strict=True):
+        mask[row:past_row, col:past_col] = True
     return np.flatnonzero(mask)
 
 

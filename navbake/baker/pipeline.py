@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.baker.arguments import take_input
+from navbake.baker.baked import Moving, Standing
 from navbake.baker.boxes import written_ground
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.contents.occupants import name_contents
 from navbake.baker.lattice import cut_cells
 from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
 from navbake.baker.scene.scene import GeomReport, Scene
-from navbake.baker.stages import Moving, Standing, open_stages
+from navbake.baker.stages import open_stages
 from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
@@ -238,10 +239,10 @@ def _level_grid(
     attributes: dict[str, NDArray[Any]] = {
         "floorHeight": np.ascontiguousarray(standing.floor_layers[number][window]),
         "roomIndex": np.ascontiguousarray(standing.rooms.index[number][window]),
-        "occupancy": with_doors(moving.occupied[number], "cells"),
+        "occupancy": with_doors(moving.occupants.occupied[number], "cells"),
     }
-    if moving.squares is not None:
-        attributes["solid"] = with_doors(moving.squares[number], "solid")
+    if moving.occupants.solid is not None:
+        attributes["solid"] = with_doors(moving.occupants.solid[number], "solid")
     if level.unseen is not None:
         attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
     if moving.areas.layers:
@@ -258,7 +259,6 @@ def _level_grid(
         cell_size=part.cell_size,
         min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
         bbox_yup=standing.boxes.boxes[number],
-        weights=np.where(attributes["occupancy"] > 0, np.inf, 1.0),
         attributes=attributes,
         user_data=user_data,
         metadata=metadata,

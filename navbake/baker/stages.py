@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.arguments import take_input
+from navbake.baker.baked import FloorLattice, Moving, Standing
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns, list_shapes
@@ -33,7 +33,7 @@ from navbake.baker.contents.contents import (
 )
 from navbake.baker.contents.kinds import wall_candidates
 from navbake.baker.contents.lost_floors import find_lost_floors
-from navbake.baker.contents.occupants import LevelOccupants, count_taken, find_occupants
+from navbake.baker.contents.occupants import Occupants, count_taken, find_occupants
 from navbake.baker.doors.doors import (
     Leaf,
     PlacedLeaf,
@@ -46,7 +46,7 @@ from navbake.baker.doors.doors import (
 from navbake.baker.floors.levels import Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
-from navbake.baker.lattice import Window, cut_cells, lay_lattice, lay_whole
+from navbake.baker.lattice import cut_cells, lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.flags import RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
@@ -58,6 +58,7 @@ from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.traffic.areas import PaintedAreas, paint_areas
 from navbake.baker.traffic.ground import Ground, Obstacles, Space
 from navbake.baker.traffic.links import BakedLinks, find_links
+from navbake.baker.warn import warn_of_standing
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import (
@@ -106,77 +107,6 @@ def open_stages(
         scene = load_scene(config, limits=limits, opened=opened)
         lattice = lay_lattice(scene, config)
     return Stages(config, scene, lattice, clock)
-
-
-class FloorLattice(NamedTuple):
-    """The lattice on which floors are judged, and the window of it that is baked."""
-
-    lattice: Lattice
-    window: Window
-
-
-@dataclass(frozen=True)
-class Standing:
-    """What follows from what stands, and from closed leaves: nothing that moves changes it.
-
-    Attributes:
-        lattice: the cells.
-        judged: where floors were judged.
-        floors: the storeys.
-        floor_layers: the floor of each level as it is written, of the whole lattice.
-        occupancy: the cells that what stands occupies.
-        contents: what stands in the cells; None where neither names nor rooms need it.
-        rooms: the room of each cell.
-        boxes: the rectangle and the box of each level.
-        holes: see `Stages.holes`.
-        space: what links are found in; None where there are none.
-        stated_settings: the settings and their digest, as a file states them.
-        steps: the steps of the floors, with cells counted on each level's own rectangle.
-    """
-
-    lattice: Lattice
-    judged: FloorLattice
-    floors: Floors
-    floor_layers: list[NDArray[np.float32]]
-    occupancy: Occupancy
-    contents: Contents | None
-    rooms: Rooms
-    boxes: LevelBoxes
-    holes: Float
-    space: Space | None
-    stated_settings: Json
-    steps: list[list[int]]
-
-
-@dataclass(frozen=True)
-class Moving:
-    """What follows from the pose of a scene, too.
-
-    Attributes:
-        scene: the scene in its pose.
-        doors: what each leaf is, and what it blocks in each state.
-        occupants: what can move, and leaves that are no doors, in the cells of each level.
-        occupied: the cells of each level that anything but doors occupies.
-        squares: the cells whose squares anything but doors meets; None where these are the same.
-        taken: by body id, how many cells each takes that nothing else does, see `count_taken`.
-        lost_floors: by body id, how much floor there would be on what can move [m²].
-        cut_doors: the doors as the grid has them.
-        room_table: the table of rooms as a file states it, with the doors between them.
-        areas: the areas of the settings, painted on the levels.
-        links: the named links.
-    """
-
-    scene: Scene
-    doors: list[PlacedLeaf]
-    occupants: list[LevelOccupants]
-    occupied: list[Bool]
-    squares: list[Bool] | None
-    taken: Int
-    lost_floors: dict[int, float]
-    cut_doors: list[Door]
-    room_table: list[Json]
-    areas: PaintedAreas
-    links: BakedLinks
 
 
 @dataclass(eq=False)
@@ -352,10 +282,11 @@ class Stages:
         )
 
     @cached_property
-    def occupants(self) -> list[LevelOccupants]:
-        """What can move, and leaves that are no doors, in the cells of each level."""
+    def occupants(self) -> Occupants:
+        """What can move, and leaves that are no doors; and what anything but doors occupies."""
         in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
         floors = self.floors
+        standing = self.occupancy
         with self.clock.stage("occupants"):
             return find_occupants(
                 self.scene.shapes.only(in_the_way),
@@ -363,6 +294,7 @@ class Stages:
                 floors=floors,
                 footprint=self.footprint,
                 agent=self.config.agent,
+                standing=standing,
             )
 
     @cached_property
@@ -383,8 +315,7 @@ class Stages:
         if not self.config.links:
             return BakedLinks([], [])
         with self.clock.stage("links"):
-            occupied = join_occupancy(standing.occupancy.levels, occupants)
-            return make_links(self.scene, standing, doors, occupied, self.config)
+            return make_links(self.scene, standing, doors, occupants.occupied, self.config)
 
     @cached_property
     def holes(self) -> Float:
@@ -435,27 +366,33 @@ class Stages:
                 "settings": settings_to_state(self.config),
             },
             steps=_cut_steps(self.floors.links, boxes, self.lattice.width),
+            warnings=warn_of_standing(
+                self.config,
+                self.scene,
+                judged=self.judged,
+                floors=self.floors,
+                occupancy=self.occupancy,
+                contents=self.contents,
+                rooms=self.rooms,
+                boxes=boxes,
+                holes=self.holes,
+            ),
         )
 
     @cached_property
     def moving(self) -> Moving:
         """What follows from the pose, too, for the grid and its updates."""
         standing = self.standing
-        occupied = join_occupancy(standing.occupancy.levels, self.occupants)
-        squares = join_squares(standing.occupancy, self.occupants)
+        occupants = self.occupants
         in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
         placed_doors = [placed for placed in self.doors if placed.is_door]
         return Moving(
             scene=self.scene,
             doors=self.doors,
-            occupants=self.occupants,
-            occupied=occupied,
-            squares=squares,
-            taken=count_taken(
-                self.occupants,
-                standing.occupancy.levels,
-                self.scene.mover_of,
-                self.scene.model.nbody,
+            occupants=occupants,
+            taken=sum(
+                count_taken(bands, layer, self.scene.mover_of, self.scene.model.nbody)
+                for bands, layer in zip(occupants.entries, self.occupancy.levels, strict=True)
             ),
             lost_floors=find_lost_floors(
                 self.scene.shapes.only(in_the_way),
@@ -465,7 +402,7 @@ class Stages:
                 agent=self.config.agent,
             ),
             cut_doors=[
-                cut_placed(placed, standing, occupied, squares, self.config)
+                cut_placed(placed, standing, occupants, self.config)
                 for placed in placed_doors
             ],
             room_table=list_rooms(self.rooms, placed_doors),
@@ -540,47 +477,17 @@ def mark_in_the_way(scene: Scene, doors: Sequence[PlacedLeaf], config: BakeConfi
     return in_the_way
 
 
-def join_occupancy(
-    standing: Sequence[Bool], occupants: Sequence[LevelOccupants]
-) -> list[Bool]:
-    """The cells of each level that anything but doors occupies.
-
-    `standing` are those that what stands occupies.
-    """
-    joined = []
-    for layer, level in zip(standing, occupants, strict=True):
-        occupied = layer.copy()
-        occupied.ravel()[level.occupied] = True
-        joined.append(occupied)
-    return joined
-
-
-def join_squares(
-    standing: Occupancy, occupants: Sequence[LevelOccupants]
-) -> list[Bool] | None:
-    """The cells of each level whose squares anything but doors meets; None where all are such."""
-    if standing.solid is None:
-        return None
-    joined = []
-    for layer, level in zip(standing.solid, occupants, strict=True):
-        solid = layer.copy()
-        solid.ravel()[level.solid] = True
-        joined.append(solid)
-    return joined
-
-
 def cut_placed(
     placed: PlacedLeaf,
     standing: Standing,
-    occupied: list[Bool],
-    squares: list[Bool] | None,
+    occupants: Occupants,
     config: BakeConfig,
 ) -> Door:
     """A door as the grid has it: its cells that nothing else occupies, on each level's rectangle."""
     return cut_door(
         placed,
-        occupied,
-        squares,
+        occupants.occupied,
+        occupants.solid,
         windows=standing.boxes.windows,
         width=standing.lattice.width,
         wanted=config.doors.state,

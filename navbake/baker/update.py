@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.arguments import take_input
+from navbake.baker.baked import Moving, Standing
 from navbake.baker.clock import StageClock
 from navbake.baker.contents.lost_floors import find_lost_floors
 from navbake.baker.contents.occupants import (
+    bands_of,
     boxes_of,
     count_taken,
-    find_occupants,
-    replace_occupants,
+    find_occupants_again,
 )
 from navbake.baker.doors.doors import PlacedLeaf, Surroundings, place_doors, pose_leaves
 from navbake.baker.following import FollowedScene, Moved
@@ -34,11 +35,7 @@ from navbake.baker.pipeline import build_grid
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, open_file
 from navbake.baker.stages import (
-    Moving,
-    Standing,
     cut_placed,
-    join_occupancy,
-    join_squares,
     list_rooms,
     make_links,
     mark_in_the_way,
@@ -208,7 +205,7 @@ class Baker:
             old = self._grid
             grid = build_grid(self._config, now.standing, now.moving)
             cells, is_new = _compare(old, grid)
-            self._scene.keep(now.moving.scene)
+            self._scene.keep(now.moving.scene, moved.compared)
             self._grid = grid
             self._baked = now
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
@@ -255,7 +252,7 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
             )
             moving = replace(moving, areas=areas)
         if config.links and moved.geoms.any():
-            links = make_links(scene, standing, doors, moving.occupied, config)
+            links = make_links(scene, standing, doors, moving.occupants.occupied, config)
             moving = replace(moving, links=links)
     return before._replace(moving=moving)
 
@@ -310,16 +307,24 @@ def _follow_occupants(
     standing = before.standing
     scene = moving.scene
     shapes = scene.shapes.only(in_the_way)
-    found = find_occupants(
-        shapes,
-        standing.lattice,
+    occupants = find_occupants_again(
+        moving.occupants,
+        cells,
+        shapes=shapes,
+        lattice=standing.lattice,
         floors=standing.floors,
         footprint=before.around_doors.footprint,
         agent=config.agent,
-        cells=cells,
+        standing=standing.occupancy,
     )
-    num_cells = standing.lattice.width * standing.lattice.height
-    occupants = replace_occupants(moving.occupants, cells, num_cells, found)
+
+    taken = moving.taken.copy()
+    bands = bands_of(cells, standing.lattice)
+    for level, layer in enumerate(standing.occupancy.levels):
+        before_there = [moving.occupants.entries[level][band] for band in bands]
+        now_there = [occupants.entries[level][band] for band in bands]
+        taken -= count_taken(before_there, layer, scene.mover_of, scene.model.nbody)
+        taken += count_taken(now_there, layer, scene.mover_of, scene.model.nbody)
     moved_bodies = np.unique(scene.mover_of[differs])
     lost_floors = find_lost_floors(
         shapes.only(np.isin(scene.mover_of, moved_bodies)),
@@ -332,11 +337,7 @@ def _follow_occupants(
     return replace(
         moving,
         occupants=occupants,
-        occupied=join_occupancy(standing.occupancy.levels, occupants),
-        squares=join_squares(standing.occupancy, occupants),
-        taken=count_taken(
-            occupants, standing.occupancy.levels, scene.mover_of, scene.model.nbody
-        ),
+        taken=taken,
         lost_floors=dict(sorted((kept | lost_floors).items())),
     )
 
@@ -356,7 +357,7 @@ def _cut_doors_again(
     for placed in placed_doors:
         cut = cut_by.get(placed)
         if cut is None or _has_any(placed, is_near):
-            cut = cut_placed(placed, standing, moving.occupied, moving.squares, config)
+            cut = cut_placed(placed, standing, moving.occupants, config)
         cut_doors.append(cut)
     room_table = was.room_table
     same = len(placed_doors) == len(former)

@@ -6,15 +6,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from navbake.baker.baked import FloorLattice, Moving, Standing
+from navbake.baker.boxes import LevelBoxes
+from navbake.baker.contents.contents import Contents
 from navbake.baker.doors.doors import warn_doors
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.reach import TOLD_AREA
 from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
-from navbake.baker.stages import Moving, Standing
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
 
@@ -69,22 +73,38 @@ LOST = {
 }
 
 
-def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> list[str]:
-    """The warnings of all stages: those of what stands in their order, then those of the pose."""
-    scene = moving.scene
+def warn_of_standing(
+    config: BakeConfig,
+    scene: Scene,
+    judged: FloorLattice,
+    floors: Floors,
+    occupancy: Occupancy,
+    contents: Contents | None,
+    rooms: Rooms,
+    boxes: LevelBoxes,
+    holes: Float,
+) -> list[str]:
+    """The warnings of what stands, in the order of the stages; see `Standing` for the arguments."""
     warnings = [
         *scene.warnings,
         *scene.unused,
-        *_warn_part_judged(config, standing, scene),
-        *_warn_patches(standing.floors, scene, DROPPED),
-        *_warn_high_grounds(config, standing),
+        *_warn_part_judged(config, judged, scene),
+        *_warn_patches(floors, scene, DROPPED),
+        *_warn_high_grounds(config, floors),
+        *_warn_patches(floors, scene, LOST),
+        *_warn_holes(config, holes),
+        *_warn_hidden_ground(config, floors, scene),
+        *(contents.warnings if contents else ()),
+        *rooms.warnings,
+        *_warn_interleaved(floors, occupancy, boxes),
+    ]
+    return [printable(warning) for warning in warnings]
+
+
+def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> list[str]:
+    """The warnings of all stages: those of what stands, then those of what follows from the pose."""
+    warnings = [
         *_warn_unreached(standing.floors, moving),
-        *_warn_patches(standing.floors, scene, LOST),
-        *_warn_holes(config, standing),
-        *_warn_hidden_ground(config, standing.floors, scene),
-        *(standing.contents.warnings if standing.contents else ()),
-        *standing.rooms.warnings,
-        *_warn_interleaved(standing),
         *_warn_nothing_free(config, standing.floors, moving),
         *_warn_movable(standing, moving),
         *_warn_lost_floors(moving),
@@ -92,12 +112,14 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
         *moving.areas.warnings,
         *moving.links.warnings,
     ]
-    return [printable(warning) for warning in warnings]
+    return [*standing.warnings, *(printable(warning) for warning in warnings)]
 
 
-def _warn_part_judged(config: BakeConfig, standing: Standing, scene: Scene) -> Iterator[str]:
+def _warn_part_judged(
+    config: BakeConfig, judged: FloorLattice, scene: Scene
+) -> Iterator[str]:
     """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
-    whole = standing.judged.lattice
+    whole = judged.lattice
     if scene.bounds is not None and find_cropped(whole, scene.bounds).any():
         x0, y0, x1, y1 = whole.bounds
         yield (
@@ -113,7 +135,7 @@ def _warn_nothing_free(
     """Warn of levels without a cell that an agent can stand in."""
     full = [
         repr(level.name)
-        for level, taken in zip(floors.levels, moving.occupied, strict=True)
+        for level, taken in zip(floors.levels, moving.occupants.occupied, strict=True)
         if not (level.standable > taken).any()  # one pass: standable, and not taken
     ]
     if full:
@@ -185,12 +207,12 @@ def _warn_patches(
             yield text.format(what=what, keep=keep, cells=cells, area=area, z=height, name=on)
 
 
-def _warn_high_grounds(config: BakeConfig, standing: Standing) -> Iterator[str]:
+def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
     """Warn of grounds in `levels` that are a little higher than the floors that were meant.
 
     Their level has no floor within a step above, another a large one within `NEAR_GROUND` below.
     """
-    levels = standing.floors.levels
+    levels = floors.levels
     given = [] if config.levels == "auto" else [level.ground for level in config.levels]
     step, cell_area = config.agent.traversable_floor_height, config.grid.cell_size**2
     for level in levels:
@@ -229,15 +251,15 @@ def _warn_unreached(floors: Floors, moving: Moving) -> Iterator[str]:
         )
 
 
-def _warn_holes(config: BakeConfig, standing: Standing) -> Iterator[str]:
+def _warn_holes(config: BakeConfig, holes: Float) -> Iterator[str]:
     """Warn of holes in the floor of a mesh."""
-    area = standing.holes[standing.holes >= LEAST_HOLE]
+    area = holes[holes >= LEAST_HOLE]
     if len(area):
-        holes = "a hole" if len(area) == 1 else f"{len(area)} holes"
+        number = "a hole" if len(area) == 1 else f"{len(area)} holes"
         text = "closed and marked in the layer `unseen`"
         if not config.floors.fill:
             text = "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
-        yield f"the mesh is open in its floor, {holes} of {area.sum():.2f} m² in all: {text}"
+        yield f"the mesh is open in its floor, {number} of {area.sum():.2f} m² in all: {text}"
 
 
 def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
@@ -262,13 +284,14 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
             )
 
 
-def _warn_interleaved(standing: Standing) -> Iterator[str]:
+def _warn_interleaved(
+    floors: Floors, occupancy: Occupancy, boxes: LevelBoxes
+) -> Iterator[str]:
     """Warn of free cells that the original client takes for another level's."""
-    boxes = standing.boxes
     if boxes.lost:
-        pairs = zip(standing.floors.levels, standing.occupancy.levels, strict=True)
+        pairs = zip(floors.levels, occupancy.levels, strict=True)
         num_free = sum(np.count_nonzero(~np.isnan(level.floor[~taken])) for level, taken in pairs)
-        names = ", ".join(repr(standing.floors.levels[number].name) for number in boxes.lost_on)
+        names = ", ".join(repr(floors.levels[number].name) for number in boxes.lost_on)
         yield (
             f"levels interleave in height: MINOS's client finds a position's level by `bbox` "
             f"and misses {boxes.lost} of {num_free} free cells, on {names}; navbake goes by "

@@ -271,6 +271,27 @@ class GridBase:
         return list(self.describe_cell(x, y, level)["blockers"])
 
 
+class DerivedWeights:
+    """The attribute `SceneGrid2D.weights`: as given, else derived from the occupancy when asked for.
+
+    A million of them take as long to write as the rest of a small update.
+    """
+
+    def __get__(self, level: SceneGrid2D, owner: type | None = None) -> NDArray[Any]:
+        weights = level.__dict__["weights"]
+        if weights is None:
+            weights = np.where(level.attributes["occupancy"] != 0, np.inf, 1.0)
+            level.__dict__["weights"] = weights
+        return np.asarray(weights)
+
+    def __set__(self, level: SceneGrid2D, weights: Any) -> None:
+        level.__dict__["weights"] = None if weights is self else weights
+
+
+DERIVED: Any = DerivedWeights()
+"""In place of the weights of a level: 1 where its occupancy is 0, inf elsewhere."""
+
+
 @dataclass(eq=False, kw_only=True)
 class SceneGrid2D(GridBase):
     """The navigation grid of one level."""
@@ -281,7 +302,8 @@ class SceneGrid2D(GridBase):
     #: Lower and upper corner of the level, file frame [file units], or None.
     bbox_yup: tuple[Vector3, Vector3] | None = None
     #: Costs of cells, shape (height, width), float32 or float64; inf where an agent can't stand.
-    weights: NDArray[Any] = field(repr=False)
+    #: Without them, 1 where the occupancy is 0.
+    weights: NDArray[Any] = field(default=DERIVED, repr=False)
     #: Further layers by name (``floorHeight``, …), shape (height, width), own dtypes.
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     #: The file's data of single cells, by cell id; parsed on first use.
@@ -290,8 +312,9 @@ class SceneGrid2D(GridBase):
     block_state: BlockState | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, array in {"weights": self.weights, **self.attributes}.items():
-            if array.shape != self.shape:
+        given = {"weights": self.__dict__["weights"], **self.attributes}
+        for name, array in given.items():
+            if array is not None and array.shape != self.shape:
                 raise FormatError(
                     f"{name} has shape {array.shape}, expected (height, width) = {self.shape}"
                 )
@@ -328,9 +351,13 @@ class SceneGrid2D(GridBase):
         if self.block_state is not None:
             kept |= {name: kept[name].copy() for name in CHANGING & kept.keys()}
             weights = self.weights.copy() if weights is None else weights
+        if weights is None:
+            # what isn't derived yet is derived from the new level's occupancy, if that is the same
+            is_other = attributes is not None and "occupancy" in attributes
+            weights = self.weights if is_other else self.__dict__["weights"]
         return replace(
             self,
-            weights=self.weights if weights is None else weights,
+            weights=DERIVED if weights is None else weights,
             attributes={**kept, **(attributes or {})},
             user_data=self.user_data if user_data is None else user_data,
             metadata=self.metadata if metadata is None else metadata,

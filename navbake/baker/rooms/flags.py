@@ -174,9 +174,8 @@ def mark_rooms(
     return found
 
 
-def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
-    """The geoms of a scene that may mark rooms, (ngeom,) bool, and the poses of such sites."""
-    model, data = scene.model, scene.data
+def find_markers(model: Any, data: Any, settings: RoomSettings) -> tuple[Bool, Float]:
+    """The geoms of a model that may mark rooms, (ngeom,) bool, and the poses of such sites."""
     geoms = np.zeros(model.ngeom, dtype=np.bool_)
     if "geoms" in settings.sources:
         geoms[_match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")[0]] = True

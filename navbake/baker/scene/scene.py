@@ -280,15 +280,13 @@ def start_digest(
     begun, sites, joints = names or digest_names(model)
     digest, left = begun.copy(), bytearray()
     for number, array in enumerate(_digest_arrays(model, data, parts, sites, joints)):
-        array = np.ascontiguousarray(array)
         left += f"{number} {array.dtype.str} {array.shape}\n".encode()
-        content = array.reshape(-1).view(np.uint8).data
         if array.nbytes > LARGE_ARRAY:
             digest.update(left)
-            digest.update(content)
+            digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
             left = bytearray()
         else:
-            left += content
+            left += array.tobytes()
 
     def finish() -> str:
         digest.update(left)

@@ -1,0 +1,94 @@
+"""What a bake finds, in two parts: what follows from what stands, and what follows from the pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.boxes import LevelBoxes
+from navbake.baker.contents.contents import Contents
+from navbake.baker.contents.occupants import Occupants
+from navbake.baker.doors.doors import PlacedLeaf
+from navbake.baker.floors.levels import Floors
+from navbake.baker.lattice import Window
+from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.rooms.rooms import Rooms
+from navbake.baker.scene.scene import Scene
+from navbake.baker.traffic.areas import PaintedAreas
+from navbake.baker.traffic.ground import Space
+from navbake.baker.traffic.links import BakedLinks
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.rooms import Door
+from navbake.types import Float, Int, Json
+
+
+class FloorLattice(NamedTuple):
+    """The lattice on which floors are judged, and the window of it that is baked."""
+
+    lattice: Lattice
+    window: Window
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What follows from what stands, and from closed leaves: nothing that moves changes it.
+
+    Attributes:
+        lattice: the cells.
+        judged: where floors were judged.
+        floors: the storeys.
+        floor_layers: the floor of each level as it is written, of the whole lattice.
+        occupancy: the cells that what stands occupies.
+        contents: what stands in the cells; None where neither names nor rooms need it.
+        rooms: the room of each cell.
+        boxes: the rectangle and the box of each level.
+        holes: see `Stages.holes`.
+        space: what links are found in; None where there are none.
+        stated_settings: the settings and their digest, as a file states them.
+        steps: the steps of the floors, with cells counted on each level's own rectangle.
+        warnings: what the user should know of it, one line each.
+    """
+
+    lattice: Lattice
+    judged: FloorLattice
+    floors: Floors
+    floor_layers: list[NDArray[np.float32]]
+    occupancy: Occupancy
+    contents: Contents | None
+    rooms: Rooms
+    boxes: LevelBoxes
+    holes: Float
+    space: Space | None
+    stated_settings: Json
+    steps: list[list[int]]
+    warnings: list[str]
+
+
+@dataclass(frozen=True)
+class Moving:
+    """What follows from the pose of a scene, too.
+
+    Attributes:
+        scene: the scene in its pose.
+        doors: what each leaf is, and what it blocks in each state.
+        occupants: what can move, and leaves that are no doors; and what anything but doors occupies.
+        taken: by body id, how many cells each takes that nothing else does, see `count_taken`.
+        lost_floors: by body id, how much floor there would be on what can move [m²].
+        cut_doors: the doors as the grid has them.
+        room_table: the table of rooms as a file states it, with the doors between them.
+        areas: the areas of the settings, painted on the levels.
+        links: the named links.
+    """
+
+    scene: Scene
+    doors: list[PlacedLeaf]
+    occupants: Occupants
+    taken: Int
+    lost_floors: dict[int, float]
+    cut_doors: list[Door]
+    room_table: list[Json]
+    areas: PaintedAreas
+    links: BakedLinks
