@@ -106,7 +106,7 @@ def main() -> None:
     grid = navbake.bake(config).inflate(given.radius)
     finder = navbake.PathFinder(grid)
     content = make_episodes(grid, "point", "habitat", count=given.count)
-    scene = load_scene(config.scene)
+    scene = load_scene(config)
     model = make_model(config, scene, given.radius)
     pose = scene.data.qpos.copy() if config.scene.path.suffix == ".xml" else np.empty(0)
     print("| baseline | " + " | ".join(COLUMNS) + " | contacts | of any angle |")

@@ -189,7 +189,7 @@ def drive(config: BakeConfig, num_paths: int, radius: float, seed: int) -> Drive
     )
     grid = navbake.bake(baked).inflate(radius)
     finder = navbake.PathFinder(grid)
-    scene = load_scene(config.scene)
+    scene = load_scene(config)
     model = make_model(config, scene, radius)
     data, pose = mujoco.MjData(model), scene.data.qpos.copy()
     if config.scene.path.suffix != ".xml":

@@ -40,7 +40,7 @@ from navbake.arena import map_descriptor
 from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.batch.scenes import list_jobs
-from navbake.config.settings import SceneSettings, load_config
+from navbake.config.settings import BakeConfig, SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.convert import ROUTE_FORMATS
@@ -299,7 +299,7 @@ def use_mesh(path: Path) -> None:
 
 def use_scene(path: Path) -> None:
     """Load a scene of pieces."""
-    load_scene(SceneSettings(path=path))
+    load_scene(BakeConfig(scene=SceneSettings(path=path)))
 
 
 def use_descriptor(path: Path) -> None:

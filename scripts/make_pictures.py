@@ -12,13 +12,16 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
 from PIL import Image
 
 import navbake
 from baselines import WALKERS
 from make_house import make_house
+from navbake.baker.stages import bake_stages
 from navbake.episodes import make_episodes, make_rules
 from navbake.navgrid.grid import NavGrid
 from navbake.views.plot import render_picture
@@ -123,6 +126,67 @@ def draw_voxels() -> bytes:
     return content.getvalue()
 
 
+ROLES_SCENE = """
+<mujoco><worldbody>
+  <geom type="box" pos="3 2 -0.05" size="3.1 2.1 0.05"/>
+  <geom type="box" pos="3 -0.05 1.25" size="3.1 0.05 1.25"/>
+  <geom type="box" pos="3 4.05 1.25" size="3.1 0.05 1.25"/>
+  <geom type="box" pos="-0.05 2 1.25" size="0.05 2 1.25"/>
+  <geom type="box" pos="6.05 0.5 1.25" size="0.05 0.5 1.25"/>
+  <geom type="box" pos="6.05 2.95 1.25" size="0.05 1.05 1.25"/>
+  <geom type="box" pos="3.6 0.8 1.25" size="0.05 0.8 1.25"/>
+  <geom type="box" pos="3.6 3.25 1.25" size="0.05 0.75 1.25"/>
+  <body name="door" pos="3.6 1.6 0"><joint axis="0 0 1" range="0 90"/>
+    <geom type="box" pos="0 0.45 1" size="0.02 0.44 1"/></body>
+  <body name="front door" pos="6.05 1 0"><joint axis="0 0 1" range="0 90"/>
+    <geom type="box" pos="0 0.45 1" size="0.02 0.44 1"/></body>
+  <body name="table" pos="1.8 2.9 0"><geom type="box" pos="0 0 0.7" size="0.8 0.4 0.03"/></body>
+  <body name="chair 1" pos="1.3 2.2 0"><freejoint/>
+    <geom type="box" pos="0 0 0.4" size="0.22 0.22 0.4"/></body>
+  <body name="chair 2" pos="2.4 2.3 0"><freejoint/>
+    <geom type="box" pos="0 0 0.4" size="0.22 0.22 0.4" euler="0 0 30"/></body>
+  <body name="ball" pos="0.6 0.8 0.2"><freejoint/><geom type="sphere" size="0.2"/></body>
+  <body name="robot" mocap="true" pos="4.8 2.6 0.4"><geom type="cylinder" size="0.25 0.4"/></body>
+</worldbody></mujoco>
+"""
+
+
+def draw_roles() -> bytes:
+    """What of a scene stands, what can move, what is a leaf; and what becomes of each."""
+    scene = mujoco.MjModel.from_xml_string(ROLES_SCENE)
+    stages = bake_stages(scene, grid={"cell_size": 0.05})
+    grid = navbake.bake(scene, grid={"cell_size": 0.05})
+    (level,) = grid.levels
+    x_min, y_min, x_max, y_max = level.lattice.bounds
+    shown = {"extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
+    figure = Figure(figsize=(13, 3.6), layout="constrained")
+    of_roles, of_rooms, of_cells = figure.subplots(1, 3)
+    colors = {"structure": "0.55", "movable": "tab:orange", "leaf": "tab:blue"}
+    for geom in stages.scene.geoms[1:]:  # the first is the floor
+        place = stages.scene.data.geom_xpos[geom.id][:2]
+        turn = stages.scene.data.geom_xmat[geom.id].reshape(3, 3)[:2, :2]
+        half = scene.geom_size[geom.id]
+        if geom.type == "box":
+            corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half[:2]
+            patch = Polygon(corners @ turn.T + place, color=colors[geom.role])
+        else:
+            patch = Circle(place, half[0], color=colors[geom.role])
+        of_roles.add_patch(patch)
+    for role, color in colors.items():
+        of_roles.plot([], [], "s", color=color, label=role)
+    of_roles.legend(loc="upper right")
+    rooms = np.ma.masked_equal(level.room_index, 0)
+    of_rooms.imshow(rooms, cmap="Pastel1", vmin=1, vmax=9, **shown)
+    of_cells.imshow(level.occupancy, cmap="Greys", vmax=1.6, **shown)
+    titles = ("roles", "rooms: by structure and closed leaves", "occupied: by all, doors closed")
+    for ax, title in zip((of_roles, of_rooms, of_cells), titles, strict=True):
+        ax.set(title=title, xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
+        ax.set(xlabel="x [m]", ylabel="y [m]")
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=100)
+    return content.getvalue()
+
+
 def draw_page(name: str) -> bytes:
     """The page of `navbake view`, or one that `navbake report` writes."""
     # imports the tests' browser, which the other pictures do without
@@ -140,6 +204,7 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "inflated": draw_inflated,
     "path": draw_path,
     "rooms": draw_rooms,
+    "roles": draw_roles,
     "scan": partial(draw_scan, True),
     "scan_holes": partial(draw_scan, False),
     "voxels": draw_voxels,

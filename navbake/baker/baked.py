@@ -1,4 +1,4 @@
-"""What a bake finds, in two parts: what follows from what stands, and what follows from the pose."""
+"""What a bake finds: what follows from what stands, and what follows from the pose, too."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ class Moving:
     Attributes:
         scene: the scene in its pose.
         doors: what each leaf is, and what it blocks in each state.
-        occupants: what can move, and leaves that are no doors; and what anything but doors occupies.
+        occupants: what can move, and leaves that are no doors; and all cells that are occupied,
+            but by doors.
         taken: by body id, how many cells each takes that nothing else does, see `count_taken`.
         lost_floors: by body id, how much floor there would be on what can move [m²].
         cut_doors: the doors as the grid has them.

@@ -328,4 +328,3 @@ def _named_links(standing: Standing, moving: Moving) -> list[Json]:
 
     links = moving.links.links
     return [Link(stops=tuple(map(cut, link.stops)), **link.fields).to_json() for link in links]
-

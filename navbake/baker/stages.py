@@ -132,21 +132,21 @@ class Stages:
         return judge_on(self.lattice, self.scene, self.config)
 
     @cached_property
-    def tiles(self) -> ShapeSource:
+    def tile_index(self) -> ShapeSource:
         """What stands, by tiles of the lattice."""
         return self._list_structure(self.lattice)
 
     @cached_property
-    def floor_tiles(self) -> ShapeSource:
+    def floor_tile_index(self) -> ShapeSource:
         """What stands, by tiles of the lattice on which floors are judged."""
         lattice = self.judged.lattice
-        return self.tiles if lattice == self.lattice else self._list_structure(lattice)
+        return self.tile_index if lattice == self.lattice else self._list_structure(lattice)
 
     @cached_property
     def floor_columns(self) -> ColumnSource:
         """All surfaces of what stands on that lattice; not all are kept where they are many."""
         return ColumnBlocks(
-            self.floor_tiles, self.config.agent, self.config.floors.crack, self.clock
+            self.floor_tile_index, self.config.agent, self.config.floors.crack, self.clock
         )
 
     @cached_property
@@ -172,7 +172,7 @@ class Stages:
         with self.clock.stage("floors"):
             floors = judge_floors(
                 columns,
-                self.floor_tiles,
+                self.floor_tile_index,
                 scene=self.scene,
                 lattice=self.lattice,
                 judged=self.judged,
@@ -201,7 +201,7 @@ class Stages:
                 probed = wall_candidates(self.scene, self.extents)
             return find_standing(
                 columns,
-                self.tiles,
+                self.tile_index,
                 floors=floors,
                 footprint=self.footprint,
                 agent=self.config.agent,
@@ -233,15 +233,18 @@ class Stages:
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings and leaves."""
-        return read_flags(
-            self.scene,
-            self.column_blocks,
-            floors=self.floors,
-            column_flags=self.standing_cells.column_flags,
-            contents=self.contents,
-            settings=self.config.rooms,
-            agent=self.config.agent,
-        )
+        cells = self.standing_cells
+        contents = self.contents
+        with self.clock.stage("rooms"):
+            return read_flags(
+                self.scene,
+                self.column_blocks,
+                floors=self.floors,
+                column_flags=cells.column_flags,
+                contents=contents,
+                settings=self.config.rooms,
+                agent=self.config.agent,
+            )
 
     @cached_property
     def leaves(self) -> list[Leaf]:
@@ -252,11 +255,11 @@ class Stages:
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms; doors are not named in it yet."""
-        contents = self.contents
+        flags = self.room_flags
         leaves = self.leaves
         with self.clock.stage("rooms"):
             return find_rooms(
-                self.room_flags,
+                flags,
                 self.config.rooms,
                 max_step=self.config.agent.traversable_floor_height,
                 closed_leaves=close_leaves(leaves, self.floors.levels, self.footprint),
@@ -331,7 +334,7 @@ class Stages:
         cell_area = self.lattice.cell_size**2
         level = self.floors.levels[0]
         if level.unseen is None:
-            is_occupied = occupancy_test(self.floor_columns, self.floor_tiles, self.config)
+            is_occupied = occupancy_test(self.floor_columns, self.floor_tile_index, self.config)
             level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
         part, _ = label_parts(np.asarray(level.unseen))
         areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
@@ -342,7 +345,7 @@ class Stages:
         """What follows from what stands, for the grid and its updates."""
         space = None
         if self.config.links:
-            space = Space([Obstacles(self.column_blocks, self.tiles)], self.footprint)
+            space = Space([Obstacles(self.column_blocks, self.tile_index)], self.footprint)
         boxes = find_level_boxes(
             self.floors.levels,
             self.occupancy.levels,
@@ -390,9 +393,12 @@ class Stages:
             scene=self.scene,
             doors=self.doors,
             occupants=occupants,
-            taken=sum(
-                count_taken(bands, layer, self.scene.mover_of, self.scene.model.nbody)
-                for bands, layer in zip(occupants.entries, self.occupancy.levels, strict=True)
+            taken=count_taken(
+                occupants,
+                None,
+                standing=self.occupancy.levels,
+                mover_of=self.scene.mover_of,
+                num_bodies=self.scene.model.nbody,
             ),
             lost_floors=find_lost_floors(
                 self.scene.shapes.only(in_the_way),
@@ -402,8 +408,7 @@ class Stages:
                 agent=self.config.agent,
             ),
             cut_doors=[
-                cut_placed(placed, standing, occupants, self.config)
-                for placed in placed_doors
+                cut_placed(placed, standing, occupants, self.config) for placed in placed_doors
             ],
             room_table=list_rooms(self.rooms, placed_doors),
             areas=self.areas,
@@ -451,9 +456,7 @@ def judge_floors(
     return floors
 
 
-def occupancy_test(
-    columns: ColumnSource, tiles: ShapeSource, config: BakeConfig
-) -> OccupancyTest:
+def occupancy_test(columns: ColumnSource, tiles: ShapeSource, config: BakeConfig) -> OccupancyTest:
     """Tells which cells are occupied by what is as narrow as a point, and ends a sheet."""
     point = config.agent.model_copy(update={"radius": 0.0})
     narrow = Footprint.of(point, columns.lattice.cell_size)
@@ -470,7 +473,7 @@ def mark_in_the_way(scene: Scene, doors: Sequence[PlacedLeaf], config: BakeConfi
 
     With `exclude.movable`, such leaves are left out, too.
     """
-    in_the_way = scene.roles == MOVABLE
+    in_the_way: Bool = scene.roles == MOVABLE
     if not config.scene.exclude.movable:
         rejected = [placed.candidate for placed in doors if not placed.is_door]
         in_the_way |= mark_geoms(len(in_the_way), rejected)
@@ -483,7 +486,7 @@ def cut_placed(
     occupants: Occupants,
     config: BakeConfig,
 ) -> Door:
-    """A door as the grid has it: its cells that nothing else occupies, on each level's rectangle."""
+    """A door as the grid has it: its cells that nothing else occupies, by level."""
     return cut_door(
         placed,
         occupants.occupied,
@@ -508,7 +511,8 @@ def _cut_steps(links: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
             here = steps[:, level] == number
             # a linked cell has a floor, so that none drops out
             steps[here, cell] = cut_cells(steps[here, cell], window, width)[0]
-    return steps.tolist()
+    rows: list[list[int]] = steps.tolist()
+    return rows
 
 
 def make_links(

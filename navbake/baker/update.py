@@ -22,6 +22,7 @@ from navbake.baker.baked import Moving, Standing
 from navbake.baker.clock import StageClock
 from navbake.baker.contents.lost_floors import find_lost_floors
 from navbake.baker.contents.occupants import (
+    Occupants,
     bands_of,
     boxes_of,
     count_taken,
@@ -318,13 +319,18 @@ def _follow_occupants(
         standing=standing.occupancy,
     )
 
-    taken = moving.taken.copy()
     bands = bands_of(cells, standing.lattice)
-    for level, layer in enumerate(standing.occupancy.levels):
-        before_there = [moving.occupants.entries[level][band] for band in bands]
-        now_there = [occupants.entries[level][band] for band in bands]
-        taken -= count_taken(before_there, layer, scene.mover_of, scene.model.nbody)
-        taken += count_taken(now_there, layer, scene.mover_of, scene.model.nbody)
+
+    def count(some: Occupants) -> Int:
+        """How many cells of these bands each body takes."""
+        return count_taken(
+            some,
+            bands,
+            standing=standing.occupancy.levels,
+            mover_of=scene.mover_of,
+            num_bodies=scene.model.nbody,
+        )
+
     moved_bodies = np.unique(scene.mover_of[differs])
     lost_floors = find_lost_floors(
         shapes.only(np.isin(scene.mover_of, moved_bodies)),
@@ -337,14 +343,12 @@ def _follow_occupants(
     return replace(
         moving,
         occupants=occupants,
-        taken=taken,
+        taken=moving.taken - count(moving.occupants) + count(occupants),
         lost_floors=dict(sorted((kept | lost_floors).items())),
     )
 
 
-def _cut_doors_again(
-    moving: Moving, before: BakedScene, cells: Int, config: BakeConfig
-) -> Moving:
+def _cut_doors_again(moving: Moving, before: BakedScene, cells: Int, config: BakeConfig) -> Moving:
     """The doors as the grid has them: those that moved, and those with any of some cells, again."""
     standing = before.standing
     was = before.moving

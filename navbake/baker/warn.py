@@ -21,6 +21,7 @@ from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
+from navbake.types import Float
 
 SPARSE = 64  # a first look at floors reads one row of so many
 # How far below a given ground the floor that it means lies at most: the thickness of a slab [m]
@@ -102,7 +103,7 @@ def warn_of_standing(
 
 
 def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> list[str]:
-    """The warnings of all stages: those of what stands, then those of what follows from the pose."""
+    """The warnings of all stages: those of what stands, then those of the pose."""
     warnings = [
         *_warn_unreached(standing.floors, moving),
         *_warn_nothing_free(config, standing.floors, moving),
@@ -115,9 +116,7 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
     return [*standing.warnings, *(printable(warning) for warning in warnings)]
 
 
-def _warn_part_judged(
-    config: BakeConfig, judged: FloorLattice, scene: Scene
-) -> Iterator[str]:
+def _warn_part_judged(config: BakeConfig, judged: FloorLattice, scene: Scene) -> Iterator[str]:
     """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
     whole = judged.lattice
     if scene.bounds is not None and find_cropped(whole, scene.bounds).any():
@@ -129,9 +128,7 @@ def _warn_part_judged(
         )
 
 
-def _warn_nothing_free(
-    config: BakeConfig, floors: Floors, moving: Moving
-) -> Iterator[str]:
+def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> Iterator[str]:
     """Warn of levels without a cell that an agent can stand in."""
     full = [
         repr(level.name)
@@ -284,9 +281,7 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
             )
 
 
-def _warn_interleaved(
-    floors: Floors, occupancy: Occupancy, boxes: LevelBoxes
-) -> Iterator[str]:
+def _warn_interleaved(floors: Floors, occupancy: Occupancy, boxes: LevelBoxes) -> Iterator[str]:
     """Warn of free cells that the original client takes for another level's."""
     if boxes.lost:
         pairs = zip(floors.levels, occupancy.levels, strict=True)

@@ -272,7 +272,7 @@ class GridBase:
 
 
 class DerivedWeights:
-    """The attribute `SceneGrid2D.weights`: as given, else derived from the occupancy when asked for.
+    """The attribute `SceneGrid2D.weights`: as given, else derived from the occupancy on first use.
 
     A million of them take as long to write as the rest of a small update.
     """

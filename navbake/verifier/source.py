@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from navbake.baker.scene.divide import mark_structure
 from navbake.baker.scene.model import is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
@@ -125,7 +126,7 @@ class DoorPose(NamedTuple):
 
     data: Any  # with the doors' joints moved
     removed: set[int]  # ids of the geoms of removed doors
-    geoms: set[int]  # and of all doors: no floor is one of them
+    no_floors: set[int]  # ids of the geoms that make no floor: doors', and what can move
     unknown: list[str]  # ids of doors that the scene doesn't have
 
 
@@ -136,19 +137,24 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     # doors whose name others share state their number, too
     bodies = dict(numbered) | {f"{name} (body {body})": body for name, body in numbered}
     ends = find_subtree_ends(model)
-    removed, geoms, unknown = set[int](), set[int](), list[str]()
+    removed, unknown = set[int](), list[str]()
+    no_floors = set(np.flatnonzero(~mark_structure(scene.roles)).tolist())
+    # a grid doesn't state how its lifts were found; their cars carry floors
+    for link in grid.links:
+        if link.kind == "lift" and (body := bodies.get(link.name)) is not None:
+            no_floors -= set(geoms_of_bodies(model, body, int(ends[body])).tolist())
     for door in grid.doors:
         if (body := bodies.get(door.id)) is None:
             unknown.append(door.id)
             continue
         own = set(geoms_of_bodies(model, body, int(ends[body])).tolist())
-        geoms |= own
+        no_floors |= own
         if door.state == "removed":
             removed |= own
         elif (position := _position(model, body, door)) is not None:
             data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = position
     mujoco.mj_kinematics(model, data)
-    return DoorPose(data, removed, geoms, unknown)
+    return DoorPose(data, removed, no_floors, unknown)
 
 
 def _position(model: Any, body: int, door: Door) -> float | None:

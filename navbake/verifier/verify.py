@@ -136,7 +136,7 @@ def verify_scene(
     around = Neighbourhood(content, body.step, by_centres=by_centres)
     floors = None
     if all(with_floors):
-        fixed = Obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
+        fixed = Obstacles(scene, doors.data, doors.no_floors) if doors.no_floors else obstacles
         floors = FloorCheck(content, Probes(fixed), body, config)
     samples = take_sample(content, sample, seed, with_floors)
     for own, name in zip(samples, content.level_names, strict=True):

@@ -47,7 +47,7 @@ def make_rows(folder: Path) -> dict[str, Callable[[], Row]]:
     def blobs() -> Blobs:
         path = folder / "blobs.obj"
         meshes = make_scene(path)
-        scene = load_scene(parse_config({"scene": {"path": str(path), "meshes": "surface"}}).scene)
+        scene = load_scene(parse_config({"scene": {"path": str(path), "meshes": "surface"}}))
         return Blobs(Voxelizer(scene), trimesh.util.concatenate(meshes))
 
     return {

@@ -1,4 +1,4 @@
-"""What stands in each cell: whether the cell is occupied, by which geoms, what they are, their names.
+"""What stands in each cell: whether it is occupied, by which geoms, what they are, their names.
 
 What stands is looked at once, block by block; what can move is looked at by itself, see
 `navbake.baker.contents.occupants`.

@@ -153,9 +153,7 @@ def bands_of(cells: Int, lattice: Lattice) -> list[int]:
     return bands
 
 
-def _replace_entries(
-    bands: list[Entries], cells: Int, found: Entries, lattice: Lattice
-) -> None:
+def _replace_entries(bands: list[Entries], cells: Int, found: Entries, lattice: Lattice) -> None:
     """Replace the entries of some cells, ascending, in the bands that hold them."""
     band_cells = BAND_ROWS * lattice.width
     for band in bands_of(cells, lattice):
@@ -250,29 +248,33 @@ def _only_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Sh
 
 
 def count_taken(
-    entries: Sequence[Entries], standing: Bool, mover_of: Int, num_bodies: int
+    occupants: Occupants,
+    bands: Sequence[int] | None,
+    standing: Sequence[Bool],
+    mover_of: Int,
+    num_bodies: int,
 ) -> Int:
-    """How many cells of a level each body takes that only what can move blocks; a cup on a table none.
+    """How many cells each body takes that only what can move blocks; so a cup on a table none.
 
     Args:
-        entries: the geoms in the cells of some bands.
-        standing: the cells that what stands occupies.
+        bands: the numbers of the bands of cells that count; all if None.
+        standing: the cells that what stands occupies, by level.
         mover_of: by geom id, the body that it moves with.
     """
     taken = np.zeros(num_bodies, dtype=np.int64)
-    for band in entries:
-        counts = (band.flags & BLOCKS) > 0
-        counts &= ~standing.ravel()[band.cell]
-        # a cell's entries lie together, and so do those of a body in it
-        pair = band.cell[counts] * num_bodies + mover_of[band.geom[counts]]
-        is_first = np.diff(pair, prepend=-1) != 0
-        taken += np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
+    for entries, layer in zip(occupants.entries, standing, strict=True):
+        chosen = entries if bands is None else [entries[band] for band in bands]
+        for band in chosen:
+            counts = (band.flags & BLOCKS) > 0
+            counts &= ~layer.ravel()[band.cell]
+            # a cell's entries lie together, and so do those of a body in it
+            pair = band.cell[counts] * num_bodies + mover_of[band.geom[counts]]
+            is_first = np.diff(pair, prepend=-1) != 0
+            taken += np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
     return taken
 
 
-def name_contents(
-    contents: Contents, occupants: Occupants, level: int, window: Window
-) -> UserData:
+def name_contents(contents: Contents, occupants: Occupants, level: int, window: Window) -> UserData:
     """Name what is in a storey's cells, as the original client does.
 
     `objects` are all things but walls and the building's own floors, ceilings and stairs, also
@@ -287,9 +289,7 @@ def name_contents(
     return UserData(partial(_name_cells, contents, occupants.entries[level], level, window))
 
 
-def _name_cells(
-    contents: Contents, bands: Sequence[Entries], level: int, window: Window
-) -> Shared:
+def _name_cells(contents: Contents, bands: Sequence[Entries], level: int, window: Window) -> Shared:
     moving_cell = np.concatenate([band.cell for band in bands])
     moving_geom = np.concatenate([band.geom for band in bands])
     moving_flags = np.concatenate([band.flags for band in bands])

@@ -102,7 +102,8 @@ class PlacedLeaf:
 
 def free_cells(blocked, occupied):
     return {
-        s: [ids[~m.ravel()[ids]] for ids, m in zip(by, occupied, strict=True)] for s, by in blocked.items()
+        s: [ids[~m.ravel()[ids]] for ids, m in zip(by, occupied, strict=True)]
+        for s, by in blocked.items()
     }
 
 

@@ -69,9 +69,7 @@ def mark_structure(roles: NDArray[np.uint8]) -> Bool:
     return structure
 
 
-def divide(
-    model: Any, data: Any, shapes: Shapes, counted: Bool, config: BakeConfig
-) -> Division:
+def divide(model: Any, data: Any, shapes: Shapes, counted: Bool, config: BakeConfig) -> Division:
     """Divide the geoms that count into what stands, what can move, and leaves of doors.
 
     Bodies that `floors.movable` names, and cars of lifts, carry floors, with all that hangs on
@@ -139,7 +137,7 @@ def give_roles(
     """
     of_bodies = np.where(stands, STANDING, MOVABLE)
     of_bodies[find_movable_bodies(model) & ~movable] = CARRIER
-    roles = of_bodies[model.geom_bodyid].astype(np.uint8)
+    roles: NDArray[np.uint8] = of_bodies[model.geom_bodyid].astype(np.uint8)
     roles[mark_geoms(model.ngeom, leaves)] = LEAF
     roles[~counted] = LEFT_OUT
     return roles
