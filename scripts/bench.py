@@ -41,7 +41,7 @@ def format_row(name: str, row: Row, results: list[Result]) -> str:
     own, *others = results
     lines = [_format_job(name, own, "", _limits(row, results))]
     for other in others:
-        lines.append(_format_job("", other, f"{own.median / other.median:.2f} ×", ""))
+        lines.append(_format_job("", other, f"{own.median / other.median:.3g} ×", ""))
     if row.missing:
         lines.append(f"{'':<18}{row.missing}")
     return "\n".join(lines)

@@ -22,7 +22,7 @@ from navbake.baker.traffic.ground import Space
 from navbake.baker.traffic.links import BakedLinks
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Door
-from navbake.types import Float, Int, Json
+from navbake.types import Float, Json
 
 
 class FloorLattice(NamedTuple):
@@ -76,7 +76,6 @@ class Moving:
         doors: what each leaf is, and what it blocks in each state.
         occupants: what can move, and leaves that are no doors; and all cells that are occupied,
             but by doors.
-        taken: by body id, how many cells each takes that nothing else does, see `count_taken`.
         lost_floors: by body id, how much floor there would be on what can move [m²].
         cut_doors: the doors as the grid has them.
         room_table: the table of rooms as a file states it, with the doors between them.
@@ -87,7 +86,6 @@ class Moving:
     scene: Scene
     doors: list[PlacedLeaf]
     occupants: Occupants
-    taken: Int
     lost_floors: dict[int, float]
     cut_doors: list[Door]
     room_table: list[Json]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.divide import LEAF, give_roles, mark_structure
+from navbake.baker.scene.divide import LEAF, LEFT_OUT, give_roles, mark_structure
 from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.scene.model import OpenScene, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
@@ -147,8 +147,7 @@ class FollowedScene:
             digest: Callable[[], str] = lambda: scene.digest  # noqa: E731
         else:
             digest = start_digest(model, data, was.parts, self._names)
-            counted = np.array([choice.counted for choice in was.choices], dtype=np.bool_)
-            geoms = moved & counted
+            geoms = moved & (was.roles != LEFT_OUT)
             shapes = was.shapes
             if geoms.any():
                 after, *_ = collect_shapes(
@@ -193,13 +192,15 @@ class FollowedScene:
             scene.model,
             scene.data,
             shapes=scene.shapes,
-            counted=np.array([choice.counted for choice in scene.choices], dtype=np.bool_),
+            counted=scene.roles != LEFT_OUT,
             movable=scene.movable,
             stands=scene.stands,
             settings=self._config.doors,
         )
         leaves = self._keep_leaves(leaves, moved, compared)
-        roles = give_roles(scene.model, scene.roles > 0, scene.movable, scene.stands, leaves)
+        roles = give_roles(
+            scene.model, scene.roles != LEFT_OUT, scene.movable, scene.stands, leaves
+        )
         return replace(scene, leaves=leaves, unused=unused, roles=roles)
 
     def _keep_leaves(

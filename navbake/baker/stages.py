@@ -33,7 +33,7 @@ from navbake.baker.contents.contents import (
 )
 from navbake.baker.contents.kinds import wall_candidates
 from navbake.baker.contents.lost_floors import find_lost_floors
-from navbake.baker.contents.occupants import Occupants, count_taken, find_occupants
+from navbake.baker.contents.occupants import Occupants, OverFloors, find_occupants
 from navbake.baker.doors.doors import (
     Leaf,
     PlacedLeaf,
@@ -288,17 +288,21 @@ class Stages:
     def occupants(self) -> Occupants:
         """What can move, and leaves that are no doors; and what anything but doors occupies."""
         in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
-        floors = self.floors
-        standing = self.occupancy
+        over_floors = self.over_floors
         with self.clock.stage("occupants"):
-            return find_occupants(
-                self.scene.shapes.only(in_the_way),
-                self.lattice,
-                floors=floors,
-                footprint=self.footprint,
-                agent=self.config.agent,
-                standing=standing,
-            )
+            return find_occupants(over_floors, self.scene.shapes, in_the_way)
+
+    @property
+    def over_floors(self) -> OverFloors:
+        """Over which floors one looks for what can move."""
+        return OverFloors(
+            lattice=self.lattice,
+            floors=self.floors,
+            standing=self.occupancy,
+            footprint=self.footprint,
+            agent=self.config.agent,
+            mover_of=self.scene.mover_of,
+        )
 
     @cached_property
     def areas(self) -> PaintedAreas:
@@ -393,16 +397,10 @@ class Stages:
             scene=self.scene,
             doors=self.doors,
             occupants=occupants,
-            taken=count_taken(
-                occupants,
-                None,
-                standing=self.occupancy.levels,
-                mover_of=self.scene.mover_of,
-                num_bodies=self.scene.model.nbody,
-            ),
             lost_floors=find_lost_floors(
-                self.scene.shapes.only(in_the_way),
-                self.scene.mover_of,
+                self.scene.shapes,
+                in_the_way,
+                mover_of=self.scene.mover_of,
                 levels=self.floors.levels,
                 lattice=self.lattice,
                 agent=self.config.agent,

@@ -22,16 +22,14 @@ from navbake.baker.baked import Moving, Standing
 from navbake.baker.clock import StageClock
 from navbake.baker.contents.lost_floors import find_lost_floors
 from navbake.baker.contents.occupants import (
-    Occupants,
-    bands_of,
+    OverFloors,
     boxes_of,
-    count_taken,
     find_occupants_again,
+    geoms_of,
 )
 from navbake.baker.doors.doors import PlacedLeaf, Surroundings, place_doors, pose_leaves
 from navbake.baker.following import FollowedScene, Moved
-from navbake.baker.kernels.constants import TOUCH
-from navbake.baker.lattice import cells_near, lay_lattice
+from navbake.baker.lattice import lay_lattice
 from navbake.baker.pipeline import build_grid
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, open_file
@@ -48,13 +46,16 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Door
-from navbake.threads import LEAST_CELLS, limit_threads
+from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
 
 LOG = logging.getLogger("navbake")
+
+# What moved of so few geoms is not worth a second thread
+FEW_BOXES = 16
 
 
 class WholeBake(Exception):
@@ -84,11 +85,12 @@ class Changes(NamedTuple):
 
 
 class BakedScene(NamedTuple):
-    """What a bake found, and what doors are placed in when they move."""
+    """What a bake found, and what is looked at again when something moves."""
 
     standing: Standing
     moving: Moving
     around_doors: Surroundings
+    over_floors: OverFloors
 
 
 class Baker:
@@ -213,7 +215,7 @@ class Baker:
 
     def _bake(self, opened: OpenScene) -> BakedScene:
         stages = open_stages(self._config, StageClock(), opened=opened)
-        return BakedScene(stages.standing, stages.moving, stages.around_doors)
+        return BakedScene(stages.standing, stages.moving, stages.around_doors, stages.over_floors)
 
 
 def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
@@ -234,19 +236,28 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
     in_the_way = mark_in_the_way(scene, doors, config)
     differs = moved.geoms & (in_the_way_before | in_the_way)
     differs |= in_the_way_before ^ in_the_way
-    boxes = [
-        boxes_of(was.scene.shapes.only(differs & in_the_way_before)),
-        boxes_of(scene.shapes.only(differs & in_the_way)),
-    ]
-    reach = before.around_doors.footprint.reach + 2 * TOUCH
-    cells = cells_near(standing.lattice, np.concatenate(boxes), reach)
+    boxes = np.concatenate(
+        [
+            _boxes_of_some(was.scene, differs & in_the_way_before),
+            _boxes_of_some(scene, differs & in_the_way),
+        ]
+    )
     moving = replace(was, scene=scene, doors=doors)
-    # few cells are not worth a second thread
-    with limit_threads(1 if len(cells) < LEAST_CELLS else None):
+    with limit_threads(1 if len(boxes) < FEW_BOXES else None):
         if differs.any():
-            moving = _follow_occupants(moving, before, in_the_way, differs, cells, config)
-        if doors is not was.doors or len(cells):
-            moving = _cut_doors_again(moving, before, cells, config)
+            moving = replace(
+                moving,
+                occupants=find_occupants_again(
+                    was.occupants,
+                    before.over_floors,
+                    shapes=scene.shapes,
+                    in_the_way=in_the_way,
+                    boxes=boxes,
+                ),
+                lost_floors=_follow_lost_floors(moving, standing, in_the_way, differs, config),
+            )
+        if doors is not was.doors or moving.occupants is not was.occupants:
+            moving = _cut_doors_again(moving, before, config)
         if config.areas and moved.geoms.any():
             areas = paint_areas(
                 scene, standing.lattice, standing.floors.levels, standing.rooms, config
@@ -256,6 +267,12 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
             links = make_links(scene, standing, doors, moving.occupants.occupied, config)
             moving = replace(moving, links=links)
     return before._replace(moving=moving)
+
+
+def _boxes_of_some(scene: Scene, chosen: Bool) -> Float:
+    """The boxes of the chosen geoms of a scene, (n, 6) [m]."""
+    boxes: Float = boxes_of(scene.shapes)[chosen[geoms_of(scene.shapes)]]
+    return boxes
 
 
 def _follow_doors(before: BakedScene, scene: Scene) -> list[PlacedLeaf]:
@@ -291,76 +308,40 @@ def closes_alike(one: PlacedLeaf, other: PlacedLeaf) -> bool:
     )
 
 
-def _follow_occupants(
-    moving: Moving,
-    before: BakedScene,
-    in_the_way: Bool,
-    differs: Bool,
-    cells: Int,
-    config: BakeConfig,
-) -> Moving:
-    """Find again what is in the way in some cells.
-
-    Args:
-        in_the_way: the geoms that are, now.
-        differs: the geoms that were or are, and differ.
-    """
-    standing = before.standing
-    scene = moving.scene
-    shapes = scene.shapes.only(in_the_way)
-    occupants = find_occupants_again(
-        moving.occupants,
-        cells,
-        shapes=shapes,
-        lattice=standing.lattice,
-        floors=standing.floors,
-        footprint=before.around_doors.footprint,
-        agent=config.agent,
-        standing=standing.occupancy,
-    )
-
-    bands = bands_of(cells, standing.lattice)
-
-    def count(some: Occupants) -> Int:
-        """How many cells of these bands each body takes."""
-        return count_taken(
-            some,
-            bands,
-            standing=standing.occupancy.levels,
-            mover_of=scene.mover_of,
-            num_bodies=scene.model.nbody,
-        )
-
-    moved_bodies = np.unique(scene.mover_of[differs])
-    lost_floors = find_lost_floors(
-        shapes.only(np.isin(scene.mover_of, moved_bodies)),
-        scene.mover_of,
+def _follow_lost_floors(
+    moving: Moving, standing: Standing, in_the_way: Bool, differs: Bool, config: BakeConfig
+) -> dict[int, float]:
+    """How much floor there would be on what can move; looked at again where geoms differ."""
+    mover_of = moving.scene.mover_of
+    is_other = np.zeros(len(moving.scene.stands), dtype=np.bool_)
+    is_other[mover_of[differs]] = True
+    found = find_lost_floors(
+        moving.scene.shapes,
+        in_the_way & is_other[mover_of],
+        mover_of=mover_of,
         levels=standing.floors.levels,
         lattice=standing.lattice,
         agent=config.agent,
     )
-    kept = {k: area for k, area in moving.lost_floors.items() if k not in moved_bodies}
-    return replace(
-        moving,
-        occupants=occupants,
-        taken=moving.taken - count(moving.occupants) + count(occupants),
-        lost_floors=dict(sorted((kept | lost_floors).items())),
-    )
+    kept = {body: area for body, area in moving.lost_floors.items() if not is_other[body]}
+    return dict(sorted((kept | found).items()))
 
 
-def _cut_doors_again(moving: Moving, before: BakedScene, cells: Int, config: BakeConfig) -> Moving:
-    """The doors as the grid has them: those that moved, and those with any of some cells, again."""
+def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> Moving:
+    """The doors as the grid has them: those that moved, and those where cells differ, again."""
     standing = before.standing
     was = before.moving
-    is_near = np.zeros(standing.lattice.width * standing.lattice.height, dtype=np.bool_)
-    is_near[cells] = True
+    differing = [
+        _differ(moving.occupants.occupied, was.occupants.occupied),
+        _differ(moving.occupants.solid or [], was.occupants.solid or []),
+    ]
     former = [placed for placed in was.doors if placed.is_door]
     cut_by = dict(zip(former, was.cut_doors, strict=True))
     cut_doors = list[Door]()
     placed_doors = [placed for placed in moving.doors if placed.is_door]
     for placed in placed_doors:
         cut = cut_by.get(placed)
-        if cut is None or _has_any(placed, is_near):
+        if cut is None or _blocks_any(placed, differing):
             cut = cut_placed(placed, standing, moving.occupants, config)
         cut_doors.append(cut)
     room_table = was.room_table
@@ -370,10 +351,18 @@ def _cut_doors_again(moving: Moving, before: BakedScene, cells: Int, config: Bak
     return replace(moving, cut_doors=cut_doors, room_table=room_table)
 
 
-def _has_any(placed: PlacedLeaf, marked: Bool) -> bool:
-    """Whether a leaf blocks any of the marked cells in any of its states."""
-    levels: Sequence[Sequence[Int]] = [*placed.blocked.values(), *placed.blocked_squares.values()]
-    return any(marked[cells].any() for level in levels for cells in level)
+def _differ(now: Sequence[Bool], before: Sequence[Bool]) -> list[Bool]:
+    """The cells of each level in which two layers differ, as flat masks."""
+    return [(one != other).ravel() for one, other in zip(now, before, strict=True)]
+
+
+def _blocks_any(placed: PlacedLeaf, differing: Sequence[Sequence[Bool]]) -> bool:
+    """Whether a leaf blocks any marked cell, or square of a cell, in any of its states."""
+    for by_state, marked in zip((placed.blocked, placed.blocked_squares), differing, strict=True):
+        for levels in by_state.values():
+            if any(mask[cells].any() for mask, cells in zip(marked, levels, strict=False)):
+                return True
+    return False
 
 
 def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:

@@ -21,7 +21,7 @@ from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
-from navbake.types import Float
+from navbake.types import Float, Int
 
 SPARSE = 64  # a first look at floors reads one row of so many
 # How far below a given ground the floor that it means lies at most: the thickness of a slab [m]
@@ -148,28 +148,30 @@ def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> It
 def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
     """Warn of what can move and takes floor: robots, and things that move later."""
     scene = moving.scene
-    bodies = np.flatnonzero(moving.taken)
+    taken = moving.occupants.taken
+    bodies = np.flatnonzero(taken)
     bodies = bodies[~scene.stands[bodies]]  # else a leaf that hangs on no joint
-    largest = bodies[np.argsort(-moving.taken[bodies], kind="stable")].tolist()
-    robots = [body for body in largest if body in scene.actuated]
-    things = [body for body in largest if body not in scene.actuated]
+    is_robot = np.isin(bodies, list(scene.actuated))
+    robots = bodies[is_robot]
+    things = bodies[~is_robot]
 
-    def name(bodies: list[int]) -> str:
+    def name(bodies: Int) -> str:
+        largest = bodies[np.argsort(-taken[bodies], kind="stable")][:MAX_MOVABLE]
         named = []
-        for body in bodies[:MAX_MOVABLE]:
-            area = moving.taken[body] * standing.lattice.cell_size**2
+        for body in largest.tolist():
+            area = taken[body] * standing.lattice.cell_size**2
             named.append(f"{body_name(scene.model, body)!r} ({area:.2f} m²)")
         more = f", and {len(bodies) - len(named)} more" if len(bodies) > len(named) else ""
         return ", ".join(named) + more
 
-    if robots:
-        pattern = body_name(scene.model, robots[0])
+    if len(robots):
+        pattern = body_name(scene.model, int(robots[0]))
         yield (
             f"bodies with actuators take floor, where they stand now: {name(robots)}; what is to "
             f"drive through the grid is left out by `robot=` in Python, by "
             f"`scene.exclude.bodies: [{pattern}]` in the settings"
         )
-    if things:
+    if len(things):
         yield (
             f"bodies that can move take floor, where they stand now: {name(things)}; "
             f"`scene.exclude.movable: true` leaves all such bodies out, `scene.exclude.bodies` "

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import random
-import re
 import statistics
 import sys
 import tempfile
@@ -24,7 +22,6 @@ import navbake
 from benchmarks.measure import Job, Row, Sample, run_process
 from benchmarks.peers import plain_loop_job, recast_job, why_no_recast
 from benchmarks.scenes import APARTMENT, CELL, DUNGEON, ROOT, SAMPLES, TRIANGLES, Scenes, num_cells
-from make_house import ROOM
 
 WORKER = Path(__file__).with_name("worker.py")
 NAVBAKE = [sys.executable, "-m", "navbake"]
@@ -107,13 +104,12 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
             for name in SAMPLES
         },
         **_command_rows(scenes.folder),
-        "update": lambda: _update_row(scenes, "house", ratio=0.05),
-        "update 100": lambda: _update_row(scenes, "house", 100, limit=0.150),
-        "update ceiling": lambda: _update_row(scenes, "ceiling", ratio=0.05),
-        "update storeys": lambda: _update_row(scenes, "storeys", ratio=0.05),
-        "update apartment": lambda: _update_row(scenes, "apartment", ratio=0.15),
-        "update rooms": lambda: _update_row(scenes, "rooms", ratio=0.15),
-        "update whole": lambda: _update_row(scenes, "whole", ratio=1.1),
+        **{
+            f"update {name}": lambda name=name: _update_row(name, 1, share)  # type: ignore[misc]
+            for name, share in MOVING.items()
+        },
+        "update 100 bodies": lambda: _update_row("house-100", 100, 0.10),
+        "update whole": lambda: _update_row("whole", 1, 1.1),
     }
 
 
@@ -224,52 +220,81 @@ def _command_rows(folder: Path) -> dict[str, Callable[[], Row]]:
 # --- updates -------------------------------------------------------------------------------
 
 
-CEILING = '<geom name="ceiling" type="box" pos="{0} {0} 2.6" size="{0} {0} 0.1"/></worldbody>'
+# Scenes in which one body is pushed, and the share of a fresh bake that an update may take
+MOVING = {
+    "hall": 0.01,
+    "hall, ceiling": 0.01,
+    "hall, ground": 0.01,
+    "hall, ceiling and ground": 0.01,
+    "36 rooms": 0.01,
+    "36 rooms, ceiling": 0.01,
+    "36 rooms, wider": 0.01,
+    "storeys": 0.01,
+    "storeys, wider": 0.01,
+    "storeys, ceiling": 0.01,
+    "house-100": 0.01,
+    "apartment": 0.04,
+}
 
 
-def _update_row(scenes: Scenes, kind: str, count: int = 1, **limits: float) -> Row:
+def _make_moving(name: str) -> tuple[Any, dict[str, Any]]:
+    """The model of a row of updates, and its settings."""
+    from moving_scenes import make_hall, make_rooms, make_storeys  # beside bench.py
+    from sweep_moves import make_model
+
+    kind, _, more = name.partition(", ")
+    if kind == "hall":
+        ground = "ground" in more
+        xml, settings = make_hall(ceiling="ceiling" in more, ground=ground, wider=ground)
+    elif kind == "36 rooms":
+        xml, settings = make_rooms(36, ceiling=more == "ceiling", wider=more == "wider")
+    elif kind == "storeys":
+        xml, settings = make_storeys(
+            2, ceiling=more == "ceiling", wider=more == "wider", rooms=9, cell_size=CELL
+        )
+    elif kind == "apartment":
+        return make_model("apartment")
+    else:
+        xml, settings = make_rooms(100)
+    return mujoco.MjModel.from_xml_string(xml), settings
+
+
+def _update_row(kind: str, count: int, share: float) -> Row:
     """Furniture is pushed by up to half a metre from where it stood at first.
 
-    Or one piece is put where another stood, into another room; or beyond the house and back, so
-    that all is baked again.
+    Of `whole`, a wall is lifted and put down, so that all is baked again.
     """
-    from sweep_moves import free_pieces, make_model  # beside bench.py
-
     warnings.simplefilter("ignore", navbake.BakeWarning)
-    xml, settings = scenes.main.read_text(encoding="utf-8"), {"grid": {"cell_size": CELL}}
-    if kind == "ceiling":
-        half = ROOM * math.ceil(math.sqrt(scenes.rooms)) / 2
-        xml = xml.replace("</worldbody>", CEILING.format(half))
-    elif kind == "storeys":
-        storey = re.search("<worldbody>(.*)</worldbody>", xml, re.DOTALL)[1]  # type: ignore[index]
-        above = re.sub(r'name="', 'name="up_', re.sub(r'<geom name="ground"[^>]*/>', "", storey))
-        xml = xml.replace("</worldbody>", f'<frame pos="0 0 3">{above}</frame></worldbody>')
-    if kind == "apartment":
-        model = make_model("apartment")[0]
-    else:
-        model = mujoco.MjModel.from_xml_string(free_pieces(xml))
-    baker, rng, data = navbake.Baker(model, **settings), random.Random(0), mujoco.MjData(model)
+    model, settings = _make_moving("house-100" if kind == "whole" else kind)
+    baker = navbake.Baker(model, **settings)
+    rng = random.Random(0)
+    data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-    places = {model.body(b).name: data.xpos[b].copy() for b in free}
-    low, high = (f(list(places.values()), axis=0) for f in (np.min, np.max))
-    first = sorted(places)[0]
-    stops = cycle((high + 5.0, places[first]))
+    places = {model.body(int(body)).name: data.xpos[body].copy() for body in free}
+    low = np.min(list(places.values()), axis=0)
+    high = np.max(list(places.values()), axis=0)
+    wall = model.geom(1).id
+    lifts = cycle((0.01, -0.01))
 
     def draw(place: Any) -> list[float]:
-        if kind == "rooms":
-            return [*rng.choice(list(places.values()))[:2], place[2]]
-        if kind == "whole":
-            return [*next(stops)[:2], place[2]]
         xy = place[:2] + np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)])
-        return [*np.clip(xy, low[:2], high[:2]), place[2]]  # nothing stands beyond the house
+        if len(places) > 1:  # nothing stands beyond the house
+            xy = np.clip(xy, low[:2], high[:2])
+        return [*xy, place[2]]
 
     def update() -> Sample:
-        names = [first] if kind == "whole" else rng.sample(sorted(places), count)
-        moves = {name: draw(places[name]) for name in names}
+        moves = {}
+        if kind == "whole":
+            model.geom_pos[wall, 2] += next(lifts)
+        else:
+            names = rng.sample(sorted(places), count)
+            moves = {name: draw(places[name]) for name in names}
         begin = time.perf_counter()
         changes = baker.update(bodies=moves)
         seconds = time.perf_counter() - begin
+        if (kind == "whole") == (changes.reason == ""):
+            raise RuntimeError(f"{kind}: an update for another reason: {changes.reason!r}")
         return Sample(seconds, facts={"reason": changes.reason, "cells": len(changes.cells[0])})
 
     def bake() -> Sample:
@@ -278,6 +303,7 @@ def _update_row(scenes: Scenes, kind: str, count: int = 1, **limits: float) -> R
         navbake.bake(model, data, **settings)
         return Sample(time.perf_counter() - begin)
 
-    name = f"Baker.update: {kind}" if count == 1 else f"Baker.update: {kind}, {count} bodies"
+    num_cells = sum(level.width * level.height for level in baker.grid.levels)
+    name = f"Baker.update: {kind}, {count} of {len(places)} bodies, {num_cells:,} cells"
     fresh = Job("a fresh bake of the model in memory", bake, warms_up=True)
-    return Row(Job(name, update, warms_up=True), [fresh], **limits)
+    return Row(Job(name, update, warms_up=True), [fresh], ratio=share)

@@ -21,6 +21,7 @@ LEAST_FLOOR = 1.0
 
 def find_lost_floors(
     shapes: Shapes,
+    chosen: Bool,
     mover_of: Int,
     levels: Sequence[LevelFloor],
     lattice: Lattice,
@@ -29,21 +30,24 @@ def find_lost_floors(
     """Find the bodies that can move whose tops would be floor where what stands has none below.
 
     Args:
-        shapes: the geometry of what can move.
+        shapes: all geometry that counts.
+        chosen: by geom id, whether it can move and is looked at.
         mover_of: by geom id, the body that it moves with.
 
     Returns:
         The area of each body's top over no floor, `LEAST_FLOOR` or more, by body id [m²].
     """
-    boxes = boxes_of(shapes)
-    movers = mover_of[geoms_of(shapes)]
+    geoms = geoms_of(shapes)
+    is_chosen = chosen[geoms]
+    boxes = boxes_of(shapes)[is_chosen]
+    movers = mover_of[geoms[is_chosen]]
     size = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
     large = np.flatnonzero(np.bincount(movers, size) >= LEAST_FLOOR - SLACK)
     areas = dict[int, float]()
     for mover in large.tolist():
-        own = movers == mover
-        low = boxes[own, :3].min(axis=0)
-        high = boxes[own, 3:].max(axis=0)
+        own = boxes[movers == mover]
+        low = own[:, :3].min(axis=0)
+        high = own[:, 3:].max(axis=0)
         window = lattice.window(np.stack([low, high]))
         if window is None:
             continue
@@ -52,7 +56,7 @@ def find_lost_floors(
             bare &= ~(level.floor[window] <= high[2])
         if np.count_nonzero(bare) * lattice.cell_size**2 < LEAST_FLOOR - SLACK:
             continue
-        top = _find_top(shapes.only(mover_of == mover), lattice.cut(*window), agent)
+        top = _find_top(shapes.only(chosen & (mover_of == mover)), lattice.cut(*window), agent)
         bare = ~np.isnan(top)
         for level in levels:
             bare &= ~(level.floor[window] <= top)

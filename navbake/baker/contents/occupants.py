@@ -7,7 +7,6 @@ what moved. What they block, what stands blocks and what doors block is put toge
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -65,11 +64,34 @@ class Occupants(NamedTuple):
         entries: the geoms in cells, by level and band of `BAND_ROWS` rows.
         occupied: the cells of each level that they or what stands occupies, (height, width).
         solid: the cells whose squares they or what stands meets; None where these are the same.
+        taken: by body id, how many cells each takes that nothing that stands blocks, nor another
+            body; so a cup on a table takes none.
     """
 
     entries: list[list[Entries]]
     occupied: list[Bool]
     solid: list[Bool] | None
+    taken: Int
+
+
+class OverFloors(NamedTuple):
+    """Over which floors one looks for what can move, and for what.
+
+    Attributes:
+        lattice: the cells.
+        floors: the storeys.
+        standing: the cells that what stands occupies.
+        footprint: the volume over a cell's floor that has to be free.
+        agent: who needs it.
+        mover_of: by geom id, the body that it moves with.
+    """
+
+    lattice: Lattice
+    floors: Floors
+    standing: Occupancy
+    footprint: Footprint
+    agent: AgentSettings
+    mover_of: Int
 
 
 NO_ENTRIES = Entries(
@@ -79,64 +101,51 @@ NO_ENTRIES = Entries(
 )
 
 
-def find_occupants(
-    shapes: Shapes,
-    lattice: Lattice,
-    floors: Floors,
-    footprint: Footprint,
-    agent: AgentSettings,
-    standing: Occupancy,
-) -> Occupants:
+def find_occupants(over: OverFloors, shapes: Shapes, in_the_way: Bool) -> Occupants:
     """Find what can move over the floors of all cells.
 
     Args:
-        shapes: the geometry of what can move.
-        standing: the cells that what stands occupies.
+        shapes: all geometry that counts.
+        in_the_way: by geom id, whether it is looked for.
     """
-    cells = cells_near(lattice, boxes_of(shapes), footprint.reach + 2 * TOUCH)
+    num_bands = -(-over.lattice.height // BAND_ROWS)
     nothing = Occupants(
-        entries=[[NO_ENTRIES] * -(-lattice.height // BAND_ROWS) for _ in floors.levels],
-        occupied=standing.levels,
-        solid=standing.solid,
+        entries=[[NO_ENTRIES] * num_bands for _ in over.floors.levels],
+        occupied=over.standing.levels,
+        solid=over.standing.solid,
+        taken=np.zeros(int(over.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
-    return find_occupants_again(
-        nothing,
-        cells,
-        shapes=shapes,
-        lattice=lattice,
-        floors=floors,
-        footprint=footprint,
-        agent=agent,
-        standing=standing,
-    )
+    boxes = boxes_of(shapes)[in_the_way[geoms_of(shapes)]]
+    return find_occupants_again(nothing, over, shapes, in_the_way, boxes)
 
 
 def find_occupants_again(
-    occupants: Occupants,
-    cells: Int,
-    shapes: Shapes,
-    lattice: Lattice,
-    floors: Floors,
-    footprint: Footprint,
-    agent: AgentSettings,
-    standing: Occupancy,
+    occupants: Occupants, over: OverFloors, shapes: Shapes, in_the_way: Bool, boxes: Float
 ) -> Occupants:
-    """Replace what can move in some cells, ascending, by what is there now."""
+    """Find again what can move in the cells near some boxes, (n, 6) [m]."""
+    lattice = over.lattice
+    cells = cells_near(lattice, boxes, over.footprint.reach + 2 * TOUCH)
+    if not len(cells):
+        return occupants
     entries = [list(bands) for bands in occupants.entries]
     occupied = [layer.copy() for layer in occupants.occupied]
     solid = None if occupants.solid is None else [layer.copy() for layer in occupants.solid]
+    taken = occupants.taken.copy()
     for rows in split_rows(lattice):
         first, end = np.searchsorted(cells, rows.cells(lattice))
         some = cells[first:end]
         if not len(some):
             continue
-        found = _look_at_cells(shapes, rows, some, lattice, floors, footprint, agent)
-        for k, level in enumerate(found):
-            _replace_entries(entries[k], some, level.entries, lattice)
-            _replace_cells(occupied[k], standing.levels[k], some, level.occupied)
-            if solid is not None and standing.solid is not None:
-                _replace_cells(solid[k], standing.solid[k], some, level.solid)
-    return Occupants(entries, occupied, solid)
+        near = in_the_way & _mark_near(shapes, some, lattice, over.footprint.reach)
+        for k, found in enumerate(_look_at_cells(over, shapes.only(near), rows, some)):
+            standing = over.standing.levels[k]
+            removed = _replace_entries(entries[k], some, found.entries, lattice)
+            taken -= _count_taken(removed, standing, over.mover_of, len(taken))
+            taken += _count_taken(found.entries, standing, over.mover_of, len(taken))
+            _replace_cells(occupied[k], standing, some, found.occupied)
+            if solid is not None and over.standing.solid is not None:
+                _replace_cells(solid[k], over.standing.solid[k], some, found.solid)
+    return Occupants(entries, occupied, solid, taken)
 
 
 def _replace_cells(layer: Bool, standing: Bool, cells: Int, occupied: Int) -> None:
@@ -146,48 +155,57 @@ def _replace_cells(layer: Bool, standing: Bool, cells: Int, occupied: Int) -> No
     flat[occupied] = True
 
 
-def bands_of(cells: Int, lattice: Lattice) -> list[int]:
-    """The bands that hold some cells, ascending."""
-    band = cells // (BAND_ROWS * lattice.width)
-    bands: list[int] = band[np.diff(band, prepend=-1) != 0].tolist()
-    return bands
-
-
-def _replace_entries(bands: list[Entries], cells: Int, found: Entries, lattice: Lattice) -> None:
-    """Replace the entries of some cells, ascending, in the bands that hold them."""
+def _replace_entries(bands: list[Entries], cells: Int, found: Entries, lattice: Lattice) -> Entries:
+    """Replace the entries of some cells, ascending, in their bands; returns the former ones."""
     band_cells = BAND_ROWS * lattice.width
-    for band in bands_of(cells, lattice):
-        ends = [band * band_cells, (band + 1) * band_cells]
-        first, end = np.searchsorted(found.cell, ends).tolist()
+    removed = [NO_ENTRIES]
+    band_of = cells // band_cells
+    for band in band_of[np.diff(band_of, prepend=-1) != 0].tolist():
+        low = band * band_cells
+        high = low + band_cells
+        first, end = np.searchsorted(found.cell, [low, high]).tolist()
         new = Entries(found.cell[first:end], found.geom[first:end], found.flags[first:end])
         before = bands[band]
         if len(before.cell):
-            asked = np.zeros(band_cells, dtype=np.bool_)
-            own_first, own_end = np.searchsorted(cells, ends).tolist()
-            asked[cells[own_first:own_end] - ends[0]] = True
-            kept = ~asked[before.cell - ends[0]]
-            cell = np.concatenate([before.cell[kept], new.cell])
-            order = np.argsort(cell, kind="stable")
+            is_asked = np.zeros(band_cells, dtype=np.bool_)
+            first, end = np.searchsorted(cells, [low, high]).tolist()
+            is_asked[cells[first:end] - low] = True
+            is_removed = is_asked[before.cell - low]
+            removed.append(Entries(*(array[is_removed] for array in before)))
+            kept = Entries(*(array[~is_removed] for array in before))
+            place = np.searchsorted(kept.cell, new.cell)
             new = Entries(
-                cell=cell[order],
-                geom=np.concatenate([before.geom[kept], new.geom])[order],
-                flags=np.concatenate([before.flags[kept], new.flags])[order],
+                cell=np.insert(kept.cell, place, new.cell),
+                geom=np.insert(kept.geom, place, new.geom),
+                flags=np.insert(kept.flags, place, new.flags),
             )
         bands[band] = new
+    return join_entries(removed)
 
 
-def _look_at_cells(
-    shapes: Shapes,
-    rows: Rows,
-    cells: Int,
-    lattice: Lattice,
-    floors: Floors,
-    footprint: Footprint,
-    agent: AgentSettings,
-) -> list[LevelFound]:
+def join_entries(parts: Sequence[Entries]) -> Entries:
+    """The entries of several parts, one after the other."""
+    return Entries(
+        cell=np.concatenate([part.cell for part in parts]),
+        geom=np.concatenate([part.geom for part in parts]),
+        flags=np.concatenate([part.flags for part in parts]),
+    )
+
+
+def _count_taken(entries: Entries, standing: Bool, mover_of: Int, num_bodies: int) -> Int:
+    """How many of the entries' cells each body takes that nothing that stands blocks."""
+    counts = (entries.flags & BLOCKS) > 0
+    counts &= ~standing.ravel()[entries.cell]
+    # a cell's entries lie together, and so do those of a body in it
+    pair = entries.cell[counts] * num_bodies + mover_of[entries.geom[counts]]
+    is_first = np.diff(pair, prepend=-1) != 0
+    return np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
+
+
+def _look_at_cells(over: OverFloors, shapes: Shapes, rows: Rows, cells: Int) -> list[LevelFound]:
     """Find what can move over some cells, ascending, of a block of rows, by level."""
-    near = _only_near(shapes, cells, lattice, footprint.reach)
-    tiled = tile_shapes(near, lattice, footprint.reach)
+    lattice = over.lattice
+    tiled = tile_shapes(shapes, lattice, over.footprint.reach)
     first, end = rows.cells(lattice)
     if len(cells) > MOST_POINTS * (end - first):
         columns = cast_columns(tiled, rows)
@@ -196,15 +214,15 @@ def _look_at_cells(
         columns = place_columns(lattice, cells, cast_points(tiled, cells, centers))
     probed = np.zeros(len(shapes.endless), dtype=np.bool_)
     found = []
-    for level, top in zip(floors.levels, find_tops(floors), strict=True):
+    for level, top in zip(over.floors.levels, find_tops(over.floors), strict=True):
         look = look_at_level(
             columns,
             tiled,
-            footprint=footprint,
+            footprint=over.footprint,
             cells=cells,
             level=level,
             top=top,
-            agent=agent,
+            agent=over.agent,
             probed=probed,
         )
         place, geom, flags = take_entries(
@@ -234,44 +252,17 @@ def geoms_of(shapes: Shapes) -> Int32:
     return np.concatenate([shapes.solids.geom, shapes.meshes.geom, shapes.planes.geom])
 
 
-def _only_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Shapes:
-    """The shapes without the meshes whose boxes are not near the rectangle round some cells."""
-    boxes = shapes.meshes.boxes
-    if not len(boxes):
-        return shapes
+def _mark_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bool:
+    """Mark the geoms whose boxes are near the rectangle round some cells, ascending."""
     row, col = np.divmod(cells, lattice.width)
     far = reach + lattice.cell_size
     x, y = lattice.positions(row[[0, -1]], np.array([col.min(), col.max()])).T
+    boxes = boxes_of(shapes)
     is_near = (boxes[:, 0] <= x[1] + far) & (boxes[:, 3] >= x[0] - far)
     is_near &= (boxes[:, 1] <= y[0] + far) & (boxes[:, 4] >= y[1] - far)
-    return replace(shapes, meshes=shapes.meshes.only(is_near))
-
-
-def count_taken(
-    occupants: Occupants,
-    bands: Sequence[int] | None,
-    standing: Sequence[Bool],
-    mover_of: Int,
-    num_bodies: int,
-) -> Int:
-    """How many cells each body takes that only what can move blocks; so a cup on a table none.
-
-    Args:
-        bands: the numbers of the bands of cells that count; all if None.
-        standing: the cells that what stands occupies, by level.
-        mover_of: by geom id, the body that it moves with.
-    """
-    taken = np.zeros(num_bodies, dtype=np.int64)
-    for entries, layer in zip(occupants.entries, standing, strict=True):
-        chosen = entries if bands is None else [entries[band] for band in bands]
-        for band in chosen:
-            counts = (band.flags & BLOCKS) > 0
-            counts &= ~layer.ravel()[band.cell]
-            # a cell's entries lie together, and so do those of a body in it
-            pair = band.cell[counts] * num_bodies + mover_of[band.geom[counts]]
-            is_first = np.diff(pair, prepend=-1) != 0
-            taken += np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
-    return taken
+    marked = np.zeros(len(shapes.endless), dtype=np.bool_)
+    marked[geoms_of(shapes)[is_near]] = True
+    return marked
 
 
 def name_contents(contents: Contents, occupants: Occupants, level: int, window: Window) -> UserData:
@@ -290,9 +281,7 @@ def name_contents(contents: Contents, occupants: Occupants, level: int, window: 
 
 
 def _name_cells(contents: Contents, bands: Sequence[Entries], level: int, window: Window) -> Shared:
-    moving_cell = np.concatenate([band.cell for band in bands])
-    moving_geom = np.concatenate([band.geom for band in bands])
-    moving_flags = np.concatenate([band.flags for band in bands])
+    moving = join_entries(bands)
     listed = contents.levels[level]
     cells = np.arange(len(listed.first))
     cell, geom, flags = take_entries(listed.first, listed.geom, listed.flags, cells)
@@ -306,16 +295,16 @@ def _name_cells(contents: Contents, bands: Sequence[Entries], level: int, window
     below = np.flatnonzero(carrier >= 0)
     below = below[contents.kinds[carrier[below]] == OBJECT]
     # walls are what the settings call so
-    standing_as = np.where(contents.kinds[moving_geom] == WALL, WALLS, OBJECTS)
-    moving = np.where(moving_flags & BLOCKS, BLOCKERS, 0)
-    moving |= np.where(moving_flags & STANDS, standing_as, 0)
+    standing_as = np.where(contents.kinds[moving.geom] == WALL, WALLS, OBJECTS)
+    moving_bits = np.where(moving.flags & BLOCKS, BLOCKERS, 0)
+    moving_bits |= np.where(moving.flags & STANDS, standing_as, 0)
     carried = np.full(len(below), OBJECTS)
     with collector_off():
         return Shared(
             *name_cells(
-                np.concatenate([cell, below, moving_cell]),
-                np.concatenate([geom, carrier[below], moving_geom]),
-                np.concatenate([bits, carried, moving]),
+                np.concatenate([cell, below, moving.cell]),
+                np.concatenate([geom, carrier[below], moving.geom]),
+                np.concatenate([bits, carried, moving_bits]),
                 contents.names,
                 listed.lattice,
                 window,
