@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -90,7 +90,9 @@ class FollowedScene:
         self._next = data_with_joints(model, scene.data, {})
         self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
         self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
-        self._hinged_geoms = _mark_hinged_geoms(model)
+        self._hinged_geoms = _mark_moved_by(model, (HINGE, SLIDE))
+        self._slide_geoms = _mark_moved_by(model, (SLIDE,))
+        self._finds_lifts = any(rule.auto == "lift" for rule in config.links)
         self._turning_positions = model.jnt_qposadr[np.isin(model.jnt_type, (HINGE, SLIDE))]
         self.keep(scene, self._read(scene.data))
 
@@ -137,9 +139,7 @@ class FollowedScene:
         place_geoms(model, data)
         compared = self._read(data)
         moved = (compared.poses != self._compared.poses).any(axis=1)
-        is_counted_otherwise = compared.choices != self._compared.choices
-        meshes = moved & (model.geom_type == MESH)
-        if is_counted_otherwise or self._may_count_otherwise(meshes, data):
+        if self._may_be_divided_otherwise(data, moved, compared):
             scene = load_scene(self._config, opened=self._opened._replace(data=data))
             geoms = find_differing(was.shapes, scene.shapes)
             geoms |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
@@ -223,8 +223,20 @@ class FollowedScene:
 
         return [former[leaf.id] if is_same(leaf) else leaf for leaf in leaves]
 
-    def _may_count_otherwise(self, meshes: Bool, data: Any) -> bool:
-        """Whether one of some meshes is or was so large that its pose decides as what it counts."""
+    def _may_be_divided_otherwise(self, data: Any, moved: Bool, compared: Compared) -> bool:
+        """Whether other geoms may count, or as what, so that the scene has to be loaded again.
+
+        What was written to the model says so; and the pose of what may be the car of a lift, of a
+        leaf that is spared from being left out, and of meshes so large that their hulls may hide
+        room.
+        """
+        if compared.choices != self._compared.choices:
+            return True
+        if (moved & self._slide_geoms).any() and self._finds_lifts:
+            return True
+        if self._config.scene.exclude.movable and (moved & self._hinged_geoms).any():
+            return True
+        meshes = moved & (self._model.geom_type == MESH)
         if not meshes.any():
             return False
         model = self.scene.model
@@ -289,11 +301,11 @@ class FollowedScene:
             raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
-def _mark_hinged_geoms(model: Any) -> Bool:
-    """Mark the geoms of bodies with a hinge or slide, and of all that hangs on them."""
+def _mark_moved_by(model: Any, kinds: Sequence[int]) -> Bool:
+    """Mark the geoms of bodies with a joint of some kinds, and of all that hangs on them."""
     ends = find_subtree_ends(model)
     marked = np.zeros(model.ngeom, dtype=np.bool_)
-    for body in model.jnt_bodyid[np.isin(model.jnt_type, (HINGE, SLIDE))].tolist():
+    for body in model.jnt_bodyid[np.isin(model.jnt_type, kinds)].tolist():
         marked[geoms_of_bodies(model, body, int(ends[body]))] = True
     return marked
 

@@ -258,12 +258,12 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
             )
         if doors is not was.doors or moving.occupants is not was.occupants:
             moving = _cut_doors_again(moving, before, config)
-        if config.areas and moved.geoms.any():
+        if config.areas:
             areas = paint_areas(
                 scene, standing.lattice, standing.floors.levels, standing.rooms, config
             )
             moving = replace(moving, areas=areas)
-        if config.links and moved.geoms.any():
+        if config.links:
             links = make_links(scene, standing, doors, moving.occupants.occupied, config)
             moving = replace(moving, links=links)
     return before._replace(moving=moving)

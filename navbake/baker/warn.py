@@ -264,7 +264,7 @@ def _warn_holes(config: BakeConfig, holes: Float) -> Iterator[str]:
 def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Iterator[str]:
     """Warn of an infinite level plane that lies lower than all floors of the grid."""
     levels = floors.levels
-    planes = scene.shapes.planes
+    planes = scene.structure.planes
     if config.grid.bounds is not None or config.grid.margin > 0:
         return
     step = config.agent.traversable_floor_height
