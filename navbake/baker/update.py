@@ -18,24 +18,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.baker import column_blocks
 from navbake.baker.arguments import take_input
 from navbake.baker.clock import StageClock
-from navbake.baker.column_blocks import cast_at, list_once, place_columns
-from navbake.baker.columns import Columns, take_columns, take_runs
-from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
+from navbake.baker.column_blocks import place_columns
+from navbake.baker.columns import Columns, take_runs
 from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
-from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.following import (
     FollowedDoors,
     FollowedScene,
-    FullBake,
     Moved,
-    boxes_of,
 )
 from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
-from navbake.baker.lattice import cells_near, cut_cells, lay_lattice
 from navbake.baker.pipeline import build_grid
 from navbake.baker.rooms.flags import RoomFlags, are_equal, find_markers
 from navbake.baker.scene.scene import open_file
@@ -43,7 +36,7 @@ from navbake.baker.stages import Stages, take_first_look
 from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
-from navbake.threads import LEAST_CELLS, limit_threads
+from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
@@ -191,22 +184,10 @@ class Baker:
 
     def _follow(self, known: list[LiveStages] | None, moved: Moved) -> tuple[list[LiveStages], str]:
         """Bring the stages up to date, or find them anew; with why."""
-        try:
-            if known is None:
-                raise FullBake("the last update failed")
-            candidates, unmatched = self._doors.pose(moved.scene, moved.every)
-            passes, reasons = list[LiveStages](), list[str]()
-            for one in known:  # until one rejects nothing: others were of another pose
-                reasons.append(one.follow(moved, candidates, unmatched))
-                passes.append(one)
-                candidates = one.stages.settled
-                if len(candidates) == len(one.stages.candidates):
-                    break
-            return self._settle(passes), next(filter(None, reasons), "")
-        except FullBake as why:
-            LOG.debug("all is baked again: %s", why)
-            opened = self._opened._replace(data=moved.scene.data)
-            return self._bake(take_first_look(self._config, StageClock(), opened=opened)), str(why)
+        why = "the last update failed" if known is None else "each update bakes all again"
+        LOG.debug("all is baked again: %s", why)
+        opened = self._opened._replace(data=moved.scene.data)
+        return self._bake(take_first_look(self._config, StageClock(), opened=opened)), why
 
     def _bake(self, first: Stages) -> list[LiveStages]:
         """Find all stages; see `settle_doors`."""
@@ -313,13 +294,6 @@ class LiveStages:
     """
 
     def __init__(self, stages: Stages) -> None:
-        self._finder: FloorFinder
-        stages.floors, self._finder = stages.judge_floors()
-        source, (lattice, _) = stages.judged_columns, stages.judged
-        self._kept = None
-        if lattice.width * lattice.height <= column_blocks.KEPT_CELLS:
-            (columns,) = source.blocks()
-            self._kept = KeptColumns(columns)
         self._take_over(stages)
 
     def _take_over(self, stages: Stages) -> None:
@@ -331,107 +305,6 @@ class LiveStages:
         _ = stages.doors
         stages.free_geometry()
         self.stages = stages
-
-    def follow(self, moved: Moved, candidates: list[DoorCandidate], unmatched: list[str]) -> str:
-        """Bring all up to date, with other candidates for doors or the same.
-
-        Returns why all stages after the floors were found anew, "" if they were not. After an
-        error, this object is of no use.
-
-        Raises:
-            FullBake: the lattice is another one, or so much moved that a bake takes no longer.
-            SceneError: there is no floor.
-        """
-        was, scene = self.stages, moved.scene
-        now = replace(was, scene=scene, candidates=candidates, unmatched=unmatched)
-        now.stated_settings = was.stated_settings
-        left_out, leaves_out = (mark_geoms(len(moved.geoms), s.candidates) for s in (was, now))
-        # moved, unless as doors before and now; or in the scene only before, or only now
-        differs = (moved.geoms & ~(left_out & leaves_out)) | (left_out ^ leaves_out)
-        boxes = np.concatenate([boxes_of(one.doorless.shapes.only(differs)) for one in (was, now)])
-        if lay_lattice(scene, now.config) != was.lattice or now.judged != was.judged:
-            raise FullBake("the grid is another one: the box round the scene has changed")
-        (lattice, window), reach = now.judged, max(now.footprint.reach, now.config.floors.crack)
-        near = cells_near(lattice, boxes, reach + 2 * TOUCH)
-        if len(near) > MOST_CELLS * lattice.width * lattice.height:
-            raise FullBake("what moved is near most of the cells")
-        if self._kept:
-            now.judged_columns = self._kept
-        known, self._markers = self._markers, find_markers(scene, now.config.rooms)
-        planes, before = (len(one.doorless.shapes.planes.geom) for one in (now, was))
-        flags_hold = np.array_equal(known[1], self._markers[1]) and planes == before
-        flags_hold &= not (moved.every & known[0]).any()
-        flags_hold &= np.array_equal(_box(was), _box(now))
-        now.floors, touched, changed = was.floors, near[:0], near[:0]
-        # few cells are not worth a second thread
-        with limit_threads(1 if len(near) < LEAST_CELLS else None):
-            if len(near):
-                flags_hold &= self._cast(now, near)
-                now.floors, finder = now.judge_floors(self._finder)
-                levels = [
-                    [(one.name, one.ground) for one in some.floors.levels] for some in (was, now)
-                ]
-                if finder.changed is None or levels[0] != levels[1]:
-                    self._take_over(now)
-                    return "there are other levels"
-                changed = cut_cells(finder.changed, window, lattice.width)[0]
-                touched = cut_cells(near, window, lattice.width)[0]
-                touched = list_once(was.lattice, np.append(touched, changed))
-            now.occupancy, now.contents = was.occupancy, was.contents
-            if len(touched):
-                flags_hold &= self._look_again(now, differs, touched, not len(changed))
-                flags_hold &= np.array_equal(was.floors.links, now.floors.links)
-            if not len(changed):
-                now.floor_layers = was.floor_layers
-                if len(now.floors.levels) == 1 and np.array_equal(_box(was), _box(now)):
-                    now.boxes = was.boxes  # which then depend on floors alone
-            else:
-                self._room_flags = None  # they share the arrays of floors, which were written to
-        if not flags_hold or self._room_flags is None:
-            now.cells = self._cells
-            flags, self._room_flags = self._room_flags, now.room_flags
-            flags_hold = flags is not None and are_equal(now.room_flags, flags)
-        if flags_hold or are_equal(now.rooms, was.rooms):
-            now.rooms = was.rooms
-        now.doors = _follow_doors(was, now, touched)
-        if now.rooms is was.rooms and now.doors is was.doors:
-            now.room_table = was.room_table
-        if now.boxes.windows == was.boxes.windows:
-            known_doors = was.cut_doors
-            now.cut_doors = {one: known_doors.get(one) or now.cut_door(one) for one in now.placed}
-        now.free_geometry()
-        self.stages = now
-        return ""
-
-    def _cast(self, now: Stages, near: Int) -> bool:
-        """Cast columns again; returns whether surely no surface changed that marks a room."""
-        config, marks = now.config, self._markers[0]
-        found = cast_at(now.judged_shapes, config.agent, config.floors.crack, near)
-        crossings = take_columns(found.crossings, near)
-        self._finder.replace(near, found, now.doorless.shapes.planes)
-        if self._kept is None:
-            return not marks.any()
-        holds = not marks.any() or _same_surfaces(self._kept.take(near), crossings, marks)
-        self._kept.put(near, crossings)
-        return holds
-
-    def _look_again(self, now: Stages, differs: Bool, touched: Int, floors_hold: bool) -> bool:
-        """Find occupancy and contents again in the cells near what moved or with another floor.
-
-        Returns whether rooms depend on nothing that changed there.
-        """
-        columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
-        crossings, was = take_columns(columns.crossings, touched), now.contents
-        holds = not of_columns.look(touched, crossings, now.floors.levels)
-        known = now.doorless, now.floors, columns, now.tiled.at(touched)
-        finder.look_again(*known, touched, differs, floors_hold)
-        now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
-        if was is not None and now.contents is not None:
-            holds &= now.contents.have_same_walls(was, touched)
-            # widths of gaps are measured up to walls
-            own = now.contents.partitions[differs]
-            holds &= not ((own == WALL) | (own == BUILDING)).any()
-        return holds
 
 
 def _box(stages: Stages) -> Float:
