@@ -23,7 +23,7 @@ from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Placing, Surroundings, cut_door, place_doors, pose_leaves
-from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, fill_holes, find_floors
+from navbake.baker.floors.levels import Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
@@ -162,7 +162,25 @@ class Stages:
         """The storeys of the whole scene, cut to the lattice: their floors, the steps between."""
         # columns take all threads; most of what floors take then is one thread's
         _ = self.judged_columns, self._extents
-        return self.judge_floors()[0]
+        config = self.config
+        given = None if config.levels == "auto" else list(config.levels)
+        with self.clock.stage("floors"):
+            try:
+                floors = find_floors(
+                    columns=self.judged_columns,
+                    shapes=self.doorless.shapes,
+                    agent=config.agent,
+                    settings=config.floors,
+                    given=given,
+                    is_occupied=self.occupancy_test(self.judged_columns),
+                )
+                if self.judged_columns.lattice != self.lattice:
+                    floors = crop_floors(floors, self.judged[1])
+            except SceneError as error:
+                path = config.scene.path
+                where = _describe_extent(self.doorless, config)
+                raise SceneError(f"{path}: {error}{where}") from error
+            return floors
 
     @cached_property
     def _extents(self) -> Callable[[], Extents | None]:
@@ -170,29 +188,6 @@ class Stages:
         if not self.config.names.enabled and not self.config.rooms.sources:
             return lambda: None
         return run_beside(measure_geoms, self.doorless.shapes, len(self.doorless.geoms))
-
-    def judge_floors(self, finder: FloorFinder | None = None) -> tuple[Floors, FloorFinder]:
-        """Find `floors`, and what keeps those of the whole scene up to date.
-
-        `finder` is the last one, in which columns may have been replaced; None if there is none.
-        """
-        config, columns, shapes = self.config, self.judged_columns, self.doorless.shapes
-        given = None if config.levels == "auto" else list(config.levels)
-        test = self.occupancy_test(columns)
-        with self.clock.stage("floors"):
-            try:
-                if finder is not None:
-                    floors = finder.find(columns, shapes, test)
-                else:
-                    asked = config.agent, config.floors, given, test
-                    floors, finder = find_floors(columns, shapes, *asked)
-                if columns.lattice != self.lattice:
-                    floors = crop_floors(floors, self.judged[1])
-            except SceneError as error:
-                path = config.scene.path
-                where = _describe_extent(self.doorless, config)
-                raise SceneError(f"{path}: {error}{where}") from error
-            return floors, finder
 
     def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
         """Tells which cells are occupied by what is as narrow as a point, and ends a sheet."""

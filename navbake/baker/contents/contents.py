@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import Blocks, BlockTable
+from navbake.baker.blocks import Blocks
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.connect import ranges
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
@@ -171,10 +171,7 @@ class CellFinder:
             self._names, self._free_body = name_geoms(scene), find_free_bodies(scene.model)
             self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
         self._used = [0 for _ in self._listed]
-        # of each level, how geoms stand over its floors in each block; and where that may change
         self._blocks = Blocks(lattice)
-        self._measures = [BlockTable(self._blocks.num, *NO_MEASURES) for _ in self._listed]
-        self._unmeasured = self._blocks.all()
         self._steps: tuple[Int, Int, Float] | None = None
         self._basis: list[NDArray[Any]] = []  # of what `_classified` is found from
         self._classified: Classified | None = None
@@ -210,10 +207,6 @@ class CellFinder:
         self._scene, was, self._floors = scene, self._floors, floors
         if not floors_hold or not np.array_equal(was.links, floors.links):
             self._steps = None
-        self._unmeasured |= self._blocks.holding(cells)
-        for one, other in zip(was.levels, floors.levels, strict=True):
-            differs = np.flatnonzero(one.standable != other.standable)
-            self._unmeasured |= self._blocks.holding(differs)
         if self._extents is not None:
             new = measure_geoms(scene.shapes.only(moved), len(moved))
             extents = Extents(*(array.copy() for array in self._extents))
@@ -329,19 +322,17 @@ class CellFinder:
         num, heights = len(extents.low), (extents.low, extents.high)
         base, rise, stood_on = np.full(num, np.inf), np.full(num, -np.inf), np.zeros(num, np.bool_)
         on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
-        limits, stale = (on_floor, COVERING + SLACK), np.flatnonzero(self._unmeasured)
+        limits = on_floor, COVERING + SLACK
         counts = np.zeros((len(self._listed), 5, num), dtype=np.int64)
         for k, (listed, level) in enumerate(zip(self._listed, self._floors.levels, strict=True)):
             layers = level.floor.ravel(), level.standable.ravel()
             asked = listed, layers, heights, limits
-            self._measures[k].fill(kernels.measure_blocks, stale, *asked)
-            _, (rows, over) = self._measures[k].take()
+            _, (rows, over) = self._blocks.list_rows(kernels.measure_blocks, NO_MEASURES, *asked)
             geom = rows[:, 0]
             np.add.at(counts[k].T, geom, rows[:, 1:6])
             stood_on[geom[rows[:, 6] > 0]] = True
             np.minimum.at(base, geom, over[:, 0])
             np.maximum.at(rise, geom, over[:, 1])
-        self._unmeasured = np.zeros_like(self._unmeasured)
         area = counts[:, :2].max(axis=0) * self._listed[0].lattice.cell_size ** 2
         return GeomsOverFloors(base, rise, *area), counts[:, 2:].sum(axis=0), stood_on
 
