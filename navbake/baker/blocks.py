@@ -35,12 +35,6 @@ class Blocks:
         self.cols = -(-lattice.width // SIZE)
         self.num = self.rows * self.cols
 
-    def of(self, cells: Int) -> Int:
-        """The block of each cell."""
-        row, col = np.divmod(cells, self.lattice.width)
-        block: Int = row // SIZE * self.cols + col // SIZE
-        return block
-
     def cells(self, blocks: Int) -> Int:
         """The cells of some blocks."""
         height, width = self.lattice.shape

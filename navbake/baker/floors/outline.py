@@ -217,7 +217,7 @@ def look_at_site(
     """List the edges of large sheets; for the arguments, see `Site`."""
     reach = int(np.ceil(settings.shrink / sheets.lattice.cell_size)) + 1
     lowest = sheets.low[is_large].min(initial=np.inf)
-    block, (rows,) = sheets.blocks.list_rows(
+    _, (rows,) = sheets.blocks.list_rows(
         list_edges,
         (NO_EDGES,),
         sheets.labelled(is_large),
@@ -233,7 +233,7 @@ def look_at_site(
         settings=settings,
         is_occupied=is_occupied,
         cropped=cropped,
-        edges=ListedEdges(sheets.sheet_at(block, rows[:, 0]), rows),
+        edges=ListedEdges(sheets.of_part[rows[:, 0]], rows),
         reach=reach,
     )
 

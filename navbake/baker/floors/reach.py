@@ -88,10 +88,9 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
         cell = int(row) * lattice.width + int(col)
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
             places = np.arange(surfaces.first[cell], surfaces.end[cell])
-            places = places[sheets.labels.part[places] >= 0]
+            places = places[sheets.sheet_of(places) >= 0]
         heights = surfaces.z[places]
-        block = sheets.blocks.of(np.full(len(places), cell))
-        in_column = sheets.sheet_at(block, sheets.labels.part[places])
+        in_column = sheets.sheet_of(places)
         below = in_column[heights <= z + step + SLACK]
         if not len(below):
             in_cell = "there is none in that cell"
@@ -145,11 +144,11 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
 def count_low(site: Site) -> Int:
     """How many surfaces of each sheet something hangs over, lower than an adult needs."""
     sheets = site.sheets
-    labels = sheets.labels
     surfaces = sheets.surfaces
     cells = sheets.blocks.cells(np.arange(sheets.blocks.num))
     which, place = ranges(surfaces.first[cells], surfaces.end[cells])
-    stands = labels.part[place] >= 0
+    sheet = sheets.sheet_of(place)
+    stands = sheet >= 0
     cell = cells[which[stands]]
     place = place[stands]
     is_low = np.zeros(len(cell), dtype=np.bool_)
@@ -163,8 +162,7 @@ def count_low(site: Site) -> Int:
         is_low,
         least=1000,
     )
-    sheet = sheets.sheet_at(sheets.blocks.of(cell[is_low]), labels.part[place[is_low]])
-    return np.bincount(sheet, minlength=sheets.num)
+    return np.bincount(sheet[stands][is_low], minlength=sheets.num)
 
 
 class Reached(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from navbake.baker.blocks import Blocks
 from navbake.baker.connect import connect, ranges
 from navbake.baker.floors.kernels import labels as kernels
-from navbake.baker.floors.kernels.labels import JOINS, LIES, LINKS, Joining
+from navbake.baker.floors.kernels.labels import JOINS, LIES, LINKS, Joining, Numbering
 from navbake.baker.floors.kernels.members import (
     AreaTest,
     Labelled,
@@ -22,7 +22,6 @@ from navbake.baker.floors.kernels.members import (
 from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.floors.surfaces import slopes_may_join
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -37,38 +36,20 @@ NO_HEIGHTS = np.empty(0)
 NO_MEASURES = np.empty((0, 7), dtype=np.int64)
 
 
-class PartPairs(NamedTuple):
-    """Pairs of parts that meet, arrays of shape (pairs,), int64; a pair may come several times.
-
-    Attributes:
-        part, other: the numbers of the two parts.
-        num_cells: in how many cells they meet.
-    """
-
-    part: Int
-    other: Int
-    num_cells: Int
-
-
 class Labels(NamedTuple):
-    """The connected parts of surfaces in each block, numbered one block after the other.
+    """The connected parts of surfaces inside of blocks, numbered one block after the other.
 
     Attributes:
-        blocks: those of the lattice.
-        part: the number of each surface's part in its block, -1 for none, int32.
+        part: the number of each surface's part, -1 for none, int32.
         block: of each part.
-        offset: the number of each block's first part, and how many parts there are, int64.
         measures, low: of each part, see `label_blocks`.
-        pair_block, pairs: the block of each row of `list_pairs`, and the rows.
+        pairs: of parts that meet, rows of `list_pairs`.
     """
 
-    blocks: Blocks
     part: Int32
     block: Int
-    offset: Int
     measures: Int
     low: Float
-    pair_block: Int
     pairs: Int
 
     @property
@@ -76,26 +57,20 @@ class Labels(NamedTuple):
         """How many parts there are."""
         return len(self.measures)
 
-    def pairs_of(self, kind: int) -> PartPairs:
-        """The pairs of parts that meet in one way: JOINS, LINKS or LIES."""
-        is_of_kind = self.pairs[:, 2] // 3 == kind
-        block = self.pair_block[is_of_kind]
-        part, other, kind_and_way, count = self.pairs[is_of_kind].T
-        to_block = np.array([0, 1, self.blocks.cols])[kind_and_way % 3]
-        return PartPairs(self.offset[block] + part, self.offset[block + to_block] + other, count)
+    def pairs_of(self, kind: int) -> Int:
+        """The rows of pairs that meet in one way: JOINS, LINKS or LIES."""
+        rows: Int = self.pairs[self.pairs[:, 2] == kind]
+        return rows
 
     def wholes(self) -> Int32:
         """The whole that each part belongs to, across blocks, numbered by their first parts."""
-        pairs = self.pairs_of(JOINS)
-        return connect(np.stack([pairs.part, pairs.other]), self.num)
+        return connect(self.pairs_of(JOINS)[:, :2].T, self.num)
 
-    def links(self, wholes: Int32) -> tuple[Int, Int]:
+    def links(self, whole_of_part: Int32) -> tuple[Int, Int]:
         """The pairs of linked wholes, each once, and the lower number first."""
-        pairs = self.pairs_of(LINKS)
-        whole = wholes[pairs.part].astype(np.int64)
-        other = wholes[pairs.other].astype(np.int64)
-        lower = np.minimum(whole, other)
-        upper = np.maximum(whole, other)
+        linked = whole_of_part[self.pairs_of(LINKS)[:, :2]].astype(np.int64)
+        lower = linked.min(axis=1)
+        upper = linked.max(axis=1)
         differs = lower != upper
         pair_ids = np.unique(lower[differs] * self.num + upper[differs])
         return np.divmod(pair_ids, max(self.num, 1))
@@ -108,11 +83,15 @@ def label_surfaces(surfaces: Surfaces, joining: Joining, key: Int32 = NO_KEY) ->
     block, (measures, low) = blocks.list_rows(
         kernels.label_blocks, (NO_MEASURES, NO_HEIGHTS), surfaces, key, joining, part
     )
-    pair_block, (pairs,) = blocks.list_rows(
-        kernels.list_pairs, (NO_ROWS,), surfaces, key, joining, part
+    numbering = Numbering(
+        part=part,
+        offset=np.searchsorted(block, np.arange(blocks.num)),
+        number=np.empty(len(surfaces.z), dtype=np.int32),
     )
-    offset = np.searchsorted(block, np.arange(blocks.num + 1))
-    return Labels(blocks, part, block, offset, measures, low, pair_block, pairs)
+    _, (pairs,) = blocks.list_rows(
+        kernels.list_pairs, (NO_ROWS,), surfaces, key, joining, numbering
+    )
+    return Labels(numbering.number, block, measures, low, pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +124,7 @@ class Sheets:
     @property
     def blocks(self) -> Blocks:
         """The blocks of the lattice."""
-        return self.labels.blocks
+        return Blocks(self.lattice)
 
     @property
     def lattice(self) -> Lattice:
@@ -156,31 +135,26 @@ class Sheets:
     def labelled(self, mask: Bool) -> Labelled:
         """The surfaces with the numbers of their sheets, -1 for those that are not in the mask."""
         sheet = np.where(mask[self.of_part], self.of_part, np.int32(-1)).astype(np.int32)
-        return Labelled(self.surfaces, self.labels.part, self.labels.offset, sheet)
+        return Labelled(self.surfaces, self.labels.part, sheet)
 
-    def sheet_at(self, block: Int, part: Int | Int32) -> Int32:
-        """The sheet of the parts of some blocks, by their numbers there."""
-        sheet: Int32 = self.of_part[self.labels.offset[block] + part]
-        return sheet
+    def sheet_of(self, place: Int) -> Int32:
+        """The sheets of some surfaces, by their places; -1 for those that belong to none."""
+        part = self.labels.part[place]
+        return np.where(part >= 0, self.of_part[part], np.int32(-1))
 
     def stacks(self) -> tuple[Int32, Int32, Int]:
         """Upper sheets, the ones next below, and in how many cells; pairs may repeat."""
-        pairs = self.labels.pairs_of(LIES)
-        return self.of_part[pairs.part], self.of_part[pairs.other], pairs.num_cells
+        upper, lower, _, num_cells = self.labels.pairs_of(LIES).T
+        return self.of_part[upper], self.of_part[lower], num_cells
 
     def members(self, sheet: int) -> Members:
         """The surfaces of a sheet."""
         surfaces = self.surfaces
         row0, col0, row1, col1 = self.box[sheet].tolist()
-        rows = np.arange(row0, row1)
-        cols = np.arange(col0, col1)
-        cells = np.add.outer(rows * self.lattice.width, cols).ravel()
-        blocks = np.add.outer(rows // SIZE * self.blocks.cols, cols // SIZE).ravel()
+        in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
+        cells = in_box.ravel()
         which, place = ranges(surfaces.first[cells], surfaces.end[cells])
-        has_part = np.flatnonzero(self.labels.part[place] >= 0)
-        which = which[has_part]
-        place = place[has_part]
-        is_member = self.sheet_at(blocks[which], self.labels.part[place]) == sheet
+        is_member = self.sheet_of(place) == sheet
         place = place[is_member]
         return Members(cells[which[is_member]], surfaces.z[place], surfaces.geom[place], place)
 

@@ -86,15 +86,13 @@ class Placing(NamedTuple):
         grounds: of the levels [m].
         leave_floors: whether floors made way for treads where a column has too few levels.
         level: of each surface, int32; LOST, LOST_GROUND or -1 for none.
-        block: of each row.
-        part, row_level, num_surfaces, low: of each row a part of a sheet in the block, a level, how
-            many of the part's surfaces are on it, and the lowest of their heights [m].
+        part, row_level, num_surfaces, low: of each row a part of a sheet, a level, how many of the
+            part's surfaces are on it, and the lowest of their heights [m].
     """
 
     grounds: list[float]
     leave_floors: bool
     level: Int32
-    block: Int
     part: Int
     row_level: Int
     num_surfaces: Int
@@ -165,7 +163,7 @@ def place_on_levels(
         kernels.mark_candidates, sheets.blocks.num, sheets.labelled(mask), spans, key, stacked
     )
     # stairs matter only where surfaces lie over each other
-    candidates = Candidates(key, NO_KEY, np.empty(0, np.int64), np.empty(0, np.bool_))
+    candidates = Candidates(key, NO_KEY, np.empty(0, np.bool_))
     is_stacked = bool(stacked.any())
     if is_stacked:
         candidates = _find_stairs(sheets, key, agent.traversable_floor_height)
@@ -192,13 +190,13 @@ def _find_stairs(sheets: Sheets, key: NDArray[np.int8], step: float) -> Candidat
     joining = Joining(min(step, PLATEAU), step)
     labels = label_surfaces(sheets.surfaces, joining, key.astype(np.int32))
     # neighbours at about one height are a plateau; each lies in one part of a sheet
-    block, (rows, low) = sheets.blocks.list_rows(
+    _, (rows, low) = sheets.blocks.list_rows(
         tally, ROWS_AND_HEIGHTS, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
     )
     whole_of_part = labels.wholes()
     num = int(whole_of_part.max(initial=-1)) + 1
-    plateau = whole_of_part[labels.offset[block] + rows[:, 0]]
-    sheet = sheets.sheet_at(block, rows[:, 1]).astype(np.int64)
+    plateau = whole_of_part[rows[:, 0]]
+    sheet = sheets.of_part[rows[:, 1]].astype(np.int64)
     half_step = max(step, PLATEAU) / 2
     height = np.full(num, np.inf)
     np.minimum.at(height, plateau, low)
@@ -219,7 +217,7 @@ def _find_stairs(sheets: Sheets, key: NDArray[np.int8], step: float) -> Candidat
         np.argsort(height[upper], kind="stable"),
     )
     is_stair = TIMES_LARGER * area < np.minimum(above, below)
-    return Candidates(key, labels.part, labels.offset, is_stair[whole_of_part])
+    return Candidates(key, labels.part, is_stair[whole_of_part])
 
 
 def _find_grounds(placeable: Placeable) -> list[float]:
@@ -304,17 +302,17 @@ def _lower_once(placeable: Placeable, placing: Placing) -> list[float]:
     step = placeable.agent.traversable_floor_height
     grounds = placing.grounds
     labels = label_surfaces(sheets.surfaces, Joining(step, step), placing.level)
-    block, (rows, heights) = sheets.blocks.list_rows(
+    _, (rows, heights) = sheets.blocks.list_rows(
         tally, ROWS_AND_HEIGHTS, sheets.surfaces, labels.part, candidates.plateau, placing.level
     )
     whole_of_part = labels.wholes()
     num = int(whole_of_part.max(initial=-1)) + 1
-    part = whole_of_part[labels.offset[block] + rows[:, 0]]
+    part = whole_of_part[rows[:, 0]]
     low = np.full(num, np.inf)
     np.minimum.at(low, part, heights)
     level = np.zeros(num, dtype=np.int64)
     level[part] = rows[:, 2]
-    is_floor = ~candidates.is_stair[candidates.offset[block] + rows[:, 1]]
+    is_floor = ~candidates.is_stair[rows[:, 1]]
     has_floor = np.bincount(part[is_floor], minlength=num) > 0
     one_end, other_end = labels.links(whole_of_part)
     from_part = np.append(one_end, other_end)
@@ -341,7 +339,7 @@ def _place(placeable: Placeable, grounds: list[float], leave_floors: bool = Fals
     """
     sheets = placeable.sheets
     level = np.empty(len(sheets.surfaces.z), dtype=np.int32)
-    block, (rows, low) = sheets.blocks.list_rows(
+    _, (rows, low) = sheets.blocks.list_rows(
         kernels.place_blocks,
         ROWS_AND_HEIGHTS,
         sheets.surfaces,
@@ -353,7 +351,6 @@ def _place(placeable: Placeable, grounds: list[float], leave_floors: bool = Fals
         grounds=grounds,
         leave_floors=leave_floors,
         level=level,
-        block=block,
         part=rows[:, 0],
         row_level=rows[:, 2],
         num_surfaces=rows[:, 3],
@@ -395,7 +392,7 @@ def _make_room(placeable: Placeable, placing: Placing) -> tuple[Placing, list[Pa
 def _list_lost_sheets(sheets: Sheets, placing: Placing) -> list[Members]:
     """All surfaces of each sheet of which any is without a place."""
     is_lost = placing.row_level <= LOST
-    lost_sheets = np.unique(sheets.sheet_at(placing.block[is_lost], placing.part[is_lost]))
+    lost_sheets = np.unique(sheets.of_part[placing.part[is_lost]])
     return [sheets.members(sheet) for sheet in lost_sheets.tolist()]
 
 
@@ -458,9 +455,7 @@ def _count_walks(walks: Labels, sheets: list[Members], needed: int) -> int:
     num_walks = 0
     for members in sheets:
         part = walks.part[members.place]
-        block = walks.blocks.of(members.cell)
-        on_walk = part >= 0
-        walk = whole_of_part[walks.offset[block[on_walk]] + part[on_walk]]
+        walk = whole_of_part[part[part >= 0]]
         num_walks += int(np.count_nonzero(np.bincount(walk) >= needed))
     return num_walks
 
@@ -479,7 +474,7 @@ def _number_levels(
     used = np.bincount(level, minlength=len(placing.grounds)) > 0
     number = np.cumsum(used, dtype=np.int64) - 1
     grounds = [placing.grounds[k] for k in np.flatnonzero(used).tolist()]
-    sheet = sheets.sheet_at(placing.block[has_level], placing.part[has_level])
+    sheet = sheets.of_part[placing.part[has_level]]
     return Placed(
         grounds=grounds,
         labels=_label([names.get(ground) for ground in grounds]),

@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.blocks import Blocks
 from navbake.baker.floors import growth
 from navbake.baker.floors.growth import grow_level
 from navbake.baker.floors.kernels.members import Labelled
@@ -77,9 +76,8 @@ def grow(floor, options):
         marks=np.zeros(len(z), dtype=np.uint8),
         normal=np.empty((len(z), 0), dtype=np.float32),
     )
-    offset = np.zeros(Blocks(LATTICE).num + 1, dtype=np.int64)
     return grow_level(
-        barred=Labelled(surfaces, none, offset, none[:0]),
+        barred=Labelled(surfaces, none, none[:0]),
         level=np.repeat(stands.astype(np.int32) - 1, end - first).astype(np.int32),
         number=np.zeros(1, dtype=np.int64),
         grown_level=0,

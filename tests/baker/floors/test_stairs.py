@@ -221,7 +221,6 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     candidates = Candidates(
         key=ids.astype(np.int8),
         plateau=np.arange(num, dtype=np.int32),
-        offset=np.zeros(1, dtype=np.int64),
         is_stair=np.array(is_stair),
     )
     level, grounds = np.empty(num, dtype=np.int32), np.arange(num_levels, dtype=np.float64)

@@ -48,16 +48,16 @@ class Growing(NamedTuple):
 
 
 @part(inline="always")
-def _is_option(labelled, growing, block, last, j, lowest, highest):
+def _is_option(labelled, growing, last, j, lowest, highest):
     """Whether the floor may go on at a surface: see `stand`."""
     z = growing.surfaces.z
-    if growing.level[j] >= 0 or not lowest <= z[j] <= highest or sheet_of(labelled, block, j) >= 0:
+    if growing.level[j] >= 0 or not lowest <= z[j] <= highest or sheet_of(labelled, j) >= 0:
         return False
     for i in range(j + 1, last):
         if z[i] - z[j] > growing.step + SLACK:
             break
         # an agent would walk on those above, as on a roof in which a wall's top is hidden
-        if growing.level[i] < 0 and sheet_of(labelled, block, i) >= 0:
+        if growing.level[i] < 0 and sheet_of(labelled, i) >= 0:
             return False
     return True
 
@@ -99,7 +99,7 @@ def stand(labelled, growing, blocks, counts, columns, begin, end):
                 final = np.int64(-1)
                 for j in range(first, last):
                     option[j] = NO_OPTION
-                    if _is_option(labelled, growing, blocks[k], last, j, lowest, highest):
+                    if _is_option(labelled, growing, last, j, lowest, highest):
                         option[j] = OPTION
                         if final < 0:
                             ring[cell] = -2 - j

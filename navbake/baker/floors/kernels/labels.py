@@ -12,8 +12,9 @@ import numpy as np
 
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import block_window
+from navbake.baker.kernels.tiles import block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.types import Int, Int32
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other; one lies next over
 # the other
@@ -36,6 +37,20 @@ class Joining(NamedTuple):
     step: float
     reach: float = -1.0
     by_slopes: bool = False
+
+
+class Numbering(NamedTuple):
+    """How parts are numbered over all blocks.
+
+    Attributes:
+        part: see `label_blocks`.
+        offset: the number of each block's first part, int64.
+        number: receives the number of each surface's part, -1 for none, int32.
+    """
+
+    part: Int32
+    offset: Int
+    number: Int32
 
 
 @part(**UNCOUNTED)
@@ -103,7 +118,7 @@ def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, e
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
             that one can stand on are one group. Only surfaces of one group are connected.
-        part: receives the part of each surface, -1 for none, (n,) int32.
+        part: receives the number of each surface's part in its block, -1 for none, (n,) int32.
     """
     measures, lowest = columns
     first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
@@ -167,15 +182,20 @@ def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, e
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_pairs(surfaces, key, joining, part, blocks, counts, columns, begin, end):
-    """List the pairs of parts that meet, inside of blocks and over their east and south borders.
+def list_pairs(surfaces, key, joining, numbering, blocks, counts, columns, begin, end):
+    """Number parts over all blocks, and list the pairs of parts in and beside blocks that meet.
 
-    The rows: the part in the block; the other one; and three times the kind, JOINS (over borders
-    alone), LINKS or LIES, plus 1 if the other one is in the block east of it, 2 in that south of
-    it.
+    Looks at ``blocks[begin:end]``, and over their east and south borders.
+
+    The rows: the part in the block, the other one, and the kind: JOINS (over borders alone), LINKS
+    or LIES.
+
+    Args:
+        numbering: see `Numbering`.
     """
     first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
     rows, num, width, far = columns[0], np.int64(0), lattice.width, _far(joining)
+    part, offset, number = numbering.part, numbering.offset, numbering.number
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
@@ -183,19 +203,24 @@ def list_pairs(surfaces, key, joining, part, blocks, counts, columns, begin, end
             for col in range(col0, col1):
                 cell, lower = row * width + col, np.int32(-1)
                 for a in range(first[cell], ends[cell]):
-                    if part[a] >= 0 and lower >= 0:
-                        at = note_row(rows, before, num, part[a], lower, 3 * LIES)
+                    number[a] = -1
+                    if part[a] < 0:
+                        continue
+                    number[a] = offset[blocks[k]] + part[a]
+                    if lower >= 0:
+                        at = note_row(rows, before, num, number[a], lower, LIES)
                         if at < 0:
                             return k
                         num = max(num, at + 1)
-                    lower = part[a] if part[a] >= 0 else lower
+                    lower = number[a]
                 for way in range(2):
                     at_border = col == col1 - 1 if way == 0 else row == row1 - 1
                     if not at_border and joining.reach < 0.0:
                         continue
                     if (col == width - 1) if way == 0 else (row == lattice.height - 1):
                         continue
-                    other, where = cell + (1 if way == 0 else width), way + 1 if at_border else 0
+                    other = cell + (1 if way == 0 else width)
+                    other_offset = offset[block_of(lattice, row + way, col + 1 - way)]
                     low, last = first[other], ends[other]
                     for a in range(first[cell], ends[cell]):
                         if part[a] < 0:
@@ -212,7 +237,8 @@ def list_pairs(surfaces, key, joining, part, blocks, counts, columns, begin, end
                             if (not at_border) if joins else apart:
                                 continue
                             kind = JOINS if joins else LINKS
-                            at = note_row(rows, before, num, part[a], part[b], 3 * kind + where)
+                            to = other_offset + part[b]
+                            at = note_row(rows, before, num, number[a], to, kind)
                             if at < 0:
                                 return k
                             num = max(num, at + 1)

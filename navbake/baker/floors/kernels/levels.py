@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from navbake.baker.floors.kernels.labels import bin_of, note_row
 from navbake.baker.floors.kernels.members import sheet_of, shrink
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import SIZE, block_of, block_window
+from navbake.baker.kernels.tiles import SIZE, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Int32
 
 # What it costs to move a stair's tread, or a floor, by one level, and to take it out of the order:
 # a tread moves rather than a floor, and leaves the order rather than a floor moves
@@ -32,14 +32,12 @@ class Candidates(NamedTuple):
 
     Attributes:
         key: of each surface, 0 if it is a candidate, else -1, int8.
-        plateau: of each, its plateau's number in its block, int32; empty if no column has two.
-        offset: the number of each block's first plateau, int64.
+        plateau: of each, the number of its plateau, int32; empty if no column has two.
         is_stair: which plateaus are parts of stairs, bool.
     """
 
     key: NDArray[np.int8]
     plateau: Int32
-    offset: Int
     is_stair: Bool
 
 
@@ -60,10 +58,10 @@ class HeightWindow(NamedTuple):
 
 
 @part(inline="always")
-def _is_stair(candidates, block, j):
+def _is_stair(candidates, j):
     if candidates.plateau.shape[0] == 0:
         return False
-    return candidates.is_stair[candidates.offset[block] + candidates.plateau[j]]
+    return candidates.is_stair[candidates.plateau[j]]
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -84,7 +82,7 @@ def mark_candidates(labelled, spans, key, stacked, begin, end):
                 count = 0
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     key[j] = -1
-                    if sheet_of(labelled, block, j) < 0:
+                    if sheet_of(labelled, j) < 0:
                         continue
                     is_in_span = spans.shape[0] == 0
                     for s in range(spans.shape[0]):
@@ -98,7 +96,7 @@ def mark_candidates(labelled, spans, key, stacked, begin, end):
 
 
 @part(inline="always")
-def _window_of(surfaces, candidates, block, j, window, is_lowest):
+def _window_of(surfaces, candidates, j, window, is_lowest):
     """The window in which `list_heights` counts a candidate, or NO_WINDOW."""
     if is_lowest != (window.ground == -math.inf):
         return NO_WINDOW
@@ -106,7 +104,7 @@ def _window_of(surfaces, candidates, block, j, window, is_lowest):
         return LOWEST
     number = np.int64(math.floor(surfaces.z[j] / window.half_step))
     is_in = window.number == EVERY or window.number <= number <= window.number + 1
-    return number if is_in and not _is_stair(candidates, block, j) else NO_WINDOW
+    return number if is_in and not _is_stair(candidates, j) else NO_WINDOW
 
 
 @part(**UNCOUNTED)
@@ -126,7 +124,7 @@ def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
                 if not marks and reach > 0 and not left[row - row0, col - col0]:
                     continue
-                own, is_lowest = block_of(lattice, row, col) if marks else block, True
+                is_lowest = True
                 cell = row * lattice.width + col
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if candidates.key[j] < 0:
@@ -136,7 +134,7 @@ def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
                         break
                     if z < window.ground - SLACK:
                         continue
-                    number = _window_of(surfaces, candidates, own, j, window, is_lowest)
+                    number = _window_of(surfaces, candidates, j, window, is_lowest)
                     is_lowest = False
                     if number == NO_WINDOW:
                         continue
@@ -217,9 +215,7 @@ def place_blocks(surfaces, candidates, rule, own, blocks, counts, columns, begin
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 count = _place_bases(surfaces, candidates, grounds, tolerance, cell, level)
                 if count > 0:
-                    _place_column(
-                        surfaces, candidates, blocks[k], grounds, leave_floors, cell, level, count
-                    )
+                    _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count)
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if level[j] == -1:
                         continue
@@ -234,7 +230,7 @@ def place_blocks(surfaces, candidates, rule, own, blocks, counts, columns, begin
 
 
 @part
-def _place_column(surfaces, candidates, block, grounds, leave_floors, cell, level, count):
+def _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count):
     """Replace the levels of a cell's candidates, which are their bases."""
     num_levels, num = grounds.shape[0], 0
     places, base = np.empty(count, np.int64), np.empty(count, np.int64)
@@ -242,7 +238,7 @@ def _place_column(surfaces, candidates, block, grounds, leave_floors, cell, leve
     leave_floors = leave_floors and count > num_levels
     for j in range(surfaces.first[cell], surfaces.end[cell]):
         if candidates.key[j] >= 0:
-            is_stair = _is_stair(candidates, block, j)
+            is_stair = _is_stair(candidates, j)
             places[num], base[num] = j, level[j]
             cost[0, num] = MOVE_STAIR if is_stair or leave_floors else MOVE_FLOOR
             cost[1, num] = SKIP_STAIR if is_stair != leave_floors else SKIP_FLOOR

@@ -14,7 +14,7 @@ import numpy as np
 from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.kernels.connect import find_root, unite
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import block_of, block_window
+from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int, Int32
 
@@ -27,14 +27,12 @@ class Labelled(NamedTuple):
 
     Attributes:
         surfaces: all of them.
-        part: of each surface, its part's number in its block, -1 for none.
-        offset: the number of each block's first part, int64.
+        part: of each surface, the number of its part, see `Labels`, -1 for none, int32.
         sheet: of each part, -1 unless it is chosen, int32.
     """
 
     surfaces: Surfaces
     part: Int32
-    offset: Int
     sheet: Int32
 
 
@@ -133,10 +131,10 @@ def shrink(mask, test, left):
 
 
 @part(inline="always")
-def sheet_of(labelled, block, j):
-    """The chosen sheet of a surface in a block, or -1."""
+def sheet_of(labelled, j):
+    """The chosen sheet of a surface, or -1."""
     part = labelled.part[j]
-    return labelled.sheet[labelled.offset[block] + part] if part >= 0 else np.int32(-1)
+    return labelled.sheet[part] if part >= 0 else np.int32(-1)
 
 
 @part(inline="always")
@@ -145,9 +143,8 @@ def _surface_below(labelled, row, col, sheet, limit):
     surfaces = labelled.surfaces
     highest = NOTHING
     cell = row * surfaces.lattice.width + col
-    block = block_of(surfaces.lattice, row, col)
     for j in range(surfaces.first[cell], surfaces.end[cell]):
-        other = sheet_of(labelled, block, j)
+        other = sheet_of(labelled, j)
         if other == sheet:
             return ITSELF
         if other >= 0 and surfaces.z[j] < limit:
@@ -216,7 +213,7 @@ def _drop_at(labelled, row, col, way, sheet, limit, reach):
 def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
     """List the edges of sheets in ``blocks[begin:end]``, see `navbake.baker.blocks.list_rows`.
 
-    The rows: the part in its block, the cell, the surface's place, the way out, and whether a floor
+    The rows: the part, the cell, the surface's place, the way out, and whether a floor
     of another sheet lies more than a step below within reach, 1 or 0. No sheet is lower than
     `lowest` [m].
     """
@@ -228,7 +225,7 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
             for col in range(col0, col1):
                 cell = row * surfaces.lattice.width + col
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    sheet = sheet_of(labelled, blocks[k], j)
+                    sheet = sheet_of(labelled, j)
                     if sheet < 0:
                         continue
                     limit = surfaces.z[j] - step - SLACK
@@ -258,8 +255,7 @@ def look_below(labelled, cells, sheets, limits, places, below, begin, end):
     for n in range(begin, end):
         row, col = cells[n] // width, cells[n] % width
         j = _surface_below(labelled, row, col, sheets[n], limits[n])
-        block = block_of(labelled.surfaces.lattice, row, col)
-        places[n], below[n] = j, sheet_of(labelled, block, j) if j >= 0 else np.int32(-1)
+        places[n], below[n] = j, sheet_of(labelled, j) if j >= 0 else np.int32(-1)
 
 
 @kernel(nogil=True)
