@@ -437,7 +437,7 @@ def judge_floors(
         columns, tiles: what stands, on the lattice on which floors are judged.
     """
     try:
-        floors, _ = find_floors(
+        floors = find_floors(
             columns,
             scene.structure,
             agent=config.agent,

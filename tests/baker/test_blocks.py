@@ -5,7 +5,6 @@ import pytest
 
 from navbake.baker import column_blocks
 from navbake.baker import columns as columns_module
-from navbake.baker.blocks import BlockAnswers
 from navbake.baker.clock import StageClock
 from navbake.baker.column_blocks import ColumnBlocks, ShapeBlocks, join_columns
 from navbake.baker.columns import Columns, ShapeSource, split_rows
@@ -148,28 +147,3 @@ def test_hall_in_blocks(tmp_path, monkeypatch, settings):
     monkeypatch.undo()
     for one, other in zip(joined.crossings, bake_stages(config).columns.crossings, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_answers_are_kept_where_neither_places_nor_what_is_near_changed(seed):
-    rng, num, asked = np.random.default_rng(seed), 12, []
-    world, last, answers = rng.integers(0, 9, num), np.zeros(num, dtype=np.int64), BlockAnswers(num)
-    places = [set(rng.integers(0, 50, 4).tolist()) for _ in range(num)]
-    for now in range(1, 30):
-        stale = set()
-        for block in rng.integers(0, num, 2).tolist():
-            stale.add(block)
-            if rng.random() < 0.5:
-                world[block], last[block] = rng.integers(0, 9), now
-            else:
-                places[block] ^= {int(rng.integers(0, 50))}
-        block = np.repeat(np.arange(num), [len(own) for own in places])
-        rows = np.array([[place, -place] for own in places for place in sorted(own)])
-        expected = (rows[:, 0] + world[block]).astype(np.uint8)
-
-        def ask(mask, expected=expected, block=block):
-            asked.append(set(block[mask].tolist()))
-            return expected[mask]
-
-        assert (answers.find(block, rows, last, now, ask) == expected).all()
-        assert now == 1 or asked[-1] <= stale

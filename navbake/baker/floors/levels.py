@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.blocks import BlockAnswers, BlockTable, Seen
-from navbake.baker.columns import Columns, ColumnSource
-from navbake.baker.floors.growth import FloorGrowth
-from navbake.baker.floors.kernels.members import list_edges
-from navbake.baker.floors.kernels.surfaces import HELD
-from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
+from navbake.baker.columns import ColumnSource
+from navbake.baker.floors.growth import GrownFloor, find_links, grow_floors
+from navbake.baker.floors.kernels.surfaces import Surfaces
+from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped, look_at_site
 from navbake.baker.floors.reach import (
+    Reached,
     Unreached,
-    UnreachedFloors,
-    Upright,
     find_enclosed,
     find_starts,
+    find_unreached,
     find_voids,
     largest_of_lowest,
 )
 from navbake.baker.floors.rejected import are_told, find_rejected
-from navbake.baker.floors.sheets import Patch, SheetFacts, Sheets, area_test
-from navbake.baker.floors.storeys import Placed, Storeys, given_spans
-from navbake.baker.floors.surfaces import SurfaceStore
+from navbake.baker.floors.sheets import Patch, describe_sheets, find_large_sheets, find_sheets
+from navbake.baker.floors.storeys import Placed, given_spans, place_on_levels
+from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import Window, cut_cells
-from navbake.baker.scene.shapes import Planes, Shapes
+from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 
@@ -86,194 +86,6 @@ class Floors:
     spare: list[Patch]
 
 
-class FloorFinder:
-    """Finds the storeys, the floor of each, and the steps between them; keeps them up to date.
-
-    Standable surfaces → large sheets → without tops, shelves and roofs → levels → those that are
-    reached → floors. Blocks are evaluated again where something changed, and merged.
-    """
-
-    def __init__(
-        self,
-        store: SurfaceStore,
-        agent: AgentSettings,
-        settings: FloorSettings,
-        given: Sequence[LevelSettings] | None,
-    ) -> None:
-        self._store, self._agent, self._settings, self._given = store, agent, settings, given
-        self._spans, self._lattice = given_spans(given or ()), store.lattice
-        self._blocks = store.blocks
-        self._sheets = Sheets(store, agent)
-        # surfaces that closed meshes hold: their sheets, and the floors found there, which may be
-        # others where `_held_stale` has any of the blocks with such surfaces
-        self._held = Sheets(store, agent)
-        self._held_stale, self._has_held = self._blocks.all(), self._blocks.all()
-        self._enclosed = list[Patch]()
-        self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
-        self._edges, self._walls = (
-            BlockTable(self._blocks.num, NO_EDGES),
-            BlockAnswers(self._blocks.num),
-        )
-        # the last update in which something changed in or near each block
-        self._last = np.zeros(self._blocks.num, dtype=np.int64)
-        self._cropped: Bool | None = None
-        # for surfaces before and after those that are not reached are left out
-        self._storeys, self._kept_storeys = (
-            Storeys(self._sheets, agent, settings) for _ in range(2)
-        )
-        self._placed_by: Storeys | None = None
-        self._growth = FloorGrowth(self._sheets, agent)
-        self._upright, self._unreached = Upright(self._blocks), UnreachedFloors(self._blocks)
-        # how far beyond a sheet's edge floors are looked for; and the blocks with other surfaces
-        # than in the last update, and with other columns so near that they matter
-        self._reach = int(np.ceil(settings.shrink / self._lattice.cell_size)) + 1
-        self._stale, self._near = self._blocks.all(), self._blocks.all()
-
-    @property
-    def changed(self) -> Int | None:
-        """The cells where the last update changed a floor; None where all may be new."""
-        return None if self._settings.fill else self._growth.changed
-
-    def replace(self, cells: Int, columns: Columns, planes: Planes) -> None:
-        """Replace the columns of some cells, see `SurfaceStore.replace`."""
-        replaced, held = self._store.replace(cells, columns, planes)
-        self._stale |= self._blocks.holding(replaced)
-        self._near |= self._blocks.near(cells, self._reach + 1)
-        self._upright.stale |= self._blocks.holding(cells)
-        self._held_stale |= self._blocks.near(replaced, 1)
-        self._has_held |= self._blocks.holding(held)
-
-    def find(self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest) -> Floors:
-        """Find the floors in columns, which were cast at shapes.
-
-        Raises:
-            SceneError: there is no floor at all, none on a given level, or none at a place that one
-                starts from.
-        """
-        sheets, facts, settings, agent = self._sheets, self._facts, self._settings, self._agent
-        sheets.update(self._stale, self._near)
-        self._stale, self._near = np.zeros((2, self._blocks.num), dtype=np.bool_)
-        if not len(sheets.key):
-            raise SceneError(_no_floor(self._store, agent))
-        cropped = find_cropped(self._lattice, shapes.bounds)
-        if self._cropped is None or not np.array_equal(cropped, self._cropped):
-            self._cropped, self._facts = cropped, (facts := SheetFacts())
-            self._walls = BlockAnswers(self._blocks.num)
-        facts.begin(sheets)
-        is_large = facts.mask(
-            "large",
-            sheets.size >= area_test(self._lattice, settings).needed,
-            lambda asked: sheets.left(asked, settings),
-        )
-        site = Site(
-            sheets, is_large, columns, agent, settings, is_occupied, cropped,
-            *self._find_edges(is_large), facts, self._walls,
-        )  # fmt: skip
-        tops, shelves, roofs = find_rejected(site, self._spans)
-        starts = find_starts(site, tops, shelves, settings.starts)
-        counts = is_large & ~(tops | shelves | roofs) | starts
-        if not counts.any():
-            raise SceneError(
-                f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
-                f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
-                f"`floors.shrink` if it is a floor"
-            )
-        placed, left_out, voids, unreached = self._place_reached(site, counts, starts)
-        self._growth.update(placed, is_large | starts)
-        levels, shape = [], self._lattice.shape
-        for name, ground, (floor, ring) in zip(
-            placed.labels, placed.grounds, self._growth.levels, strict=True
-        ):
-            standable = (ring == 0).reshape(shape)
-            level = LevelFloor(name, ground, floor.reshape(shape), standable)
-            fill = settings.fill / self._lattice.cell_size**2
-            levels.append(fill_holes(level, fill, is_occupied) if fill else level)
-        held = self._find_enclosed()
-        return Floors(
-            levels,
-            self._growth.links,
-            tops=facts.describe((tops | shelves) & ~starts),
-            roofs=facts.describe(are_told(site, roofs & ~starts, counts)),
-            small_starts=facts.describe(starts & ~is_large),
-            unreached=unreached,
-            left_out=left_out,
-            enclosed=[one for one in held if one.geom not in shapes.planes.geom],
-            in_planes=[one for one in held if one.geom in shapes.planes.geom],
-            voids=voids,
-            spare=placed.spare,
-        )
-
-    def _find_enclosed(self) -> list[Patch]:
-        """The floors inside of closed meshes, found again where some are or were."""
-        if (self._held_stale & self._has_held).any():
-            surfaces, held = self._store.surfaces, self._held
-            is_held = surfaces.marks & HELD != 0
-            self._has_held, self._enclosed = np.zeros_like(self._has_held), []
-            if is_held.any():
-                key = np.where(is_held, surfaces.geom, np.int32(-1))
-                held.update(self._held_stale, self._held_stale, key)
-                self._has_held = held.labels.count > 0
-                self._held_stale = np.zeros_like(self._has_held)
-                self._enclosed = find_enclosed(held, self._agent, self._settings)
-        return self._enclosed
-
-    def _find_edges(self, is_large: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
-        """The fields of a `Site` from `edges` to `at_edges`."""
-        sheets, blocks, reach = self._sheets, self._blocks, self._reach
-        keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
-        # the parts of a stale block are numbered anew, so that others may have the same keys
-        other = sheets.stale | self._large.differ(sheets.labels.count, keys)
-        other = blocks.around(other, reach + 1) | (sheets.last_near == sheets.now)
-        lowest = sheets.low[is_large].min(initial=np.inf)
-        step = self._agent.traversable_floor_height
-        asked = sheets.labelled(is_large), lowest, step, reach
-        self._edges.fill(list_edges, np.flatnonzero(other), *asked)
-        self._last[other] = sheets.now
-        block, (rows,) = self._edges.take()
-        last, ends = np.zeros((2, len(is_large)), dtype=np.int64), np.zeros_like(sheets.of_part)
-        ends[sheets.labels.offset[block] + rows[:, 0]] = 1
-        of_part = self._last[sheets.labels.block]
-        np.maximum.at(last[0], sheets.of_part, of_part)
-        np.maximum.at(last[1], sheets.of_part, of_part * ends)
-        return (block, rows), reach, self._last, last[0], last[1]
-
-    def _place_reached(
-        self, site: Site, counted: Bool, starts: Bool
-    ) -> tuple[Placed, list[Patch], list[Patch], list[Unreached]]:
-        """Place the sheets that count on levels, with `floors.reach: steps` those that are reached.
-
-        Returns the placed surfaces, and `left_out`, `voids` and `unreached` of `Floors`.
-        """
-        sheets, given, settings = self._sheets, self._given, self._settings
-        by_steps, patches = settings.reach == "steps", list[Patch]()
-        placed, reached, source = None, starts, self._storeys
-        voids = np.zeros_like(counted)
-        if not starts.any() or (given is None and not by_steps):
-            placed = source.update(counted, ())
-            if not starts.any():
-                reached = largest_of_lowest(placed.counts, len(counted))
-            if given is None and not settings.voids:
-                is_given = bool(starts.any())
-                reached, voids = find_voids(site, self._upright, placed.counts, reached, is_given)
-        for number, span in enumerate(self._spans):
-            if not sheets.between(counted, *span).any():
-                raise SceneError(_no_floor_on(given or (), number, site.columns))
-        kept = counted & reached if by_steps else counted & ~voids
-        if given is not None or placed is None or not np.array_equal(kept, counted):
-            source = self._kept_storeys
-            placed = source.update(kept, given or ())
-            if not len(placed.counts):
-                what = "the largest floor of the lowest level"
-                what = "what `floors.from` names" if starts.any() else what
-                raise SceneError(f"no floor: {what} lies outside of the `levels`")
-        if source is not self._placed_by:
-            self._placed_by, placed = source, placed._replace(changed=self._blocks.all())
-        if by_steps:
-            patches = self._facts.describe(counted & ~reached, self._spans)
-        told = [] if by_steps else self._facts.describe(voids)
-        return placed, patches, told, self._unreached.find(sheets, placed, reached)
-
-
 def find_floors(
     columns: ColumnSource,
     shapes: Shapes,
@@ -281,14 +93,139 @@ def find_floors(
     settings: FloorSettings,
     given: Sequence[LevelSettings] | None,
     is_occupied: OccupancyTest,
-) -> tuple[Floors, FloorFinder]:
-    """Find the floors of a scene; returns also the finder that keeps them up to date."""
-    store = SurfaceStore(columns.lattice, agent)
-    for block in columns.blocks():
-        store.add(block, shapes.planes)
-    store.finish()
-    finder = FloorFinder(store, agent, settings, given)
-    return finder.find(columns, shapes, is_occupied), finder
+) -> Floors:
+    """Find the storeys in columns, the floor of each, and the steps between them.
+
+    Standable surfaces → sheets → large ones → without tops, shelves and roofs → levels → those that
+    are reached → floors that grow under things → links.
+
+    Args:
+        shapes: what the columns were cast at.
+        given: the levels of the configuration; None if they are to be found.
+
+    Raises:
+        SceneError: there is no floor at all, none on a given level, or none at a place that one
+            starts from.
+    """
+    lattice = columns.lattice
+    surfaces = find_surfaces(columns, shapes.planes, agent)
+    sheets = find_sheets(surfaces, agent)
+    if not sheets.num:
+        raise SceneError(_no_floor(columns, surfaces, agent))
+    is_large = find_large_sheets(sheets, np.ones(sheets.num, dtype=np.bool_), settings)
+    site = look_at_site(
+        sheets=sheets,
+        is_large=is_large,
+        columns=columns,
+        cropped=find_cropped(lattice, shapes.bounds),
+        agent=agent,
+        settings=settings,
+        is_occupied=is_occupied,
+    )
+    rejected = find_rejected(site, given_spans(given or ()))
+    starts = find_starts(site, rejected, settings.starts)
+    is_floor = is_large & ~(rejected.tops | rejected.shelves | rejected.roofs) | starts
+    if not is_floor.any():
+        raise SceneError(
+            f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
+            f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
+            f"`floors.shrink` if it is a floor"
+        )
+    reached = find_reached_levels(site, is_floor, starts, given)
+    grown = grow_floors(sheets, reached.placed, is_large | starts, agent)
+    enclosed = find_enclosed(surfaces, agent, settings)
+    return Floors(
+        levels=_name_levels(reached.placed, grown, lattice, settings, is_occupied),
+        links=find_links(sheets, reached.placed, agent),
+        tops=describe_sheets(sheets, (rejected.tops | rejected.shelves) & ~starts),
+        roofs=describe_sheets(sheets, are_told(site, rejected.roofs & ~starts, is_floor)),
+        small_starts=describe_sheets(sheets, starts & ~is_large),
+        unreached=find_unreached(sheets, reached.placed, reached.sheets),
+        left_out=reached.left_out,
+        enclosed=[patch for patch in enclosed if patch.geom not in shapes.planes.geom],
+        in_planes=[patch for patch in enclosed if patch.geom in shapes.planes.geom],
+        voids=reached.voids,
+        spare=reached.placed.spare,
+    )
+
+
+class ReachedLevels(NamedTuple):
+    """The sheets on their levels, as far as they are reached or stay without that.
+
+    Attributes:
+        placed: their surfaces on levels.
+        sheets: which sheets are reached, shape (sheets,), bool.
+        left_out, voids: see `Floors`.
+    """
+
+    placed: Placed
+    sheets: Bool
+    left_out: list[Patch]
+    voids: list[Patch]
+
+
+def find_reached_levels(
+    site: Site, is_floor: Bool, starts: Bool, given: Sequence[LevelSettings] | None
+) -> ReachedLevels:
+    """Place the sheets that are floors on levels, but for voids; or those that steps lead to.
+
+    Args:
+        is_floor: which sheets are floors, shape (sheets,), bool.
+        starts: those on which agents start, where `floors.from` names any.
+        given: see `find_floors`.
+
+    Raises:
+        SceneError: there is no floor on a given level.
+    """
+    sheets = site.sheets
+    settings = site.settings
+    by_steps = settings.reach == "steps"
+    is_given = bool(starts.any())
+    reached = Reached(starts, np.zeros_like(is_floor))
+    placed = None
+    if not is_given or (given is None and not by_steps):
+        placed = place_on_levels(sheets, is_floor, (), site.agent, settings)
+        if not is_given:
+            reached = reached._replace(reached=largest_of_lowest(placed.counts, sheets.num))
+        if given is None and not settings.voids:
+            reached = find_voids(site, placed.counts, reached.reached, is_given)
+    spans = given_spans(given or ())
+    for number, (low, high) in enumerate(spans):
+        if not sheets.between(is_floor, low, high).any():
+            raise SceneError(_no_floor_on(given or (), number, site.columns))
+    stays = is_floor & (reached.reached if by_steps else ~reached.voids)
+    if placed is None or given is not None or not np.array_equal(stays, is_floor):
+        placed = place_on_levels(sheets, stays, given or (), site.agent, settings)
+        if not len(placed.counts):
+            start = "what `floors.from` names"
+            if not is_given:
+                start = "the largest floor of the lowest level"
+            raise SceneError(f"no floor: {start} lies outside of the `levels`")
+    left_out: list[Patch] = []
+    voids: list[Patch] = []
+    if by_steps:
+        left_out = describe_sheets(sheets, is_floor & ~reached.reached, spans)
+    else:
+        voids = describe_sheets(sheets, reached.voids)
+    return ReachedLevels(placed, reached.reached, left_out, voids)
+
+
+def _name_levels(
+    placed: Placed,
+    grown: list[GrownFloor],
+    lattice: Lattice,
+    settings: FloorSettings,
+    is_occupied: OccupancyTest,
+) -> list[LevelFloor]:
+    """The levels, whose holes are closed if `floors.fill` says so."""
+    levels = []
+    for name, ground, floor in zip(placed.labels, placed.grounds, grown, strict=True):
+        height = floor.height.reshape(lattice.shape)
+        level = LevelFloor(name, ground, height, (floor.ring == 0).reshape(lattice.shape))
+        if settings.fill:
+            level = fill_holes(level, settings.fill / lattice.cell_size**2, is_occupied)
+        levels.append(level)
+    return levels
 
 
 def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) -> LevelFloor:
@@ -378,16 +315,17 @@ def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSou
     )
 
 
-def _no_floor(store: SurfaceStore, agent: AgentSettings) -> str:
-    if not store.num_surfaces:
+def _no_floor(columns: ColumnSource, surfaces: Surfaces, agent: AgentSettings) -> str:
+    num_surfaces = sum(len(block.z) for block in columns.blocks())
+    if not num_surfaces:
         return "no floor at all: no vertical line through a cell's centre meets a geom"
-    if not store.num_floor_like:
+    if not len(surfaces.z):
         return (
-            f"no floor at all: none of {store.num_surfaces} surfaces faces up within "
+            f"no floor at all: none of {num_surfaces} surfaces faces up within "
             f"{agent.max_slope:g}° (a mesh may be inside out, or `scene.up` wrong)"
         )
     return (
-        f"no floor at all: none of {store.num_floor_like} surfaces that face up has "
+        f"no floor at all: none of {len(surfaces.z)} surfaces that face up has "
         f"{agent.height:g} m of headroom (a wrong unit, or everything lies inside of a solid: "
         f"`scene.meshes: shell` makes closed meshes hollow)"
     )

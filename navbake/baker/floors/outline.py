@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import BlockAnswers, list_rows
 from navbake.baker.columns import ColumnSource
 from navbake.baker.floors.kernels.members import (
     ITSELF,
@@ -18,7 +17,7 @@ from navbake.baker.floors.kernels.members import (
     look_below,
     mark_holes,
 )
-from navbake.baker.floors.sheets import SheetFacts, Sheets
+from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import SLACK
@@ -59,6 +58,18 @@ class Endings(NamedTuple):
     is_known: Bool
 
 
+class ListedEdges(NamedTuple):
+    """Edges of sheets, as `list_edges` has them.
+
+    Attributes:
+        sheet: that ends there, int32.
+        rows: see `list_edges`, shape (edges, 5), int64.
+    """
+
+    sheet: Int32
+    rows: Int
+
+
 class Site(NamedTuple):
     """The input of the rules for tops, roofs and shelves.
 
@@ -67,12 +78,8 @@ class Site(NamedTuple):
         is_large: which of them are large enough for floors, shape (sheets,), bool.
         columns: all surfaces.
         cropped: see `find_cropped`.
-        edges: the block of each edge of large sheets, and its row, see `list_edges`.
+        edges: of the large sheets.
         reach: how many cells beyond a sheet's edge floors are looked for.
-        last: the last update in which something changed near each block.
-        near, at_edges: the same near each sheet's surfaces, and near its edges, shape (sheets,).
-        facts: the cache of facts about sheets.
-        walls: the cache of endings for the rule of roofs.
     """
 
     sheets: Sheets
@@ -82,60 +89,61 @@ class Site(NamedTuple):
     settings: FloorSettings
     is_occupied: OccupancyTest
     cropped: Bool
-    edges: tuple[Int, Int]
+    edges: ListedEdges
     reach: int
-    last: Int
-    near: Int
-    at_edges: Int
-    facts: SheetFacts
-    walls: BlockAnswers
 
-    def edges_of(self, chosen: Bool, reach: int, among: Bool | None = None) -> Edges:
-        """Find the edges of chosen sheets, and the floors below them.
+    def edges_of(self, mask: Bool, reach: int) -> Edges:
+        """The edges of some large sheets, and the floors below them.
 
         Args:
             reach: how many cells to look out for floors below.
-            among: the sheets that count, the large ones if None.
         """
-        sheets, step = self.sheets, self.agent.traversable_floor_height
-        labelled = sheets.labelled(self.is_large if among is None else among)
-        block, rows = self.edges
-        if among is not None:
-            blocks = np.flatnonzero(sheets.blocks_of(chosen))
-            asked = labelled, np.inf, step, reach  # no edge looks for a drop, which isn't needed
-            counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), *asked)
-            block = np.repeat(blocks, counts)
-        sheet = sheets.sheet_at(block, rows[:, 0])
-        kept = chosen[sheet]
-        _, cell, place, way, _ = rows[kept].T
-        shape = len(cell), reach
-        beyond = np.full(shape, -1), np.full(shape, np.nan), np.full(shape, -1, dtype=np.int32)
-        edges = Edges(sheet[kept], cell.copy(), sheets.surfaces.z[place], way.copy(), *beyond)
+        sheets = self.sheets
+        step = self.agent.traversable_floor_height
+        listed = self.edges
+        is_in_mask = mask[listed.sheet]
+        _, cell, place, way, _ = listed.rows[is_in_mask].T
+        edges = Edges(
+            sheet=listed.sheet[is_in_mask],
+            cell=cell.copy(),
+            z=sheets.surfaces.z[place],
+            way=way.copy(),
+            cells=np.full((len(cell), reach), -1),
+            floors=np.full((len(cell), reach), np.nan),
+            landing=np.full((len(cell), reach), -1, dtype=np.int32),
+        )
+        labelled = sheets.labelled(self.is_large)
         looking = np.arange(len(cell))
         for k in range(reach):
             cells = beside(sheets.lattice, edges.cell[looking], edges.way[looking], k + 1)
-            looking, cells = looking[cells >= 0], cells[cells >= 0]
+            is_inside = cells >= 0
+            looking = looking[is_inside]
+            cells = cells[is_inside]
             limits = edges.z[looking] - step - SLACK
             places, below = find_below(labelled, cells, limits, edges.sheet[looking])
             goes_out = places != ITSELF
-            looking, places = looking[goes_out], places[goes_out]
-            edges.cells[looking, k], edges.landing[looking, k] = cells[goes_out], below[goes_out]
+            looking = looking[goes_out]
+            places = places[goes_out]
+            edges.cells[looking, k] = cells[goes_out]
+            edges.landing[looking, k] = below[goes_out]
             lies = places >= 0
-            edges.floors[looking[lies], k] = labelled.z[places[lies]]
+            edges.floors[looking[lies], k] = labelled.surfaces.z[places[lies]]
         return edges
 
     def barriers(self, edges: Edges, agent: AgentSettings) -> NDArray[np.uint8]:
         """`kind` of `endings`, but OPEN in place of DROP; for the agent or another one."""
         outer = beside(self.sheets.lattice, edges.cell, edges.way)
-        kind, asked = np.full(len(outer), OPEN, dtype=np.uint8), np.arange(len(outer))
+        kind = np.full(len(outer), OPEN, dtype=np.uint8)
         kind[outer < 0] = BORDER
-        for band, means in zip(probe_bands(agent), (BARRIER, WALL), strict=True):
-            stands = self.is_occupied(edges.cell[asked], edges.z[asked], band)
-            beyond = np.flatnonzero(~stands & (outer[asked] >= 0))
-            cells, z = outer[asked[beyond]], edges.z[asked[beyond]]
-            stands[beyond] = self.is_occupied(cells, z, band)
-            asked = asked[stands]
-            kind[asked] = means
+        looking = np.arange(len(outer))
+        at_feet, at_head = probe_bands(agent)
+        for band, meaning in ((at_feet, BARRIER), (at_head, WALL)):
+            stands = self.is_occupied(edges.cell[looking], edges.z[looking], band)
+            beyond = np.flatnonzero(~stands & (outer[looking] >= 0))
+            cells = outer[looking[beyond]]
+            stands[beyond] = self.is_occupied(cells, edges.z[looking[beyond]], band)
+            looking = looking[stands]
+            kind[looking] = meaning
         return kind
 
     def endings(self, edges: Edges) -> Endings:
@@ -150,26 +158,35 @@ class Site(NamedTuple):
         - BORDER: the lattice ends.
         - OPEN: an abyss, a steep slope, a floor on which nobody can stand.
         """
-        agent, z, is_occupied = self.agent, edges.z, self.is_occupied
+        agent = self.agent
+        at_feet, _ = probe_bands(agent)
         # of all these cells at once
-        known = self.columns.at(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
-        kind, landing = self.barriers(edges, agent), np.full(len(z), np.nan)
-        floor = np.full(len(z), -1, dtype=np.int32)
-        looking, ground = np.flatnonzero(kind == OPEN), z.copy()
+        columns = self.columns.at(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
+        kind = self.barriers(edges, agent)
+        landing = np.full(len(kind), np.nan)
+        floor = np.full(len(kind), -1, dtype=np.int32)
+        ground = edges.z.copy()
+        looking = np.flatnonzero(kind == OPEN)
         for k in range(edges.cells.shape[1]):
             looking = looking[edges.cells[looking, k] >= 0]
             if k > 0:  # the nearest cell has been asked
-                stops = is_occupied(edges.cells[looking, k], z[looking], probe_bands(agent)[0])
+                stops = self.is_occupied(edges.cells[looking, k], edges.z[looking], at_feet)
                 kind[looking[stops]] = BARRIER
                 looking = looking[~stops]
             cells = edges.cells[looking, k]
-            column = known.start[cells], known.start[cells + 1], known.z
-            ground[looking] = find_near(*column, ground[looking], agent.traversable_floor_height)
+            ground[looking] = find_near(
+                columns.start[cells],
+                columns.start[cells + 1],
+                columns.z,
+                ground[looking],
+                agent.traversable_floor_height,
+            )
             below = looking[~np.isnan(edges.floors[looking, k])]
-            cells, floors = edges.cells[below, k], edges.floors[below, k]
+            floors = edges.floors[below, k]
             goes_on = ground[below] > floors + agent.height + SLACK
-            lands = below[~goes_on & ~is_occupied(cells, floors, None)]
-            kind[lands], landing[lands] = DROP, edges.floors[lands, k]
+            lands = below[~goes_on & ~self.is_occupied(edges.cells[below, k], floors, None)]
+            kind[lands] = DROP
+            landing[lands] = edges.floors[lands, k]
             floor[lands] = edges.landing[lands, k]
             looking = looking[kind[looking] == OPEN]
         return Endings(kind, landing, floor, self.is_known(kind, edges.way))
@@ -181,12 +198,44 @@ class Site(NamedTuple):
 
     def share(self, edges: Edges, which: Bool, known: Bool) -> Float:
         """The share of each sheet's known edges that are of some kind, NaN where none is known."""
-        of_kind, whole = (
-            np.bincount(edges.sheet, mask, len(self.is_large)) for mask in (which & known, known)
-        )
-        share = np.full(len(whole), np.nan)
-        np.divide(of_kind, whole, out=share, where=whole > 0)
+        num_of_kind = np.bincount(edges.sheet, which & known, len(self.is_large))
+        num_known = np.bincount(edges.sheet, known, len(self.is_large))
+        share = np.full(len(num_known), np.nan)
+        np.divide(num_of_kind, num_known, out=share, where=num_known > 0)
         return share
+
+
+def look_at_site(
+    sheets: Sheets,
+    is_large: Bool,
+    columns: ColumnSource,
+    cropped: Bool,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    is_occupied: OccupancyTest,
+) -> Site:
+    """List the edges of large sheets; for the arguments, see `Site`."""
+    reach = int(np.ceil(settings.shrink / sheets.lattice.cell_size)) + 1
+    lowest = sheets.low[is_large].min(initial=np.inf)
+    _, (rows,) = sheets.blocks.list_rows(
+        list_edges,
+        (NO_EDGES,),
+        sheets.labelled(is_large),
+        lowest,
+        agent.traversable_floor_height,
+        reach,
+    )
+    return Site(
+        sheets=sheets,
+        is_large=is_large,
+        columns=columns,
+        agent=agent,
+        settings=settings,
+        is_occupied=is_occupied,
+        cropped=cropped,
+        edges=ListedEdges(sheets.of_part[rows[:, 0]], rows),
+        reach=reach,
+    )
 
 
 def find_below(
@@ -195,9 +244,9 @@ def find_below(
     """The highest surfaces of other sheets, or of any, below limits, see `look_below`."""
     if sheets is None:
         sheets = np.full(len(cells), -2, dtype=np.int32)
-    places, below = np.empty(len(cells), dtype=np.int64), np.empty(len(cells), dtype=np.int32)
-    asked = labelled, cells, sheets, limits, places, below
-    run_in_bands(look_below, len(cells), *asked, least=1000)
+    places = np.empty(len(cells), dtype=np.int64)
+    below = np.empty(len(cells), dtype=np.int32)
+    run_in_bands(look_below, len(cells), labelled, cells, sheets, limits, places, below, least=1000)
     return places, below
 
 
@@ -217,7 +266,8 @@ def find_holes(edges: Edges, lattice: Lattice) -> Bool:
     """Which edges are at rims of holes, shape (edges,); `edges` are all those of some sheets."""
     order = np.argsort(edges.sheet, kind="stable")
     start = np.append(np.flatnonzero(np.diff(edges.sheet[order], prepend=-1)), len(order))
-    marked, in_hole = np.empty((2, len(order)), dtype=np.bool_)
+    marked = np.empty(len(order), dtype=np.bool_)
+    in_hole = np.empty(len(order), dtype=np.bool_)
     mark_holes(edges.cell[order], edges.way[order], start, lattice, marked)
     in_hole[order] = marked
     return in_hole

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.blocks import Blocks, BlockTable
 from navbake.baker.connect import ranges
-from navbake.baker.floors.kernels.members import Members, weigh
-from navbake.baker.floors.outline import DROP, Site, beside
-from navbake.baker.floors.rejected import LARGE_TOP
-from navbake.baker.floors.sheets import Patch, Sheets, describe_members, place_near
+from navbake.baker.floors.kernels.surfaces import HELD, Surfaces
+from navbake.baker.floors.outline import DROP, Site, beside, look_at_site
+from navbake.baker.floors.rejected import LARGE_TOP, Rejected
+from navbake.baker.floors.sheets import (
+    Patch,
+    Sheets,
+    describe_members,
+    find_large_sheets,
+    find_sheets,
+    place_near,
+)
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
-from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
 from navbake.threads import run_in_bands
@@ -30,7 +34,8 @@ ON_SURFACE = 0.02
 # smaller [m²]
 TOLD_AREA = 6.0
 # A level is a void where this share of it, or more, has less headroom than an adult needs [m]
-NEARLY_ALL, UPRIGHT = 0.9, 1.8
+NEARLY_ALL = 0.9
+UPRIGHT = 1.8
 # A floor in a closed mesh that continues outside, beyond this share of its outline, only carries it
 GOES_ON = 0.25
 # Unless it is as large as a building [m²]
@@ -52,7 +57,7 @@ class Unreached:
     whole: bool
 
 
-def find_starts(site: Site, tops: Bool, shelves: Bool, positions: list[list[float]]) -> Bool:
+def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) -> Bool:
     """Find the sheets on which agents start, at some positions.
 
     A position within 2 cm of a surface lies on it. Any other is on the highest floor of its column
@@ -61,7 +66,7 @@ def find_starts(site: Site, tops: Bool, shelves: Bool, positions: list[list[floa
     if there is none.
 
     Args:
-        tops, shelves: the sheets that are floors only where an agent starts.
+        rejected: the sheets that are floors only where an agent starts.
         positions: `floors.from`, x, y, z of each [m].
 
     Returns:
@@ -70,40 +75,57 @@ def find_starts(site: Site, tops: Bool, shelves: Bool, positions: list[list[floa
     Raises:
         SceneError: there is no floor at a position.
     """
-    sheets, step = site.sheets, site.agent.traversable_floor_height
-    surfaces, lattice, is_large = sheets.surfaces, sheets.lattice, site.is_large
+    sheets = site.sheets
+    lattice = sheets.lattice
+    surfaces = sheets.surfaces
+    step = site.agent.traversable_floor_height
     is_small = sheets.size * lattice.cell_size**2 < LARGE_TOP
-    counts = is_large & ~shelves & ~(tops & is_small)
-    starts = np.zeros(len(is_large), dtype=np.bool_)
+    may_start = site.is_large & ~rejected.shelves & ~(rejected.tops & is_small)
+    starts = np.zeros(sheets.num, dtype=np.bool_)
     for number, (x, y, z) in enumerate(positions):
-        row, col = (int(i) for i in lattice.rows_cols([x, y]))
-        here = np.empty(0, dtype=np.int64)
+        row, col = lattice.rows_cols([x, y])
+        places = np.empty(0, dtype=np.int64)
+        cell = int(row) * lattice.width + int(col)
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
-            here = sheets.store.at(row * lattice.width + col)
-            here = here[sheets.labels.part[here] >= 0]
-        heights, block = surfaces.z[here], sheets.blocks.of(here * 0 + row * lattice.width + col)
-        found = sheets.sheet_at(block, sheets.labels.part[here])
-        below = found[heights <= z + step + SLACK]
+            places = np.arange(surfaces.first[cell], surfaces.end[cell])
+            places = places[sheets.sheet_of(places) >= 0]
+        heights = surfaces.z[places]
+        in_column = sheets.sheet_of(places)
+        below = in_column[heights <= z + step + SLACK]
         if not len(below):
-            there = ", ".join(f"{height:.2f}" for height in heights)
+            in_cell = "there is none in that cell"
+            if len(heights):
+                in_cell = f"floors there are at {', '.join(f'{z:.2f}' for z in heights)} m"
             raise SceneError(
                 f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
-                f"an agent can stand on, at most a step higher; "
-                + (f"floors there are at {there} m" if there else "there is none in that cell")
+                f"an agent can stand on, at most a step higher; {in_cell}"
             )
-        exactly = found[abs(heights - z) <= ON_SURFACE + SLACK]
-        floors = below[counts[below]]
-        if len(exactly) or len(floors):
-            starts[(exactly if len(exactly) else floors)[-1]] = True
+        exactly = in_column[abs(heights - z) <= ON_SURFACE + SLACK]
+        floors = below[may_start[below]]
+        if len(exactly):
+            starts[exactly[-1]] = True
+        elif len(floors):
+            starts[floors[-1]] = True
         else:
-            starts[_floor_beside(site, counts, int(below[-1]))] = True
+            starts[_floor_beside(site, may_start, int(below[-1]))] = True
     return starts
 
 
-def _floor_beside(site: Site, counts: Bool, furniture: int) -> int:
+def _floor_beside(site: Site, may_start: Bool, furniture: int) -> int:
     """The floor that a sheet of furniture drops to along most of its outline, else itself."""
-    is_thing = np.arange(len(counts)) == furniture
-    endings = site.endings(site.edges_of(is_thing, site.reach, among=counts | is_thing))
+    is_furniture = np.arange(len(may_start)) == furniture
+    site_with_furniture = look_at_site(
+        sheets=site.sheets,
+        is_large=may_start | is_furniture,
+        columns=site.columns,
+        cropped=site.cropped,
+        agent=site.agent,
+        settings=site.settings,
+        is_occupied=site.is_occupied,
+    )
+    endings = site_with_furniture.endings(
+        site_with_furniture.edges_of(is_furniture, site_with_furniture.reach)
+    )
     floors = endings.floor[endings.kind == DROP]
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
@@ -119,162 +141,147 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
     return largest
 
 
-class Upright:
-    """How many surfaces of each part of a block nobody can stand upright on; kept up to date.
+def count_low(site: Site) -> Int:
+    """How many surfaces of each sheet something hangs over, lower than an adult needs."""
+    sheets = site.sheets
+    surfaces = sheets.surfaces
+    cells = sheets.blocks.cells(np.arange(sheets.blocks.num))
+    which, place = ranges(surfaces.first[cells], surfaces.end[cells])
+    sheet = sheets.sheet_of(place)
+    stands = sheet >= 0
+    cell = cells[which[stands]]
+    place = place[stands]
+    is_low = np.zeros(len(cell), dtype=np.bool_)
+    run_in_bands(
+        lines_blocked,
+        len(cell),
+        cell,
+        surfaces.z[place] + site.agent.height - TOUCH,
+        surfaces.z[place] + UPRIGHT,
+        site.columns.at(cell).crossings,
+        is_low,
+        least=1000,
+    )
+    return np.bincount(sheet[stands][is_low], minlength=sheets.num)
+
+
+class Reached(NamedTuple):
+    """What steps lead to: masks of sheets, shape (sheets,).
 
     Attributes:
-        stale: the blocks in which columns have changed, shape (blocks,); written to.
+        reached: which sheets are reached.
+        voids: those of levels that no step reaches and in which nobody can stand upright.
     """
 
-    def __init__(self, blocks: Blocks) -> None:
-        self._low, self._counts = np.empty(0, dtype=np.int64), np.zeros(blocks.num, np.int64)
-        self.stale = blocks.all()
-
-    def count_low(self, site: Site) -> Int:
-        """How many surfaces of each sheet something hangs over, lower than an adult needs."""
-        sheets, labels, surfaces = site.sheets, site.sheets.labels, site.sheets.surfaces
-        stale, self.stale = self.stale, np.zeros_like(self.stale)
-        low = np.zeros(int(labels.offset[-1]), dtype=np.int64)
-        low[np.repeat(~stale, labels.count)] = self._low[np.repeat(~stale, self._counts)]
-        cells = sheets.blocks.cells(stale)
-        which, place = ranges(surfaces.first[cells], surfaces.first[cells] + surfaces.length[cells])
-        stands = labels.part[place] >= 0
-        cell, place = cells[which[stands]], place[stands]
-        band = surfaces.z[place] + site.agent.height - TOUCH, surfaces.z[place] + UPRIGHT
-        is_low, crossings = np.zeros(len(cell), dtype=np.bool_), site.columns.at(cell).crossings
-        run_in_bands(lines_blocked, len(cell), cell, *band, crossings, is_low, least=1000)
-        part = labels.offset[sheets.blocks.of(cell[is_low])] + labels.part[place[is_low]]
-        low += np.bincount(part, minlength=len(low))
-        self._low, self._counts = low, labels.count.copy()
-        return np.bincount(sheets.of_part, low, len(sheets.key)).astype(np.int64)
+    reached: Bool
+    voids: Bool
 
 
-def find_voids(
-    site: Site, upright: Upright, counts: Int, reached: Bool, is_given: bool
-) -> tuple[Bool, Bool]:
+def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> Reached:
     """Find the levels that no step reaches and in which nobody can stand upright.
 
     Args:
-        upright: of the same surfaces.
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
         reached: which sheets are reached, shape (sheets,), bool.
         is_given: whether `floors.from` gives the starts; else that is the lowest level that is no
             void.
-
-    Returns:
-        Which sheets are reached, and which are those of voids.
     """
-    (sheet, level, _), voids = counts.T, np.zeros_like(reached)
+    sheet, level, _ = counts.T
+    voids = np.zeros_like(reached)
     levels = np.unique(level)
     if np.isin(levels, level[reached[sheet]]).all():
-        return reached, voids
-
-    low = upright.count_low(site)
-
-    def share_of(number: int) -> float:
-        own = np.unique(sheet[level == number])
-        return float(low[own].sum() / site.sheets.size[own].sum())
-
-    low_levels = [n for n in levels.tolist() if share_of(n) >= NEARLY_ALL]
+        return Reached(reached, voids)
+    num_low = count_low(site)
+    low_levels = []
+    for number in levels.tolist():
+        on_level = np.unique(sheet[level == number])
+        if num_low[on_level].sum() / site.sheets.size[on_level].sum() >= NEARLY_ALL:
+            low_levels.append(number)
     if not is_given and len(low_levels) < len(levels):
         reached = largest_of_lowest(counts[~np.isin(level, low_levels)], len(reached))
     is_void = np.isin(level, low_levels) & ~np.isin(level, level[reached[sheet]])
     voids[sheet[is_void]] = True
     voids[sheet[~is_void]] = False
-    return reached, voids
+    return Reached(reached, voids)
 
 
-class UnreachedFloors:
-    """Finds the floors that no step leads to; keeps sums over the surfaces of each block."""
+def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
+    """Find the floors that no step leads to, one entry a level, lowest first.
 
-    def __init__(self, blocks: Blocks) -> None:
-        self._sums = BlockTable(blocks.num, np.empty((0, 6), dtype=np.int64))
-        self._stale = blocks.all()
+    On levels that are reached in part, only sheets of at least 6 m² there count.
 
-    def find(self, sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
-        """Find the floors that no step leads to, one entry a level, lowest first.
-
-        On levels that are reached in part, only sheets of at least 6 m² there count.
-
-        Args:
-            reached: which sheets are reached, shape (sheets,), bool.
-        """
-        self._stale |= sheets.stale | placed.changed
-        if reached[placed.counts[:, 0]].all():
-            return []
-        asked = sheets.lattice, sheets.surfaces, sheets.labels.part, placed.level
-        self._sums.fill(weigh, np.flatnonzero(self._stale), *asked)
-        self._stale = np.zeros_like(self._stale)
-        block, (rows,) = self._sums.take()
-        part, on, geom, count = rows[:, :4].T
-        sheet, level, unreached = sheets.sheet_at(block, part), placed.number[on], []
-        is_reached = reached[sheet]
-        for number in np.unique(level[~is_reached]).tolist():
-            here = (level == number) & ~is_reached
-            size = np.bincount(sheet[here], count[here], minlength=len(reached))
-            told, whole = size > 0, not (is_reached & (level == number)).any()
-            if not whole:
-                told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
-            if told.any():
-                here &= told[sheet]
-                most = int(np.bincount(geom[here], count[here]).argmax())
-                area = int(size[told].sum()) * sheets.lattice.cell_size**2
-                largest = int(np.where(told, size, 0).argmax())
-                middle = rows[here & (sheet == largest), 4:].sum(axis=0) / size[largest]
-                place = _place_on(sheets, placed, number, largest, *middle.tolist())
-                cells = partial(_list_cells, sheets, placed, number, told)
-                unreached.append(Unreached(number, Patch(most, area, place, cells), whole))
-        return unreached
+    Args:
+        reached: which sheets are reached, shape (sheets,), bool.
+    """
+    sheet, level, count = placed.counts.T
+    is_reached = reached[sheet]
+    unreached = []
+    for number in np.unique(level[~is_reached]).tolist():
+        on_level = level == number
+        is_unreached = on_level & ~is_reached
+        size = np.bincount(sheet[is_unreached], count[is_unreached], minlength=sheets.num)
+        is_told = size > 0
+        whole = not (is_reached & on_level).any()
+        if not whole:
+            is_told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
+        if is_told.any():
+            patch = _describe_on_level(sheets, placed, number, is_told, int(size.argmax()))
+            unreached.append(Unreached(number, patch, whole))
+    return unreached
 
 
-def _members_on(
-    sheets: Sheets, placed: Placed, number: int, sheet: int, window: Sequence[int] | None = None
-) -> Members:
-    """The surfaces of a sheet that are on a level, see `Sheets.members`."""
-    members = sheets.members(sheet, window)
-    on = placed.level[members.place]
-    return members.only((on >= 0) & (placed.number[np.maximum(on, 0)] == number))
+def _describe_on_level(
+    sheets: Sheets, placed: Placed, number: int, mask: Bool, largest: int
+) -> Patch:
+    """Describe the surfaces of some sheets on a level, at a place on the largest sheet there."""
+    on_level = {}
+    for sheet in np.flatnonzero(mask).tolist():
+        members = sheets.members(sheet)
+        level = placed.level[members.place]
+        is_on_level = (level >= 0) & (placed.number[np.maximum(level, 0)] == number)
+        on_level[sheet] = members.only(is_on_level)
+    row, col = np.divmod(on_level[largest].cell, sheets.lattice.width)
+    geoms = np.concatenate([members.geom for members in on_level.values()])
+    cells = np.concatenate([members.cell for members in on_level.values()])
+    return Patch(
+        geom=int(np.bincount(geoms).argmax()),
+        area=len(cells) * sheets.lattice.cell_size**2,
+        place=place_near(sheets.lattice, on_level[largest], row.mean(), col.mean()),
+        cells=cells.astype(np.int32),
+    )
 
 
-def _list_cells(sheets: Sheets, placed: Placed, number: int, chosen: Bool) -> Int:
-    found = (_members_on(sheets, placed, number, k).cell for k in np.flatnonzero(chosen).tolist())
-    return np.concatenate(list(found))
-
-
-def _place_on(
-    sheets: Sheets, placed: Placed, number: int, sheet: int, row: float, col: float
-) -> tuple[float, float, float]:
-    """The place of a sheet on a level that is nearest to a row and a column, see `place_near`."""
-    lattice, reach = sheets.lattice, SIZE
-    while True:
-        low, high = (np.floor([row, col]).astype(np.int64) + by for by in (-reach, reach + 2))
-        window = [*np.maximum(low, 0).tolist(), *np.minimum(high, lattice.shape).tolist()]
-        members = _members_on(sheets, placed, number, sheet, window)
-        rows, cols = np.divmod(members.cell, lattice.width)
-        if (np.hypot(rows - row, cols - col) <= reach).any():  # what lies outside is farther
-            return place_near(lattice, members, row, col)
-        reach *= 2
-
-
-def find_enclosed(sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:
-    """Find floors inside of closed meshes, where nobody can stand, the largest first.
+def find_enclosed(surfaces: Surfaces, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:
+    """Find floors inside of closed meshes and planes, where nobody can stand, the largest first.
 
     A floor that continues outside at its height only carries a closed thing, like a crate, unless
-    that is as large as a building. `sheets` are those of HELD surfaces, each of one mesh.
+    that is as large as a building.
     """
-    surfaces, lattice, found = sheets.surfaces, sheets.lattice, list[Patch]()
-    for sheet in np.flatnonzero(sheets.left(sheets.size > 0, settings)).tolist():
-        members, edges, goes_on = sheets.members(sheet), 0, 0
+    is_held = surfaces.marks & HELD != 0
+    if not is_held.any():
+        return []
+    # each sheet is of one mesh or plane
+    sheets = find_sheets(surfaces, agent, np.where(is_held, surfaces.geom, np.int32(-1)))
+    patches = []
+    for sheet in np.flatnonzero(find_large_sheets(sheets, sheets.size > 0, settings)).tolist():
+        members = sheets.members(sheet)
+        num_edges = 0
+        num_going_on = 0
         for way in range(4):
-            other = beside(lattice, members.cell, way)
-            at_edge = ~np.isin(other, members.cell)
-            edges += int(np.count_nonzero(at_edge))
-            at_edge &= other >= 0
-            other, z = other[at_edge], members.z[at_edge]
-            column = surfaces.first[other], surfaces.first[other] + surfaces.length[other]
-            near = find_near(*column, surfaces.z, z, agent.traversable_floor_height)
-            goes_on += int(np.count_nonzero(~np.isnan(near)))
-        patch = describe_members(lattice, members)
-        if patch.area >= BUILDING or goes_on < GOES_ON * edges:
-            found.append(patch)
-    return sorted(found, key=lambda patch: -patch.area)
+            cells = beside(sheets.lattice, members.cell, way)
+            at_edge = ~np.isin(cells, members.cell)
+            num_edges += int(np.count_nonzero(at_edge))
+            is_inside = at_edge & (cells >= 0)
+            cells = cells[is_inside]
+            near = find_near(
+                surfaces.first[cells],
+                surfaces.end[cells],
+                surfaces.z,
+                members.z[is_inside],
+                agent.traversable_floor_height,
+            )
+            num_going_on += int(np.count_nonzero(~np.isnan(near)))
+        patch = describe_members(sheets.lattice, members)
+        if patch.area >= BUILDING or num_going_on < GOES_ON * num_edges:
+            patches.append(patch)
+    return sorted(patches, key=lambda patch: -patch.area)

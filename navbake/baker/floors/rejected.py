@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.floors.kernels.members import Edges, Members
 from navbake.baker.floors.outline import (
@@ -18,6 +18,7 @@ from navbake.baker.floors.outline import (
     find_holes,
     probe_bands,
 )
+from navbake.baker.floors.sheets import find_large_sheets
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
 from navbake.threads import run_in_bands
@@ -51,24 +52,34 @@ LARGE_ROOF, TOLD_ROOF = 4 / 3, 50.0
 SHELF_DEPTH = 2.5
 
 
-def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Bool, Bool, Bool]:
+class Rejected(NamedTuple):
+    """The large sheets that are no floors: masks, shape (sheets,), that exclude one another.
+
+    Attributes:
+        tops, shelves, roofs: which sheets are such.
+    """
+
+    tops: Bool
+    shelves: Bool
+    roofs: Bool
+
+
+def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> Rejected:
     """Find the large sheets that are no floors.
 
     A roof that is the only sheet of the scene, or of a given level, is a floor nevertheless.
 
     Args:
         spans: see `given_spans` [m].
-
-    Returns:
-        Tops, shelves and roofs: masks, shape (sheets,); roofs are neither of the others.
     """
-    sheets, is_large = site.sheets, site.is_large
-    tops = shelves = roofs = none = np.zeros(len(is_large), dtype=np.bool_)
+    sheets = site.sheets
+    is_large = site.is_large
+    tops = shelves = roofs = none = np.zeros(sheets.num, dtype=np.bool_)
     above, below, count = sheets.stacks()
     size = np.maximum(sheets.size, 1)
     sky = sheets.tops / size
     # also over furniture: a hall's roof stays over its floor whatever stands there
-    over = np.bincount(above, count * (above != below), len(is_large)) / size
+    over = np.bincount(above, count * (above != below), sheets.num) / size
     if not site.settings.tops:
         tops = _find_tops(site)
         shelves = _find_shelves(site, is_large & (sky < SKY_SHARE) & (over >= HALF))
@@ -81,7 +92,22 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Boo
         on_level = sheets.between(is_large, low, high)
         if not (on_level & is_floor).any():
             roofs = roofs & ~on_level
-    return tops & ~roofs, shelves & ~roofs, roofs
+    return Rejected(tops & ~roofs, shelves & ~roofs, roofs)
+
+
+class TopDrops(NamedTuple):
+    """How a sheet that may be a top drops to others.
+
+    Attributes:
+        drops_to: how many of its edges drop to each other sheet; nothing where `_find_tops` rules
+            out a top by its outline or by the room under it.
+        in_holes: the same of edges at the rims of holes alone.
+        outline: how many edges it has elsewhere.
+    """
+
+    drops_to: Counter[int]
+    in_holes: Counter[int]
+    outline: int
 
 
 def _find_tops(site: Site) -> Bool:
@@ -98,84 +124,97 @@ def _find_tops(site: Site) -> Bool:
     - under at most half of it, from the height of that floor up, is room for an agent, as under a
       mezzanine.
     """
-    sheets, result = site.sheets, np.zeros_like(site.is_large)
-    block, rows = site.edges
-    drops = np.bincount(sheets.sheet_at(block, rows[:, 0]), rows[:, 4], len(result))
+    sheets = site.sheets
+    drops = np.bincount(site.edges.sheet, site.edges.rows[:, 4], sheets.num)
     may_drop = site.is_large & (drops > 0)
     if not site.cropped.any():
         # an outline is at least as long as the box around it: most sheets drop along less of it
-        height, width = (sheets.box[:, k + 2] - sheets.box[:, k] for k in (0, 1))
+        height = sheets.box[:, 2] - sheets.box[:, 0]
+        width = sheets.box[:, 3] - sheets.box[:, 1]
         may_drop &= drops >= DROP_SHARE * 2 * (height + width)
-    found = site.facts.of("top", may_drop, lambda asked: _judge_tops(site, asked), site.near)
-    area = sheets.lattice.cell_size**2
-    large, into = np.zeros_like(result), Counter[int]()
-    for _, drops_to, _ in found:
-        into.update(drops_to)
-    asked = np.flatnonzero(may_drop).tolist()
-    for sheet, (in_holes, drops_to, outline) in zip(asked, found, strict=True):
-        if drops_to:
-            size, others = sheets.size[sheet], np.searchsorted(sheets.key, list(drops_to))
-            lies = size * area <= LARGE_TOP or sheets.size[others].max() > EQUAL * size
-            around = (num + into[to] - drops_to[to] for to, num in in_holes.items())
-            winds = max(around, default=0) > outline
-            result[sheet], large[sheet] = lies or winds, not lies and not winds
-    return result | (large & ~_are_wide(site, large, WIDE_TOP))
+    drops_of = _list_drops(site, may_drop)
+    into_holes = Counter[int]()  # drops to each sheet from all those that drop to it
+    for top in drops_of.values():
+        into_holes.update(top.drops_to)
+    is_top = np.zeros(sheets.num, dtype=np.bool_)
+    is_too_large = np.zeros(sheets.num, dtype=np.bool_)
+    for sheet, top in drops_of.items():
+        if not top.drops_to:
+            continue
+        size = sheets.size[sheet]
+        is_small = size * sheets.lattice.cell_size**2 <= LARGE_TOP
+        is_small |= sheets.size[list(top.drops_to)].max() > EQUAL * size
+        drops_around = [
+            num + into_holes[floor] - top.drops_to[floor] for floor, num in top.in_holes.items()
+        ]
+        winds = max(drops_around, default=0) > top.outline
+        is_top[sheet] = is_small or winds
+        is_too_large[sheet] = not is_top[sheet]
+    return is_top | (is_too_large & ~_are_wide(site, is_too_large, WIDE_TOP))
 
 
-def _are_wide(site: Site, asked: Bool, width: float) -> Bool:
-    """Which sheets are somewhere wider than a width [m]."""
-    if not asked.any():
-        return asked
+def _are_wide(site: Site, candidates: Bool, width: float) -> Bool:
+    """Which of some sheets are somewhere wider than a width [m]."""
+    if not candidates.any():
+        return candidates
     wide = {"min_area": site.sheets.lattice.cell_size**2, "shrink": width / 2}
-    settings = site.settings.model_copy(update=wide)
-    return site.facts.mask(f"wider than {width}", asked, lambda s: site.sheets.left(s, settings))
+    return find_large_sheets(site.sheets, candidates, site.settings.model_copy(update=wide))
 
 
-def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int], int]]:
-    """By sheet, how many edges drop to each other sheet, in holes and in all; and how many it has.
-
-    There are no drops where `_find_tops` rules out a top by its outline or by the room under it.
-    """
+def _list_drops(site: Site, candidates: Bool) -> dict[int, TopDrops]:
+    """How some sheets drop to others, by sheet."""
+    if not candidates.any():
+        return {}
     sheets = site.sheets
-    edges = site.edges_of(asked, site.reach)
+    edges = site.edges_of(candidates, site.reach)
     has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
     in_hole = find_holes(edges, sheets.lattice)
     certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & ~in_hole
-    chosen = ~(site.share(edges, has_floor, certain | has_floor) < DROP_SHARE)[edges.sheet]
-    edges, in_hole = edges.only(chosen), in_hole[chosen]
+    drops_enough = ~(site.share(edges, has_floor, certain | has_floor) < DROP_SHARE)
+    is_possible = drops_enough[edges.sheet]
+    edges = edges.only(is_possible)
+    in_hole = in_hole[is_possible]
     endings = site.endings(edges)
     drops = endings.kind == DROP
     # other holes are where things stand on the sheet, such as pillows
-    known = endings.is_known & (~in_hole | drops)
-    is_top = site.share(edges, drops, known) >= DROP_SHARE
-    found = []
-    for sheet in np.flatnonzero(asked).tolist():
-        own = edges.sheet == sheet
-        landing = np.sort(endings.landing[own & drops])
-        in_holes, drops_to = Counter[int](), Counter[int]()
-        if is_top[sheet] and len(landing):
+    is_known = endings.is_known & (~in_hole | drops)
+    may_be_top = site.share(edges, drops, is_known) >= DROP_SHARE
+    drops_of = {}
+    for sheet in np.flatnonzero(candidates).tolist():
+        of_sheet = edges.sheet == sheet
+        landing = np.sort(endings.landing[of_sheet & drops])
+        drops_to = Counter[int]()
+        in_holes = Counter[int]()
+        if may_be_top[sheet] and len(landing):
             # the lower one of two in the middle
-            beside = float(landing[(len(landing) - 1) // 2])
-            if _count_over_room(site, sheet, beside) <= ROOM_SHARE * sheets.size[sheet]:
-                drops_to.update(sheets.key[endings.floor[own & drops]].tolist())
-                in_holes.update(sheets.key[endings.floor[own & drops & in_hole]].tolist())
-        found.append((in_holes, drops_to, int((~in_hole[own]).sum())))
-    return found
+            floor = float(landing[(len(landing) - 1) // 2])
+            if _count_over_room(site, sheet, floor) <= ROOM_SHARE * sheets.size[sheet]:
+                drops_to.update(endings.floor[of_sheet & drops].tolist())
+                in_holes.update(endings.floor[of_sheet & drops & in_hole].tolist())
+        outline = int(np.count_nonzero(~in_hole[of_sheet]))
+        drops_of[sheet] = TopDrops(drops_to, in_holes, outline)
+    return drops_of
 
 
 def _count_over_room(site: Site, sheet: int, floor: float) -> int:
     """Count a sheet's cells with room for an agent below, on the `floor` beside [m] or higher."""
-    agent, members = site.agent, site.sheets.members(sheet)
-    step, cells = agent.traversable_floor_height, members.cell
+    members = site.sheets.members(sheet)
+    cells = members.cell
+    step = site.agent.traversable_floor_height
     labelled = site.sheets.labelled(site.is_large)
     place, _ = find_below(labelled, cells, members.z)
-    has_floor = (place >= 0) & (labelled.z[place] >= floor - step - SLACK)
+    has_floor = (place >= 0) & (labelled.surfaces.z[place] >= floor - step - SLACK)
     blocked = np.zeros(len(cells), dtype=np.bool_)
-    low, high = (
-        np.full(len(cells), z) for z in (floor + step + TOUCH, floor + agent.height - TOUCH)
+    run_in_bands(
+        lines_blocked,
+        len(cells),
+        cells,
+        np.full(len(cells), floor + step + TOUCH),
+        np.full(len(cells), floor + site.agent.height - TOUCH),
+        site.columns.at(cells).crossings,
+        blocked,
+        least=1000,
     )
-    lines = cells, low, high, site.columns.at(cells).crossings, blocked
-    run_in_bands(lines_blocked, len(cells), *lines, least=1000)
     return int(np.count_nonzero(has_floor | ~blocked))
 
 
@@ -187,42 +226,38 @@ def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
     two thirds lie over a floor, a wall, or within 1.5 m of one (eaves), and a tenth over a floor.
     Where the lattice crops the scene all around, walls are unknown, and a sheet is no roof.
     """
-    half_over, facts = candidates & (over < HALF), site.facts
-    over_walls = facts.mask("over walls", half_over, lambda s: _lie_over_walls(site, s), site.near)
-    candidates = candidates & (~half_over | over_walls)
-    return facts.mask("no walls", candidates, lambda s: _have_no_walls(site, s), site.at_edges)
+    half_over = candidates & (over < HALF)
+    over_walls = _lie_over_walls(site, half_over)
+    return _have_no_walls(site, candidates & (~half_over | over_walls))
 
 
-def _have_no_walls(site: Site, asked: Bool) -> Bool:
+def _have_no_walls(site: Site, candidates: Bool) -> Bool:
     """Which sheets have walls along at most half of their outline, within `floors.shrink` of it."""
+    if not candidates.any():
+        return candidates
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
-    lattice, edges = site.sheets.lattice, _outer_edges(site, asked, reach=0)
-
-    def look(some: Bool) -> NDArray[np.uint8]:
-        stale = edges.only(some)
-        steps = range(-int(np.ceil(site.settings.shrink / lattice.cell_size)), 2)
-        beyond = [beside(lattice, stale.cell, stale.way, k) for k in steps]
-        cells = np.concatenate(beyond)
-        site.columns.at(cells[cells >= 0])  # of all at once, as parts of these are asked for below
-        kind = site.barriers(stale, agent)
-        known = site.is_known(kind, stale.way)
-        for inner in beyond[-3::-1]:
-            near = np.flatnonzero(known & (kind != WALL) & (inner >= 0))
-            for band in probe_bands(agent):
-                near = near[site.is_occupied(inner[near], stale.z[near], band)]
-            kind[near] = WALL
-        return kind
-
-    block = site.sheets.blocks.of(edges.cell)
-    places = np.stack([edges.cell * 4 + edges.way, edges.z.view(np.int64)], axis=1)
-    kind = site.walls.find(block, places, site.last, site.sheets.now, look)
+    lattice = site.sheets.lattice
+    edges = _outer_edges(site, candidates, reach=0)
+    farthest_in = -int(np.ceil(site.settings.shrink / lattice.cell_size))
+    # from the innermost cells near an edge to those just beyond it
+    cells_near = [beside(lattice, edges.cell, edges.way, k) for k in range(farthest_in, 2)]
+    all_near = np.concatenate(cells_near)
+    site.columns.at(
+        all_near[all_near >= 0]
+    )  # of all at once, as parts of these are asked for below
+    kind = site.barriers(edges, agent)
     is_known = site.is_known(kind, edges.way)
-    return asked & (site.share(edges, kind == WALL, is_known) <= HALF)
+    for cells in cells_near[-3::-1]:
+        near = np.flatnonzero(is_known & (kind != WALL) & (cells >= 0))
+        for band in probe_bands(agent):
+            near = near[site.is_occupied(cells[near], edges.z[near], band)]
+        kind[near] = WALL
+    return candidates & (site.share(edges, kind == WALL, is_known) <= HALF)
 
 
-def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
+def _outer_edges(site: Site, candidates: Bool, reach: int) -> Edges:
     """The edges of some sheets but for those of their holes."""
-    edges = site.edges_of(chosen, reach)
+    edges = site.edges_of(candidates, reach)
     return edges.only(~find_holes(edges, site.sheets.lattice))
 
 
@@ -233,63 +268,59 @@ def _find_shelves(site: Site, candidates: Bool) -> Bool:
     to a floor, unlike that of a gallery from wall to wall.
     """
     candidates = candidates & ~_are_wide(site, candidates, SHELF_DEPTH)
-
-    def open_at_sides(asked: Bool) -> Bool:
-        edges = _outer_edges(site, asked, site.reach)
-        endings = site.endings(edges)
-        return asked & (site.share(edges, endings.kind == DROP, endings.is_known) > HALF)
-
-    return site.facts.mask("open at sides", candidates, open_at_sides, site.at_edges)
+    if not candidates.any():
+        return candidates
+    edges = _outer_edges(site, candidates, site.reach)
+    endings = site.endings(edges)
+    return candidates & (site.share(edges, endings.kind == DROP, endings.is_known) > HALF)
 
 
-def _lie_over_walls(site: Site, asked: Bool) -> Bool:
+def _lie_over_walls(site: Site, candidates: Bool) -> Bool:
     """Which sheets lie over others, over walls, or within `EAVES` of these as a roof has to."""
-    result, (height, width) = np.zeros_like(asked), site.sheets.lattice.shape
-    reach = int(EAVES / site.sheets.lattice.cell_size + SLACK)
-    every = site.sheets.labelled(np.ones_like(asked))
-    for sheet in np.flatnonzero(asked).tolist():
+    result = np.zeros_like(candidates)
+    if not candidates.any():
+        return result
+    lattice = site.sheets.lattice
+    reach = int(EAVES / lattice.cell_size + SLACK)
+    every_sheet = site.sheets.labelled(np.ones_like(candidates))
+    for sheet in np.flatnonzero(candidates).tolist():
         members = site.sheets.members(sheet)
-        _, below = find_below(every, members.cell, members.z)
-        is_over = np.zeros((height, width), dtype=np.bool_)
+        _, below = find_below(every_sheet, members.cell, members.z)
+        is_over = np.zeros(lattice.shape, dtype=np.bool_)
         is_over.flat[members.cell] = over_wall_tops(site, members) | (below >= 0) & (below != sheet)
         for grid in (is_over, is_over.T):
-            known = grid.copy()
+            before = grid.copy()
             for k in range(1, min(reach, len(grid) - 1) + 1):
-                grid[k:] |= known[:-k]
-                grid[:-k] |= known[k:]
+                grid[k:] |= before[:-k]
+                grid[:-k] |= before[k:]
         result[sheet] = is_over.flat[members.cell].mean() >= WALLED_SHARE
     return result
 
 
 def over_wall_tops(site: Site, members: Members) -> Bool:
     """Which surfaces lie over the top of a wall that carries the roof, or ends within it."""
-    cell, z = members.cell, members.z
-    columns, is_over = site.columns.at(cell), np.zeros(len(cell), dtype=np.bool_)
-    first, end = columns.start[cell], columns.start[cell + 1]
+    cell = members.cell
+    columns = site.columns.at(cell)
+    first = columns.start[cell]
+    end = columns.start[cell + 1]
+    is_over = np.zeros(len(cell), dtype=np.bool_)
     for k in range(int((end - first).max(initial=0)) - 1):
         deep = np.flatnonzero(first + k + 1 < end)
-        below, above = columns.z[first[deep] + k], columns.z[first[deep] + k + 1]
+        below = columns.z[first[deep] + k]
+        above = columns.z[first[deep] + k + 1]
         faces_up = columns.normal[first[deep] + k, 2] > 0
         # at one height, the roof's lower side may stand before the wall's top
         limit = np.where(faces_up, site.agent.traversable_floor_height, SAME)
         is_top = (above - below < limit) & (faces_up | (columns.normal[first[deep] + k + 1, 2] > 0))
-        is_over[deep] |= is_top & (below < z[deep] - SAME)
+        is_over[deep] |= is_top & (below < members.z[deep] - SAME)
     return is_over
 
 
 def are_told(site: Site, roofs: Bool, floors: Bool) -> Bool:
     """Which roofs are reported: those clearly larger than any floor, or large and on no walls."""
-    size, area = site.sheets.size, site.sheets.lattice.cell_size**2
-    large = roofs & (size * area >= TOLD_ROOF - SLACK)
-
-    def stand_free(asked: Bool) -> Bool:
-        result = np.zeros_like(asked)
-        for sheet in np.flatnonzero(asked).tolist():
-            result[sheet] = not over_wall_tops(site, site.sheets.members(sheet)).any()
-        return result
-
-    is_larger = roofs & (size > LARGE_ROOF * size[floors].max())
-    told: Bool = is_larger | site.facts.mask(
-        "stands free", large & ~is_larger, stand_free, site.near
-    )
-    return told
+    size = site.sheets.size
+    is_told: Bool = roofs & (size > LARGE_ROOF * size[floors].max())
+    is_large = roofs & (size * site.sheets.lattice.cell_size**2 >= TOLD_ROOF - SLACK)
+    for sheet in np.flatnonzero(is_large & ~is_told).tolist():
+        is_told[sheet] = not over_wall_tops(site, site.sheets.members(sheet)).any()
+    return is_told

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from navbake.baker.blocks import BlockTable, Seen, fit
 from navbake.baker.floors.kernels import levels as kernels
 from navbake.baker.floors.kernels.labels import PLATEAU, Joining, tally
-from navbake.baker.floors.kernels.levels import EVERY, LOST, LOWEST, Kept
+from navbake.baker.floors.kernels.levels import EVERY, LOST, LOWEST, Candidates, HeightWindow
 from navbake.baker.floors.kernels.members import AreaTest, Members
 from navbake.baker.floors.sheets import (
     NO_HEIGHTS,
@@ -22,6 +22,8 @@ from navbake.baker.floors.sheets import (
     area_test,
     describe_members,
     is_large,
+    label_surfaces,
+    sheet_joining,
 )
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
@@ -38,6 +40,8 @@ HIGH_STOREY, FEW = 8.0, 4
 TIMES_LARGER = 4
 # Decimals of the grounds that are found
 DECIMALS = 9
+# Empty columns of rows that count heights
+ROWS_AND_HEIGHTS = NO_ROWS, NO_HEIGHTS
 # Shrinks nothing
 UNSHRUNK = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
@@ -64,7 +68,6 @@ class Placed(NamedTuple):
         level: of each surface, less than 0 for none, int32.
         number: the final number of each `level`, as levels without surfaces are left out.
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
-        changed: the blocks where any of that may have changed.
         spare: see `Floors`.
     """
 
@@ -73,310 +76,413 @@ class Placed(NamedTuple):
     level: Int32
     number: Int
     counts: Int
-    changed: Bool
     spare: list[Patch]
 
 
-class Storeys:
-    """Places surfaces on levels, block by block, again where something changed."""
+class Placing(NamedTuple):
+    """The surfaces on levels that begin at some grounds, see `place_blocks`.
 
-    def __init__(self, sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> None:
-        self._sheets, self._agent, self._settings = sheets, agent, settings
-        self._step = agent.traversable_floor_height
-        self._half = max(self._step, PLATEAU) / 2
-        num = sheets.blocks.num
-        self._key, self._seen = np.empty(0, dtype=np.int8), Seen(num)
-        self._stacked = np.zeros(num, dtype=np.bool_)
-        # the last update in which something changed in each block, or as near as shrinking looks
-        self._now, (self._last, self._last_near) = 0, np.zeros((2, num), dtype=np.int64)
-        self._reach = area_test(sheets.lattice, settings).reach
-        self._known: dict[Any, tuple[int, Any]] = {}
-        self._kept: dict[Any, tuple[int, Any]] = {}
+    Attributes:
+        grounds: of the levels [m].
+        leave_floors: whether floors made way for treads where a column has too few levels.
+        level: of each surface, int32; LOST, LOST_GROUND or -1 for none.
+        part, row_level, num_surfaces, low: of each row a part of a sheet, a level, how many of the
+            part's surfaces are on it, and the lowest of their heights [m].
+    """
 
-    def update(self, counts: Bool, given: Sequence[LevelSettings]) -> Placed:
-        """Place the surfaces of the sheets that count, shape (sheets,).
+    grounds: list[float]
+    leave_floors: bool
+    level: Int32
+    part: Int
+    row_level: Int
+    num_surfaces: Int
+    low: Float
 
-        Args:
-            given: the levels of the configuration, whose surfaces lie in `given_spans`; levels are
-                found if there are none.
-        """
-        sheets = self._sheets
-        self._kept, self._known = self._known, {}
-        stale, near = sheets.last > self._now, sheets.last_near > self._now
-        self._now = sheets.now
-        self._last[stale] = self._last_near[near] = self._now
-        others = self._seen.differ(sheets.labels.count, counts[sheets.of_part])
-        self._mark(others)
-        stale |= others
-        self._key = fit(self._key, len(sheets.surfaces.z))
-        bounds = np.array(given_spans(given), dtype=np.float64).reshape(-1, 2)
-        chosen = np.flatnonzero(stale)
-        asked = sheets.labelled(counts), bounds, self._key, chosen, self._stacked
-        run_in_bands(kernels.mark_kept, len(chosen), *asked)
-        kept = self._find_stairs()
-        if given:
-            grounds, names = [level.ground for level in given], [level.name for level in given]
-            return self._assign(kept, grounds, names, GIVEN_TOLERANCE)
-        return self._assign(kept, self._lower_grounds(kept, self._find_grounds(kept)), [], SLACK)
 
-    def _mark(self, blocks: Bool) -> None:
-        """Mark blocks in which anything may have changed."""
-        self._last[blocks] = self._now
-        self._last_near[self._sheets.blocks.around(blocks, self._reach)] = self._now
+class Heights(NamedTuple):
+    """Counts of heights, see `list_heights`; arrays of shape (rows,), heights may repeat.
 
-    def _recall(self, name: Any, make: Callable[[], Any], reach: int = 0) -> tuple[Any, Bool]:
-        """What the last update kept under a name, or `make()`, and the blocks that are stale in it.
+    Attributes:
+        window: the number of a window of heights, int64.
+        plateau: a height, in multiples of PLATEAU, int64.
+        num_surfaces: how many surfaces lie there, int64.
+        low: the lowest of them [m].
+    """
 
-        It depends on cells up to `reach` away, no farther than shrinking looks.
-        """
-        tick, known = self._known.get(name) or self._kept.get(name) or (-1, make())
-        self._known[name] = self._now, known
-        return known, (self._last_near if reach else self._last) > tick
+    window: Int
+    plateau: Int
+    num_surfaces: Int
+    low: Float
 
-    def _table(self) -> BlockTable:
-        return BlockTable(self._sheets.blocks.num, NO_ROWS, NO_HEIGHTS)
+    def only(self, mask: Bool) -> Heights:
+        """Some of the rows, by a mask."""
+        return Heights._make(column[mask] for column in self)
 
-    def _find_stairs(self) -> Kept:
-        """The surfaces that are kept, and which are parts of stairs and ramps.
+    def most_common(self) -> float:
+        """The lowest member of the most common height, rounded to plateaus [m]."""
+        plateaus, where = np.unique(self.plateau, return_inverse=True)
+        most = int(np.bincount(where, self.num_surfaces).argmax())
+        return float(self.low[self.plateau == plateaus[most]].min())
 
-        A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if going only up from
-        it, and also only down, leads to a floor more than four times as large. A floor is all of a
-        sheet within half a step of its height, since walls and thresholds divide it. Stairs matter
-        only where surfaces lie over each other.
-        """
-        sheets = self._sheets
-        if not self._stacked.any():
-            self._recall("flat", lambda: self._mark(sheets.blocks.all()))
-            return Kept(self._key, NO_KEY, NO_ROWS[:, 0], np.empty(0, dtype=np.bool_))
-        blocks, joining = sheets.blocks, Joining(min(self._step, PLATEAU), self._step)
-        if "stairs" not in self._kept:
-            self._mark(blocks.all())
-        (labels, table, seen), stale = self._recall(
-            "stairs", lambda: (Labels(blocks, joining), self._table(), Seen(blocks.num))
-        )
-        labels.update(sheets.surfaces, stale, self._key.astype(np.int32))
-        # neighbours at about one height are a plateau; each lies in one part of a sheet
-        asked = sheets.lattice, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
-        table.fill(tally, np.flatnonzero(stale), *asked)
-        block, (rows, low) = table.take()
-        whole, links = labels.merge()
-        num = int(whole.max(initial=-1)) + 1
-        plateau = whole[labels.offset[block] + rows[:, 0]]
-        sheet = sheets.sheet_at(block, rows[:, 1]).astype(np.int64)
-        height, area = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
-        np.minimum.at(height, plateau, low)
-        np.maximum.at(area, plateau, _areas_about(sheet, rows[:, 2], rows[:, 3], self._half))
-        a, b = links
-        lower, upper = np.where(height[a] < height[b], (a, b), (b, a))
-        rises = height[lower] < height[upper]
-        lower, upper = lower[rises], upper[rises]
-        orders = (np.argsort(height[ends], kind="stable") for ends in (lower, upper))
-        above, below = kernels.climb(lower, upper, area, *orders)
-        is_stair = (TIMES_LARGER * area < np.minimum(above, below))[whole]
-        # plateaus of a stale block are numbered anew
-        self._mark(stale | seen.differ(labels.count, is_stair))
-        return Kept(self._key, labels.part, labels.offset, is_stair)
 
-    def _find_grounds(self, kept: Kept) -> list[float]:
-        """Find the ground heights of the storeys, lowest first.
+class Placeable(NamedTuple):
+    """The surfaces that are placed on levels, and what decides how.
 
-        The first is the lowest floor that is large enough after shrinking; each further one the
-        lowest such floor over floors of the storey below. So a hill, a half-storey, a stair or a
-        platform with nothing under it opens none.
-        """
-        ground = self._lowest_plateau(kept, -np.inf)
+    Attributes:
+        sheets: all sheets.
+        candidates: those of their surfaces that levels are made of.
+        is_stacked: whether any of them lies over another one.
+        tolerance: how far below a ground its floors may lie [m].
+    """
+
+    sheets: Sheets
+    candidates: Candidates
+    is_stacked: bool
+    tolerance: float
+    agent: AgentSettings
+    settings: FloorSettings
+
+
+def place_on_levels(
+    sheets: Sheets,
+    mask: Bool,
+    given: Sequence[LevelSettings],
+    agent: AgentSettings,
+    settings: FloorSettings,
+) -> Placed:
+    """Place the surfaces of some sheets, shape (sheets,), on levels.
+
+    Args:
+        given: the levels of the configuration, whose surfaces lie in `given_spans`; levels are
+            found if there are none.
+    """
+    key = np.empty(len(sheets.surfaces.z), dtype=np.int8)
+    stacked = np.empty(sheets.blocks.num, dtype=np.bool_)
+    spans = np.array(given_spans(given), dtype=np.float64).reshape(-1, 2)
+    run_in_bands(
+        kernels.mark_candidates, sheets.blocks.num, sheets.labelled(mask), spans, key, stacked
+    )
+    # stairs matter only where surfaces lie over each other
+    candidates = Candidates(key, NO_KEY, np.empty(0, np.bool_))
+    is_stacked = bool(stacked.any())
+    if is_stacked:
+        candidates = _find_stairs(sheets, key, agent.traversable_floor_height)
+    tolerance = GIVEN_TOLERANCE if given else SLACK
+    placeable = Placeable(sheets, candidates, is_stacked, tolerance, agent, settings)
+    if given:
+        placing = _place(placeable, sorted(level.ground for level in given))
+    else:
+        placing = _lower_grounds(placeable, _find_grounds(placeable))
+    spare: list[Patch] = []
+    if (placing.row_level <= LOST).any():
+        placing, spare = _make_room(placeable, placing)
+    names = {level.ground: level.name for level in given}
+    return _number_levels(sheets, placing, names, spare)
+
+
+def _find_stairs(sheets: Sheets, key: NDArray[np.int8], step: float) -> Candidates:
+    """Tell which candidates, by their keys, are parts of stairs and ramps.
+
+    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if going only up from
+    it, and also only down, leads to a floor more than four times as large. A floor is all of a
+    sheet within half a step of its height, since walls and thresholds divide it.
+    """
+    joining = Joining(min(step, PLATEAU), step)
+    labels = label_surfaces(sheets.surfaces, joining, key.astype(np.int32))
+    # neighbours at about one height are a plateau; each lies in one part of a sheet
+    _, (rows, low) = sheets.blocks.list_rows(
+        tally, ROWS_AND_HEIGHTS, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
+    )
+    whole_of_part = labels.wholes()
+    num = int(whole_of_part.max(initial=-1)) + 1
+    plateau = whole_of_part[rows[:, 0]]
+    sheet = sheets.of_part[rows[:, 1]].astype(np.int64)
+    half_step = max(step, PLATEAU) / 2
+    height = np.full(num, np.inf)
+    np.minimum.at(height, plateau, low)
+    area = np.zeros(num, dtype=np.int64)
+    np.maximum.at(area, plateau, _areas_about(sheet, rows[:, 2], rows[:, 3], half_step))
+    one_end, other_end = labels.links(whole_of_part)
+    is_lower = height[one_end] < height[other_end]
+    lower = np.where(is_lower, one_end, other_end)
+    upper = np.where(is_lower, other_end, one_end)
+    rises = height[lower] < height[upper]
+    lower = lower[rises]
+    upper = upper[rises]
+    above, below = kernels.climb(
+        lower,
+        upper,
+        area,
+        np.argsort(height[lower], kind="stable"),
+        np.argsort(height[upper], kind="stable"),
+    )
+    is_stair = TIMES_LARGER * area < np.minimum(above, below)
+    return Candidates(key, labels.part, is_stair[whole_of_part])
+
+
+def _find_grounds(placeable: Placeable) -> list[float]:
+    """Find the ground heights of the storeys, lowest first.
+
+    The first is the lowest floor that is large enough after shrinking; each further one the
+    lowest such floor over floors of the storey below. So a hill, a half-storey, a stair or a
+    platform with nothing under it opens none.
+    """
+    half_step = max(placeable.agent.traversable_floor_height, PLATEAU) / 2
+    ground = _lowest_plateau(placeable, -np.inf, half_step)
+    if ground is None:
+        window = HeightWindow(-np.inf, LOWEST, half_step)
+        ground = _list_heights(placeable, window, UNSHRUNK).most_common()
+    grounds = [ground]
+    while placeable.is_stacked:
+        # of a tower, not all that is above is listed for each storey
+        tops = [np.inf] if len(grounds) <= FEW else [grounds[-1] + HIGH_STOREY, np.inf]
+        ground = _lowest_plateau(placeable, grounds[-1], half_step, tops)
         if ground is None:
-            rows, low = self._list_heights(kept, -np.inf, LOWEST, UNSHRUNK)
-            ground = _common_height(rows, low)
-        grounds = [ground]
-        while self._stacked.any():
-            # of a tower, not all that is above is listed for each storey
-            tops = (grounds[-1] + HIGH_STOREY, np.inf) if len(grounds) > FEW else (np.inf,)
-            ground = self._lowest_plateau(kept, grounds[-1], tops)
-            if ground is None:
-                break
-            grounds.append(ground)
-        return [round(ground, DECIMALS) for ground in grounds]
+            break
+        grounds.append(ground)
+    return [round(ground, DECIMALS) for ground in grounds]
 
-    def _lowest_plateau(
-        self, kept: Kept, ground: float, tops: Sequence[float] = (np.inf,)
-    ) -> float | None:
-        """The ground of the lowest large floor over another ground, or None.
 
-        Windows of heights are one step high, half a step apart, below each of `tops` in turn.
-        """
-        test = area_test(self._sheets.lattice, self._settings)
-        for top in tops:
-            every, all_low = self._list_heights(kept, ground, EVERY, UNSHRUNK, top)
-            windows, where = np.unique(every[:, 0], return_inverse=True)
-            count = np.bincount(where, every[:, 3])
-            counts = dict(zip(windows.tolist(), count.tolist(), strict=True))
-            for window in sorted({k for n in counts for k in (n - 1, n) if k >= windows[0]}):
-                end = (window + 2) * self._half
-                if counts.get(window, 0) + counts.get(window + 1, 0) < test.needed or end > top:
-                    continue
-                rows, low = self._list_heights(kept, ground, window, test, end)
-                if rows[:, 3].sum() >= test.needed:
-                    if not len(rows):
-                        chosen = np.isin(every[:, 0], [window, window + 1])
-                        rows, low = every[chosen], all_low[chosen]
-                    # of the cells that shrinking leaves, so without stairs or thresholds
-                    return _common_height(rows, low)
-        return None
+def _lowest_plateau(
+    placeable: Placeable, ground: float, half_step: float, tops: Sequence[float] = (np.inf,)
+) -> float | None:
+    """The ground of the lowest large floor over another ground, or None.
 
-    def _list_heights(
-        self, kept: Kept, ground: float, window: int, test: AreaTest, top: float = np.inf
-    ) -> tuple[Int, Float]:
-        """Rows of the heights in a window, and the lowest of each row, see `list_heights`."""
-        sheets, heights = self._sheets, (ground, window, self._half, top)
-        name = "heights", ground, window, test.reach, top
-        table, stale = self._recall(name, self._table, test.reach)
-        asked = sheets.lattice, sheets.surfaces, kept, heights, test
-        table.fill(kernels.list_heights, np.flatnonzero(stale), *asked)
-        _, (rows, low) = table.take()
-        return rows, low
+    Windows of heights are one step high, half a step apart, below each of `tops` in turn.
+    """
+    test = area_test(placeable.sheets.lattice, placeable.settings)
+    for top in tops:
+        every = _list_heights(placeable, HeightWindow(ground, EVERY, half_step, top), UNSHRUNK)
+        numbers, where = np.unique(every.window, return_inverse=True)
+        sums = np.bincount(where, every.num_surfaces)
+        count_in = dict(zip(numbers.tolist(), sums.tolist(), strict=True))
+        for number in sorted({k for n in count_in for k in (n - 1, n) if k >= numbers[0]}):
+            end = (number + 2) * half_step
+            if count_in.get(number, 0) + count_in.get(number + 1, 0) < test.needed or end > top:
+                continue
+            window = HeightWindow(ground, number, half_step, end)
+            # of the cells that shrinking leaves, so without stairs or thresholds
+            heights = _list_heights(placeable, window, test)
+            if heights.num_surfaces.sum() >= test.needed:
+                if not len(heights.num_surfaces):
+                    heights = every.only(np.isin(every.window, [number, number + 1]))
+                return heights.most_common()
+    return None
 
-    def _lower_grounds(self, kept: Kept, grounds: list[float]) -> list[float]:
-        """Lower each ground to parts of the level below that belong to its floor.
 
-        They lie within a step below it, are no stairs, and steps join them to nothing else.
-        """
-        sheets, joining = self._sheets, Joining(self._step, self._step)
-        for _ in grounds[1:]:
-            on, _ = self._place(kept, grounds, SLACK)
-            (labels, table), stale = self._recall(
-                ("parts", *grounds), lambda: (Labels(sheets.blocks, joining), self._table())
-            )
-            labels.update(sheets.surfaces, stale, on)
-            asked = sheets.lattice, sheets.surfaces, labels.part, kept.plateau, on
-            table.fill(tally, np.flatnonzero(stale), *asked)
-            block, (rows, heights) = table.take()
-            whole, links = labels.merge()
-            part, num = whole[labels.offset[block] + rows[:, 0]], int(whole.max(initial=-1)) + 1
-            low, level = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
-            np.minimum.at(low, part, heights)
-            level[part] = rows[:, 2]
-            is_floor = ~kept.is_stair[kept.offset[block] + rows[:, 1]]
-            has_floor = np.bincount(part[is_floor], minlength=num) > 0
-            here, there = np.concatenate([links, links[::-1]], axis=1)
-            lowered = list(grounds)
-            for k in range(1, len(grounds)):
-                on_below, is_above = level[here] == k - 1, level[there] == k
-                to_above, to_others = (
-                    np.bincount(here[on_below & on_other], minlength=num) > 0
-                    for on_other in (is_above, ~is_above)
-                )
-                joins = has_floor & to_above & ~to_others & (low >= grounds[k] - self._step - SLACK)
-                if joins.any():
-                    lowered[k] = min(grounds[k], round(float(low[joins].min()), DECIMALS))
-            if lowered == grounds:
-                break
-            grounds = lowered
-        return grounds
+def _list_heights(placeable: Placeable, window: HeightWindow, test: AreaTest) -> Heights:
+    """Count the heights in a window, see `list_heights`."""
+    sheets = placeable.sheets
+    _, (rows, low) = sheets.blocks.list_rows(
+        kernels.list_heights, ROWS_AND_HEIGHTS, sheets.surfaces, placeable.candidates, window, test
+    )
+    return Heights(window=rows[:, 0], plateau=rows[:, 1], num_surfaces=rows[:, 3], low=low)
 
-    def _place(
-        self, kept: Kept, grounds: list[float], tolerance: float, leave_floors: bool = False
-    ) -> tuple[Int32, BlockTable]:
-        """Place surfaces on levels, see `place_blocks`.
 
-        Returns the level of each surface, and a table by block: a part, 0, a level, how many of the
-        part's surfaces are on it, and the lowest of their heights [m].
-        """
-        sheets, surfaces = self._sheets, self._sheets.surfaces
-        name = "places", leave_floors, tolerance, *grounds
-        (level, table), stale = self._recall(name, lambda: (NO_KEY, self._table()))
-        level = fit(level, len(surfaces.z))
-        self._known[name] = self._now, (level, table)
-        rule, own = (np.array(grounds), tolerance, leave_floors), (sheets.labels.part, level)
-        asked = sheets.lattice, surfaces, kept, rule, own
-        table.fill(kernels.place_blocks, np.flatnonzero(stale), *asked)
-        return level, table
+def _lower_grounds(placeable: Placeable, grounds: list[float]) -> Placing:
+    """Lower each ground to parts of the level below that belong to its floor, and place all.
 
-    def _assign(
-        self, kept: Kept, grounds: list[float], names: list[str | None], tolerance: float
-    ) -> Placed:
-        """Give each surface its level, see `place_blocks`; no two of a column share one.
+    Such parts lie within a step below it, are no stairs, and steps join them to nothing else.
+    """
+    placing = _place(placeable, grounds)
+    for _ in grounds[1:]:
+        lowered = _lower_once(placeable, placing)
+        if lowered == placing.grounds:
+            break
+        placing = _place(placeable, lowered)
+    if placing.grounds != sorted(placing.grounds):
+        placing = _place(placeable, sorted(placing.grounds))
+    return placing
 
-        Where columns have more surfaces than there are levels, treads or else the floors under them
-        are left out, if they are spare, see `_are_spare`. Else a level is opened at the lowest one
-        without a place, or a little below it on its sheet, so that an uneven floor stays whole.
 
-        Args:
-            names: the levels' names, None for those without; empty if none has one.
-            tolerance: how far below a ground its floors may lie [m].
-        """
-        sheets, named = self._sheets, dict(zip(grounds, names, strict=False))
-        while True:
-            grounds = sorted(grounds)
-            for leave_floors in (False, True, False):
-                name = leave_floors, tolerance, *grounds
-                level, table = self._place(kept, grounds, tolerance, leave_floors)
-                block, (rows, low) = table.take()
-                part, _, on, count = rows.T
-                lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
-                members = [sheets.members(sheet) for sheet in lost]
-                if are_spare := self._are_spare(kept, level, members, leave_floors, name):
-                    break
-            if are_spare:
-                break
-            own = float(low[on == LOST].min(initial=np.inf))
-            z = np.concatenate([one.z[kept.key[one.place] >= 0] for one in members])
-            lowest = max([own - FLAT, *(ground + SLACK for ground in grounds if ground <= own)])
-            own = float(z[(z >= lowest) & (z <= own)].min(initial=own))
-            # where all are grounds, their columns are taken on every level: open one above all
-            ground = max(grounds) + 1.0 if own == np.inf else round(own, DECIMALS)
-            grounds = [*grounds, ground]
-        block, part, on, count = (column[on >= 0] for column in (block, part, on, count))
-        used = np.bincount(on, minlength=len(grounds)) > 0
-        number = np.cumsum(used, dtype=np.int64) - 1
-        is_new = ("places", *name) not in self._kept
-        grounds = [ground for ground, is_used in zip(grounds, used, strict=True) if is_used]
-        labels = _label([named.get(ground) for ground in grounds])
-        counts = np.stack([sheets.sheet_at(block, part), number[on], count], axis=1)
-        changed = sheets.blocks.all() if is_new else self._last == self._now
-        spare = [one.only(level[one.place] <= LOST) for one in members]
-        patches = [describe_members(sheets.lattice, one) for one in spare]
-        return Placed(grounds, labels, level, number, counts, changed, patches)
+def _lower_once(placeable: Placeable, placing: Placing) -> list[float]:
+    """The grounds, each lowered to parts of the level below as these are placed."""
+    sheets = placeable.sheets
+    candidates = placeable.candidates
+    step = placeable.agent.traversable_floor_height
+    grounds = placing.grounds
+    labels = label_surfaces(sheets.surfaces, Joining(step, step), placing.level)
+    _, (rows, heights) = sheets.blocks.list_rows(
+        tally, ROWS_AND_HEIGHTS, sheets.surfaces, labels.part, candidates.plateau, placing.level
+    )
+    whole_of_part = labels.wholes()
+    num = int(whole_of_part.max(initial=-1)) + 1
+    part = whole_of_part[rows[:, 0]]
+    low = np.full(num, np.inf)
+    np.minimum.at(low, part, heights)
+    level = np.zeros(num, dtype=np.int64)
+    level[part] = rows[:, 2]
+    is_floor = ~candidates.is_stair[rows[:, 1]]
+    has_floor = np.bincount(part[is_floor], minlength=num) > 0
+    one_end, other_end = labels.links(whole_of_part)
+    from_part = np.append(one_end, other_end)
+    to_part = np.append(other_end, one_end)
+    lowered = list(grounds)
+    for k in range(1, len(grounds)):
+        is_below = level[from_part] == k - 1
+        is_above = level[to_part] == k
+        leads_above = np.bincount(from_part[is_below & is_above], minlength=num) > 0
+        leads_elsewhere = np.bincount(from_part[is_below & ~is_above], minlength=num) > 0
+        is_near = low >= grounds[k] - step - SLACK
+        belongs = has_floor & leads_above & ~leads_elsewhere & is_near
+        if belongs.any():
+            lowered[k] = min(grounds[k], round(float(low[belongs].min()), DECIMALS))
+    return lowered
 
-    def _are_spare(
-        self, kept: Kept, level: Int32, members: list[Members], leave_floors: bool, name: Any
-    ) -> bool:
-        """Whether surfaces without a place can be left out.
 
-        They are rims, nowhere wider than floors are shrunk by, or under treads and no floor that
-        would count by itself; and they cut no walk: without them, the other surfaces make no more
-        connected parts that are large enough for floors.
+def _place(placeable: Placeable, grounds: list[float], leave_floors: bool = False) -> Placing:
+    """Place the candidates on levels, see `place_blocks`.
 
-        Args:
-            level: of each surface.
-            members: of the sheets with such surfaces.
-            leave_floors: whether floors make way for treads.
-            name: of the places, see `_recall`.
-        """
-        if not members:
-            return True
-        sheets, settings = self._sheets, self._settings
-        test = area_test(sheets.lattice, settings)
-        if not leave_floors:
-            rim = {"min_area": sheets.lattice.cell_size**2, "shrink": settings.shrink / 2}
-            settings = settings.model_copy(update=rim)
-        for one in members:
-            marked = np.zeros(sheets.lattice.width * sheets.lattice.height, dtype=np.bool_)
-            marked[one.cell[level[one.place] <= LOST]] = True
-            if is_large(sheets.lattice, settings, marked):
-                return False
-        num_walks, every = [0, 0], kept.key.astype(np.int32)
-        for n, key in enumerate((every, np.where(level <= LOST, np.int32(-1), every))):
-            labels, stale = self._recall(
-                ("walks", name if n else "all"), lambda: Labels(sheets.blocks, sheets.joining)
-            )
-            labels.update(sheets.surfaces, stale, key)
-            whole, _ = labels.merge()
-            for one in members:
-                one = one.only(labels.part[one.place] >= 0)
-                part = labels.offset[sheets.blocks.of(one.cell)] + labels.part[one.place]
-                num_walks[n] += int((np.bincount(whole[part]) >= test.needed).sum())
-        return num_walks[1] <= num_walks[0]
+    Args:
+        grounds: of the levels, ascending [m].
+        leave_floors: whether floors make way for treads where a column has too few levels.
+    """
+    sheets = placeable.sheets
+    level = np.empty(len(sheets.surfaces.z), dtype=np.int32)
+    _, (rows, low) = sheets.blocks.list_rows(
+        kernels.place_blocks,
+        ROWS_AND_HEIGHTS,
+        sheets.surfaces,
+        placeable.candidates,
+        (np.array(grounds), placeable.tolerance, leave_floors),
+        (sheets.labels.part, level),
+    )
+    return Placing(
+        grounds=grounds,
+        leave_floors=leave_floors,
+        level=level,
+        part=rows[:, 0],
+        row_level=rows[:, 2],
+        num_surfaces=rows[:, 3],
+        low=low,
+    )
+
+
+def _make_room(placeable: Placeable, placing: Placing) -> tuple[Placing, list[Patch]]:
+    """Place surfaces again where columns have more of them than there are levels.
+
+    Treads or else the floors under them are left out, if they are spare, see `_are_spare`. Else a
+    level is opened at the lowest one without a place, or a little below it on its sheet, so that an
+    uneven floor stays whole.
+
+    Returns:
+        The surfaces on their levels, and the spare ones that are left out.
+    """
+    sheets = placeable.sheets
+    walks = _label_walks(placeable, placeable.candidates.key)
+    while True:
+        lost_sheets = _list_lost_sheets(sheets, placing)
+        if _are_spare(placeable, placing, lost_sheets, walks):
+            break
+        without_floors = _place(placeable, placing.grounds, leave_floors=True)
+        lost_floors = _list_lost_sheets(sheets, without_floors)
+        if _are_spare(placeable, without_floors, lost_floors, walks):
+            placing = without_floors
+            lost_sheets = lost_floors
+            break
+        ground = _next_ground(placeable.candidates, placing, lost_sheets)
+        placing = _place(placeable, sorted([*placing.grounds, ground]))
+    spare = []
+    for members in lost_sheets:
+        is_lost = placing.level[members.place] <= LOST
+        spare.append(describe_members(sheets.lattice, members.only(is_lost)))
+    return placing, spare
+
+
+def _list_lost_sheets(sheets: Sheets, placing: Placing) -> list[Members]:
+    """All surfaces of each sheet of which any is without a place."""
+    is_lost = placing.row_level <= LOST
+    lost_sheets = np.unique(sheets.of_part[placing.part[is_lost]])
+    return [sheets.members(sheet) for sheet in lost_sheets.tolist()]
+
+
+def _next_ground(candidates: Candidates, placing: Placing, lost_sheets: list[Members]) -> float:
+    """Where a level is opened for surfaces without a place."""
+    grounds = placing.grounds
+    lost = float(placing.low[placing.row_level == LOST].min(initial=np.inf))
+    if lost == np.inf:
+        # all are grounds, so their columns are taken on every level: open one above all
+        return max(grounds) + 1.0
+    heights = [members.z[candidates.key[members.place] >= 0] for members in lost_sheets]
+    z = np.concatenate(heights)
+    lowest = max([lost - FLAT, *(ground + SLACK for ground in grounds if ground <= lost)])
+    return round(float(z[(z >= lowest) & (z <= lost)].min(initial=lost)), DECIMALS)
+
+
+def _are_spare(
+    placeable: Placeable, placing: Placing, lost_sheets: list[Members], walks: Labels
+) -> bool:
+    """Whether surfaces without a place can be left out.
+
+    They are rims, nowhere wider than floors are shrunk by, or under treads and no floor that
+    would count by itself; and they cut no walk: without them, the other surfaces make no more
+    connected parts that are large enough for floors.
+
+    Args:
+        lost_sheets: the surfaces of the sheets with such surfaces.
+        walks: all candidates, see `_label_walks`.
+    """
+    if not lost_sheets:
+        return True
+    lattice = placeable.sheets.lattice
+    settings = placeable.settings
+    limits = settings
+    if not placing.leave_floors:
+        rim = {"min_area": lattice.cell_size**2, "shrink": settings.shrink / 2}
+        limits = settings.model_copy(update=rim)
+    for members in lost_sheets:
+        is_lost = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+        is_lost[members.cell[placing.level[members.place] <= LOST]] = True
+        if is_large(lattice, limits, is_lost):
+            return False
+    remaining_key = np.where(placing.level <= LOST, np.int8(-1), placeable.candidates.key)
+    remaining = _label_walks(placeable, remaining_key)
+    needed = area_test(lattice, settings).needed
+    num_remaining = _count_walks(remaining, lost_sheets, needed)
+    return num_remaining <= _count_walks(walks, lost_sheets, needed)
+
+
+def _label_walks(placeable: Placeable, key: NDArray[np.int8]) -> Labels:
+    """The parts that steps join; for the key, see `label_blocks`."""
+    surfaces = placeable.sheets.surfaces
+    joining = sheet_joining(surfaces.lattice, placeable.agent)
+    return label_surfaces(surfaces, joining, key.astype(np.int32))
+
+
+def _count_walks(walks: Labels, sheets: list[Members], needed: int) -> int:
+    """How many walks have so many surfaces of a sheet, or more."""
+    whole_of_part = walks.wholes()
+    num_walks = 0
+    for members in sheets:
+        part = walks.part[members.place]
+        walk = whole_of_part[part[part >= 0]]
+        num_walks += int(np.count_nonzero(np.bincount(walk) >= needed))
+    return num_walks
+
+
+def _number_levels(
+    sheets: Sheets, placing: Placing, names: dict[float, str | None], spare: list[Patch]
+) -> Placed:
+    """Leave out the levels without surfaces.
+
+    Args:
+        names: of levels, by their grounds; others are named by their numbers.
+        spare: see `Floors`.
+    """
+    has_level = placing.row_level >= 0
+    level = placing.row_level[has_level]
+    used = np.bincount(level, minlength=len(placing.grounds)) > 0
+    number = np.cumsum(used, dtype=np.int64) - 1
+    grounds = [placing.grounds[k] for k in np.flatnonzero(used).tolist()]
+    sheet = sheets.of_part[placing.part[has_level]]
+    return Placed(
+        grounds=grounds,
+        labels=_label([names.get(ground) for ground in grounds]),
+        level=placing.level,
+        number=number,
+        counts=np.stack([sheet, number[level], placing.num_surfaces[has_level]], axis=1),
+        spare=spare,
+    )
 
 
 def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:
@@ -394,13 +500,6 @@ def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:
     end = np.searchsorted(places, places + near, side="right")
     area: Int = (total[end] - total[first])[where]
     return area
-
-
-def _common_height(rows: Int, low: Float) -> float:
-    """The lowest member of the most common height, rounded to plateaus [m]."""
-    numbers, where = np.unique(rows[:, 1], return_inverse=True)
-    most = int(np.bincount(where, rows[:, 3]).argmax())
-    return float(low[rows[:, 1] == numbers[most]].min())
 
 
 def _label(names: list[str | None]) -> list[str]:

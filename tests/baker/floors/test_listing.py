@@ -1,13 +1,15 @@
 """Surfaces and sheets, found by threads and block by block, are those of plain loops."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
-from navbake.baker.columns import Rows
+from navbake.baker.columns import Columns, Rows
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP
-from navbake.baker.floors.sheets import Sheets
-from navbake.baker.floors.surfaces import SurfaceStore, agent_limits
+from navbake.baker.floors.sheets import find_sheets
+from navbake.baker.floors.surfaces import agent_limits, find_surfaces
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
 from navbake.baker.stages import bake_stages
@@ -46,11 +48,11 @@ def list_plainly(columns, agent):
     return found
 
 
-def listed(store):
-    """The same of a store."""
-    surfaces, found = store.surfaces, []
+def listed(surfaces):
+    """The same of surfaces that were found."""
+    found = []
     for cell in range(len(surfaces.first)):
-        for j in store.at(cell).tolist():
+        for j in range(surfaces.first[cell], surfaces.end[cell]):
             marks = int(surfaces.marks[j])
             found.append((cell, surfaces.z[j], bool(marks & STANDS), bool(marks & TOP)))
     return found
@@ -62,12 +64,26 @@ def bake(tmp_path, seed=5):
     return bake_stages({"scene": {"path": str(path)}, "grid": GRID})
 
 
-def store_of(stages, blocks):
-    store = SurfaceStore(stages.lattice, stages.config.agent)
-    for rows in blocks:
-        store.add(stages.columns.only_rows(rows), stages.tiled.shapes.planes)
-    store.finish()
-    return store
+class InBands(NamedTuple):
+    """Columns that come in bands of rows; a `ColumnSource`."""
+
+    columns: Columns
+    bands: list[Rows]
+
+    @property
+    def lattice(self):
+        return self.columns.lattice
+
+    def blocks(self):
+        return map(self.columns.only_rows, self.bands)
+
+    def at(self, cells):
+        return self.columns
+
+
+def surfaces_in(stages, bands):
+    columns = InBands(stages.columns, bands)
+    return find_surfaces(columns, stages.tiled.shapes.planes, stages.config.agent)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -78,13 +94,13 @@ def test_surfaces_are_those_of_a_plain_loop(tmp_path, threads):
     whole, middle = stages.columns.known_rows, Rows(0, 32)
     with limit_threads(threads):
         for blocks in ([whole], [middle, Rows(middle.end, whole.end)]):
-            assert listed(store_of(stages, blocks)) == expected
+            assert listed(surfaces_in(stages, blocks)) == expected
 
 
 def check_sheets(sheets, step):
     """Hold the sheets against parts of one graph of all surfaces."""
-    store, lattice = sheets.store, sheets.lattice
-    rows = [row for row in listed(store) if row[2]]
+    lattice = sheets.lattice
+    rows = [row for row in listed(sheets.surfaces) if row[2]]
     cell, z = (np.array(part) for part in list(zip(*rows, strict=True))[:2])
     at = [np.flatnonzero(cell == k) for k in range(lattice.width * lattice.height)]
     ids, pairs = np.arange(len(at)).reshape(lattice.shape), [(0, 0)]
@@ -95,38 +111,23 @@ def check_sheets(sheets, step):
     assert np.array_equal(sheets.size, np.bincount(number))
     top = np.array([row[3] for row in rows])
     assert np.array_equal(sheets.tops, np.bincount(number, top).astype(int))
-    for sheet in range(len(sheets.key)):
+    for sheet in range(sheets.num):
         members = sheets.members(sheet)
         assert np.array_equal(members.cell, cell[number == sheet])
         assert np.array_equal(members.z, z[number == sheet])
         row, col = np.divmod(members.cell, lattice.width)
         box = [row.min(), col.min(), row.max() + 1, col.max() + 1]
         assert sheets.box[sheet].tolist() == box
-    over = np.zeros(len(sheets.key), dtype=np.int64)
+    over = np.zeros(sheets.num, dtype=np.int64)
     for i in range(1, len(cell)):
         over[number[i]] += cell[i - 1] == cell[i] and number[i - 1] != number[i]
     above, below, count = sheets.stacks()
     assert np.array_equal(np.bincount(above, count * (above != below), len(over)), over)
 
 
-def test_blocks_that_change_leave_the_sheets_of_a_fresh_bake(tmp_path):
-    """Columns of one scene take the place of those of another, some cells at a time."""
-    one, other = bake(tmp_path), bake(tmp_path, seed=6)
-    planes, agent = one.tiled.shapes.planes, one.config.agent
-    store = store_of(one, [one.columns.known_rows])
-    sheets = Sheets(store, agent)
-    every = sheets.blocks.all()
-    sheets.update(every, every)
-    check_sheets(sheets, agent.traversable_floor_height)
-    rng, num = np.random.default_rng(3), len(one.columns.start) - 1
-    order = rng.permutation(num)
-    for cells in (order[:5], order[5:400], order[400:2000], order[2000:]):
-        cells = np.sort(cells)
-        changed, _ = store.replace(cells, other.columns, planes)
-        stale = sheets.blocks.holding(changed)
-        sheets.update(stale, stale)
-        check_sheets(sheets, agent.traversable_floor_height)
-    fresh = Sheets(store_of(other, [other.columns.known_rows]), agent)
-    fresh.update(every, every)
-    for name in ("key", "size", "tops", "box", "digest"):
-        assert np.array_equal(getattr(sheets, name), getattr(fresh, name)), name
+@pytest.mark.parametrize("seed", [5, 6])
+def test_sheets_are_the_parts_of_one_graph(tmp_path, seed):
+    stages = bake(tmp_path, seed)
+    surfaces = surfaces_in(stages, [stages.columns.known_rows])
+    sheets = find_sheets(surfaces, stages.config.agent)
+    check_sheets(sheets, stages.config.agent.traversable_floor_height)

@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navbake.baker.blocks import BlockAnswers
 from navbake.baker.floors.outline import (
     BARRIER,
     BORDER,
     DROP,
-    NO_EDGES,
     OPEN,
     WALL,
-    Site,
+    look_at_site,
 )
-from navbake.baker.floors.sheets import SheetFacts
+from navbake.baker.floors.sheets import find_large_sheets
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.stages import bake_stages
@@ -53,15 +51,19 @@ def endings_at(tmp_path: Path):
             return look_at_cells(columns, tiled, volume, cells, floors).occupied
 
         sheets, settings = sheets_of(stages), stages.config.floors
-        is_large = sheets.left(sheets.size > 0, settings)
-        members = [sheets.members(sheet) for sheet in range(len(sheets.key))]
+        is_large = find_large_sheets(sheets, sheets.size > 0, settings)
+        members = [sheets.members(sheet) for sheet in range(sheets.num)]
         chosen = is_large & [np.isclose(own.z, z).any() for own in members]
-        cropped, never = np.zeros(4, dtype=np.bool_), np.zeros(len(chosen), dtype=np.int64)
-        site = Site(
-            sheets, is_large, columns, agent, settings, is_occupied, cropped,
-            (never[:0], NO_EDGES), 4, never, never, never, SheetFacts(), BlockAnswers(0),
-        )  # fmt: skip
-        edges = site.edges_of(chosen, 4, among=is_large)
+        site = look_at_site(
+            sheets=sheets,
+            is_large=is_large,
+            columns=columns,
+            cropped=np.zeros(4, dtype=np.bool_),
+            agent=agent,
+            settings=settings,
+            is_occupied=is_occupied,
+        )
+        edges = site.edges_of(chosen, 4)
         ending, landing, floor, _ = site.endings(edges)
         assert ((floor >= 0) == (ending == DROP)).all()
         assert (np.isnan(landing) == (ending != DROP)).all()

@@ -11,16 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from navbake.baker.blocks import Blocks
 from navbake.baker.floors.kernels.levels import (
     MOVE_FLOOR,
     MOVE_STAIR,
     SKIP_FLOOR,
     SKIP_STAIR,
-    Kept,
+    Candidates,
     climb,
     place_blocks,
 )
 from navbake.baker.floors.kernels.surfaces import Surfaces
+from navbake.baker.floors.storeys import ROWS_AND_HEIGHTS
 from navbake.baker.pipeline import run_bake
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
@@ -206,20 +208,30 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     """The levels of the surfaces of one column, -1 where all are taken."""
     num = len(base)
     z, none = np.array(base) + 0.01 * np.arange(num), np.empty((0, 3), dtype=np.float32)
-    ids, length = np.zeros(num, dtype=np.int32), np.array([num], dtype=np.int32)
-    marks = np.zeros(num, dtype=np.uint8)
-    surfaces = Surfaces(np.zeros(1, np.int32), length, length, z, ids, marks, none)
-    kept = Kept(
-        ids.astype(np.int8),
-        np.arange(num, dtype=np.int32),
-        np.zeros(1, np.int64),
-        np.array(is_stair),
+    ids = np.zeros(num, dtype=np.int32)
+    surfaces = Surfaces(
+        lattice=Lattice(0.0, 1.0, 1.0, 1, 1),
+        first=np.zeros(1, dtype=np.int32),
+        end=np.array([num], dtype=np.int32),
+        z=z,
+        geom=ids,
+        marks=np.zeros(num, dtype=np.uint8),
+        normal=none,
+    )
+    candidates = Candidates(
+        key=ids.astype(np.int8),
+        plateau=np.arange(num, dtype=np.int32),
+        is_stair=np.array(is_stair),
     )
     level, grounds = np.empty(num, dtype=np.int32), np.arange(num_levels, dtype=np.float64)
-    rows = np.empty((num, 4), dtype=np.int64), np.empty(num)
-    block = np.zeros((2, 1), dtype=np.int64)
-    asked = Lattice(0.0, 1.0, 1.0, 1, 1), surfaces, kept, (grounds, 1e-6, False), (ids, level)
-    place_blocks(*asked, *block, rows, 0, 1)
+    Blocks(surfaces.lattice).list_rows(
+        place_blocks,
+        ROWS_AND_HEIGHTS,
+        surfaces,
+        candidates,
+        (grounds, 1e-6, False),
+        (ids, level),
+    )
     return np.maximum(level, -1).tolist()
 
 

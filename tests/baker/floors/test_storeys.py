@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import random
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-import navbake
 from box_worlds import box, stages_of_xml, world
 from navbake.baker.blocks import splice
 from navbake.baker.columns import cast_columns
@@ -242,27 +239,3 @@ def test_top_that_is_nowhere_wide_is_none_however_large(tmp_path: Path, wide, nu
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
     top = sum(len(patch.cells) for patch in stages.floors.tops) > 0
     assert top == bool(num_tops)
-
-
-PIECE = (
-    '<body name="piece" pos="6 4 .25"><freejoint/>'
-    '<geom type="box" size=".25 .25 .25"/></body></worldbody>'
-)
-
-
-@pytest.mark.parametrize("xml", [two_storeys(), two_storeys(under=0.06), plenum(1.34)])
-def test_updates_over_seams_rims_and_voids_equal_fresh_bakes(xml):
-    model = mujoco.MjModel.from_xml_string(xml.replace("</worldbody>", PIECE))
-    grid = {"cell_size": 0.1, "bounds": [-0.2, -0.2, 10.2, 8.2]}
-    baker, rng = navbake.Baker(model, grid=grid), random.Random(0)
-    for _ in range(8):
-        x, y = (round(rng.uniform(0.5, high) / 0.05) * 0.05 for high in (7.5, 5.5))
-        changes = baker.update(bodies={"piece": [x, y, rng.choice([0.25, 3.05])]})
-        assert not changes.reason
-        data = mujoco.MjData(model)
-        data.qpos[:] = baker.pose[0]
-        fresh = navbake.bake(model, data, grid=grid)
-        assert len(fresh.levels) == len(baker.grid.levels)
-        for one, other in zip(baker.grid.levels, fresh.levels, strict=True):
-            for name in ("floor_height", "occupancy", "room_index"):
-                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))

@@ -1,8 +1,6 @@
 """Floors grow under things, ring by ring (breadth-first search); and the links between levels.
 
-A cell's floor depends on its heights and on the floors and rings that its neighbours had before. So
-a region can be grown again from the rings around it, and if its outermost cells keep their floors
-and rings, nothing outside of it changes.
+A cell's floor depends on its heights, and on the floors that its neighbours had one ring before.
 """
 
 import math
@@ -50,16 +48,16 @@ class Growing(NamedTuple):
 
 
 @part(inline="always")
-def _is_option(labelled, growing, block, last, j, lowest, highest):
+def _is_option(labelled, growing, last, j, lowest, highest):
     """Whether the floor may go on at a surface: see `stand`."""
     z = growing.surfaces.z
-    if growing.level[j] >= 0 or not lowest <= z[j] <= highest or sheet_of(labelled, block, j) >= 0:
+    if growing.level[j] >= 0 or not lowest <= z[j] <= highest or sheet_of(labelled, j) >= 0:
         return False
     for i in range(j + 1, last):
         if z[i] - z[j] > growing.step + SLACK:
             break
         # an agent would walk on those above, as on a roof in which a wall's top is hidden
-        if growing.level[i] < 0 and sheet_of(labelled, block, i) >= 0:
+        if growing.level[i] < 0 and sheet_of(labelled, i) >= 0:
             return False
     return True
 
@@ -77,13 +75,13 @@ def stand(labelled, growing, blocks, counts, columns, begin, end):
     """
     (cells,), num = columns, 0
     surfaces, floor, ring = growing.surfaces, growing.floor, growing.ring
-    lattice, option = labelled.lattice, growing.option
+    lattice, option = surfaces.lattice, growing.option
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                first, last = surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]
+                first, last = surfaces.first[cell], surfaces.end[cell]
                 floor[cell], ring[cell] = math.nan, -1
                 lowest, highest = -math.inf, math.inf
                 for j in range(first, last):
@@ -101,7 +99,7 @@ def stand(labelled, growing, blocks, counts, columns, begin, end):
                 final = np.int64(-1)
                 for j in range(first, last):
                     option[j] = NO_OPTION
-                    if _is_option(labelled, growing, blocks[k], last, j, lowest, highest):
+                    if _is_option(labelled, growing, last, j, lowest, highest):
                         option[j] = OPTION
                         if final < 0:
                             ring[cell] = -2 - j
@@ -126,7 +124,7 @@ def _around(lattice, cell):
 
 
 @part(**UNCOUNTED)
-def _grow_into(lattice, growing, cell, now):
+def _grow_into(growing, cell, now):
     """Write the floor that grows into a cell in a ring, if any does; returns whether one does.
 
     None does where the cell has a floor already, or no surface for one. Else it is that of the
@@ -138,7 +136,7 @@ def _grow_into(lattice, growing, cell, now):
     best, best_gap, first = math.nan, growing.step + SLACK, -2 - ring[cell]
     if first < 0:
         return False
-    for other in _around(lattice, cell):
+    for other in _around(growing.surfaces.lattice, cell):
         if other < 0 or not 0 <= ring[other] < now:
             continue
         j = first
@@ -159,59 +157,49 @@ def _grow_into(lattice, growing, cell, now):
 
 
 @part(**UNCOUNTED)
-def _list_beside(lattice, ring, cell, cells, num):
+def _list_beside(growing, cell, cells, num):
     """List the next cells into which a floor may still grow; returns how many are listed then."""
-    for other in _around(lattice, cell):
-        if other >= 0 and ring[other] < -1:
+    for other in _around(growing.surfaces.lattice, cell):
+        if other >= 0 and growing.ring[other] < -1:
             cells[num] = other
             num += 1
     return num
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def grow_ring(lattice, growing, now, asked, counts, columns, begin, end):
+def grow_ring(growing, now, asked, counts, columns, begin, end):
     """Grow the floor by the ring `now` into ``asked[begin:end]``, and list the cells beside these.
 
     The rows, see `navbake.baker.blocks.list_rows`: a cell, int64; the same may be listed several
     times. The order of cells does not matter, nor whether others are at work: the floors of a ring
     count for the next one only.
     """
-    (cells,), num, ring = columns, 0, growing.ring
+    (cells,), num = columns, 0
     for k in range(begin, end):
         before = num
         if num + 4 > cells.shape[0]:
             return k
-        if _grow_into(lattice, growing, asked[k], now):
-            num = _list_beside(lattice, ring, asked[k], cells, num)
+        if _grow_into(growing, asked[k], now):
+            num = _list_beside(growing, asked[k], cells, num)
         counts[k] = num - before
     return end
 
 
 @kernel(nogil=True)
-def grow(lattice, growing, now, asked, rim):
-    """Grow the floor by the ring `now` and all later ones.
-
-    Args:
-        asked: the cells into which it may grow in this ring, int64.
-        rim: cells around those that may grow, with floors of later rings than where one can stand,
-            by their rings, int64.
-    """
-    ring, outer = growing.ring, 0
-    while asked.shape[0] > 0 or outer < rim.shape[0]:
-        last = outer
-        while last < rim.shape[0] and ring[rim[last]] == now:
-            last += 1
-        beside, num = np.empty(4 * (asked.shape[0] + last - outer), np.int64), 0
-        for cell in asked:
-            if _grow_into(lattice, growing, cell, now):
-                num = _list_beside(lattice, ring, cell, beside, num)
-        for place in range(outer, last):
-            num = _list_beside(lattice, ring, rim[place], beside, num)
-        asked, outer, now = beside[:num], last, now + 1
+def grow(growing, now, cells):
+    """Grow the floor by the ring `now` into some cells, int64, and by all later rings."""
+    while cells.shape[0] > 0:
+        next_cells = np.empty(4 * cells.shape[0], np.int64)
+        num = 0
+        for cell in cells:
+            if _grow_into(growing, cell, now):
+                num = _list_beside(growing, cell, next_cells, num)
+        cells = next_cells[:num]
+        now += 1
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, columns, begin, end):
+def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin, end):
     """List where levels meet: steps between two, and pairs that slopes join but no step does.
 
     Pairs each cell of ``blocks[begin:end]`` with those east and south of it. `placed` has `level`
@@ -219,7 +207,7 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
     the other level, which is not lower, and its cell.
     """
     (rows,), (level, number), num = columns, placed, 0
-    first, length, z = surfaces.first, surfaces.length, surfaces.z
+    first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
     far = math.inf if by_slopes else step + SLACK
     for k in range(begin, end):
         before = num
@@ -230,8 +218,8 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
                 for way, other in enumerate(_around(lattice, cell)[:2]):
                     if other < 0:
                         continue
-                    low, last = first[other], first[other] + length[other]
-                    for a in range(first[cell], first[cell] + length[cell]):
+                    low, last = first[other], ends[other]
+                    for a in range(first[cell], ends[cell]):
                         while low < last and z[low] < z[a] - far:
                             low += 1
                         for b in range(low, last):
@@ -242,7 +230,7 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
                             one, two = number[level[a]], number[level[b]]
                             meets = one != two and abs(z[a] - z[b]) <= step + SLACK
                             if by_slopes and not meets:
-                                meets = slope_joins(lattice, surfaces, a, b, way, step)
+                                meets = slope_joins(surfaces, a, b, way, step)
                             if not meets:
                                 continue
                             if num == rows.shape[0]:

@@ -12,8 +12,9 @@ import numpy as np
 
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import block_window
+from navbake.baker.kernels.tiles import block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.types import Int, Int32
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other; one lies next over
 # the other
@@ -36,6 +37,20 @@ class Joining(NamedTuple):
     step: float
     reach: float = -1.0
     by_slopes: bool = False
+
+
+class Numbering(NamedTuple):
+    """How parts are numbered over all blocks.
+
+    Attributes:
+        part: see `label_blocks`.
+        offset: the number of each block's first part, int64.
+        number: receives the number of each surface's part, -1 for none, int32.
+    """
+
+    part: Int32
+    offset: Int
+    number: Int32
 
 
 @part(**UNCOUNTED)
@@ -66,30 +81,19 @@ def _group(surfaces, key, j):
 
 
 @part(inline="always")
-def _joins(lattice, surfaces, key, joining, a, b, way):
+def _joins(surfaces, key, joining, a, b, way):
     """Whether two surfaces of neighbouring cells are of one part."""
     if _group(surfaces, key, a) != _group(surfaces, key, b):
         return False
     if abs(surfaces.z[a] - surfaces.z[b]) <= joining.step + SLACK:
         return True
-    return joining.by_slopes and slope_joins(lattice, surfaces, a, b, way, joining.step)
+    return joining.by_slopes and slope_joins(surfaces, a, b, way, joining.step)
 
 
 @part(inline="always")
 def _far(joining):
     """The greatest gap between surfaces that join or are linked [m]."""
     return math.inf if joining.by_slopes else max(joining.step, joining.reach) + SLACK
-
-
-@part(inline="always")
-def _mix(cell, bits, geom):
-    """Hash one surface (splitmix64's finalizer); the sum over a sheet's surfaces identifies it."""
-    x = np.uint64(bits) ^ (np.uint64(cell) * np.uint64(0x9E3779B97F4A7C15))
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27)) ^ (np.uint64(geom) << np.uint64(40))) * np.uint64(
-        0x94D049BB133111EB
-    )
-    return x ^ (x >> np.uint64(31))
 
 
 @part(inline="always")
@@ -103,35 +107,35 @@ def _find_root(part, j):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns, begin, end):
+def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, end):
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``; measure them.
 
     The rows are the parts, by their first members, see `navbake.baker.blocks.list_rows`: how many
     surfaces a part has, and how many of these lie uppermost; its first member, by cell and rank;
-    the sum of its members' hashes; its first row and column, and past its last ones, (n, 8) int64.
-    A column more has the lowest height [m].
+    its first row and column, and past its last ones, (n, 7) int64. A column more has the lowest
+    height [m].
 
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
             that one can stand on are one group. Only surfaces of one group are connected.
-        part: receives the part of each surface, -1 for none, (n,) int32.
+        part: receives the number of each surface's part in its block, -1 for none, (n,) int32.
     """
     measures, lowest = columns
-    first, length, z, width = surfaces.first, surfaces.length, surfaces.z, lattice.width
-    far, bits, offset = _far(joining), z.view(np.int64), 0
+    first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
+    far, offset, width = _far(joining), 0, lattice.width
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         # at first `part` has the parents of union-find: -2 less their places
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
-                begin_here, end_here = first[cell], first[cell] + length[cell]
+                begin_here, end_here = first[cell], ends[cell]
                 for j in range(begin_here, end_here):
                     part[j] = -2 - j if _group(surfaces, key, j) >= 0 else -1
                 for way in range(2):
                     if cell == row * width + col0 if way == 0 else row == row0:
                         continue
                     other = cell - 1 if way == 0 else cell - width
-                    low, last = first[other], first[other] + length[other]
+                    low, last = first[other], ends[other]
                     for j in range(begin_here, end_here):
                         if part[j] == -1:
                             continue
@@ -140,7 +144,7 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns,
                         for i in range(low, last):
                             if z[i] > z[j] + far:
                                 break
-                            if part[i] != -1 and _joins(lattice, surfaces, key, joining, i, j, way):
+                            if part[i] != -1 and _joins(surfaces, key, joining, i, j, way):
                                 one, two = _find_root(part, i), _find_root(part, j)
                                 if one != two:
                                     part[max(one, two)] = -2 - min(one, two)
@@ -148,7 +152,7 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns,
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell, rank = row * width + col, 0
-                for j in range(first[cell], first[cell] + length[cell]):
+                for j in range(first[cell], ends[cell]):
                     if part[j] == -1:
                         continue
                     root = j
@@ -160,16 +164,16 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns,
                             return k
                         measures[n, :], lowest[n] = 0, z[j]
                         measures[n, 2] = cell * 4096 + min(rank, 4095)
-                        measures[n, 4], measures[n, 5] = row, col
+                        measures[n, 3], measures[n, 4] = row, col
                         part[root] = num
                         num += 1
                     part[j] = part[root]
                     n = offset + part[j]
                     measures[n, 0] += 1
                     measures[n, 1] += 1 if surfaces.marks[j] & TOP else 0
-                    measures[n, 3] += np.int64(_mix(cell, bits[j], surfaces.geom[j]))
-                    measures[n, 5], measures[n, 6] = min(measures[n, 5], col), row + 1
-                    measures[n, 7] = max(measures[n, 7], col + 1)
+                    measures[n, 4] = min(measures[n, 4], col)
+                    measures[n, 5] = row + 1
+                    measures[n, 6] = max(measures[n, 6], col + 1)
                     lowest[n] = min(lowest[n], z[j])
                     rank += 1
         counts[k] = num
@@ -178,37 +182,47 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns,
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, begin, end):
-    """List the pairs of parts that meet, inside of blocks and over their east and south borders.
+def list_pairs(surfaces, key, joining, numbering, blocks, counts, columns, begin, end):
+    """Number parts over all blocks, and list the pairs of parts in and beside blocks that meet.
 
-    The rows: the part in the block; the other one; and three times the kind, JOINS (over borders
-    alone), LINKS or LIES, plus 1 if the other one is in the block east of it, 2 in that south of
-    it.
+    Looks at ``blocks[begin:end]``, and over their east and south borders.
+
+    The rows: the part in the block, the other one, and the kind: JOINS (over borders alone), LINKS
+    or LIES.
+
+    Args:
+        numbering: see `Numbering`.
     """
+    first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
     rows, num, width, far = columns[0], np.int64(0), lattice.width, _far(joining)
-    first, length, z = surfaces.first, surfaces.length, surfaces.z
+    part, offset, number = numbering.part, numbering.offset, numbering.number
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell, lower = row * width + col, np.int32(-1)
-                for a in range(first[cell], first[cell] + length[cell]):
-                    if part[a] >= 0 and lower >= 0:
-                        at = note_row(rows, before, num, part[a], lower, 3 * LIES)
+                for a in range(first[cell], ends[cell]):
+                    number[a] = -1
+                    if part[a] < 0:
+                        continue
+                    number[a] = offset[blocks[k]] + part[a]
+                    if lower >= 0:
+                        at = note_row(rows, before, num, number[a], lower, LIES)
                         if at < 0:
                             return k
                         num = max(num, at + 1)
-                    lower = part[a] if part[a] >= 0 else lower
+                    lower = number[a]
                 for way in range(2):
                     at_border = col == col1 - 1 if way == 0 else row == row1 - 1
                     if not at_border and joining.reach < 0.0:
                         continue
                     if (col == width - 1) if way == 0 else (row == lattice.height - 1):
                         continue
-                    other, where = cell + (1 if way == 0 else width), way + 1 if at_border else 0
-                    low, last = first[other], first[other] + length[other]
-                    for a in range(first[cell], first[cell] + length[cell]):
+                    other = cell + (1 if way == 0 else width)
+                    other_offset = offset[block_of(lattice, row + way, col + 1 - way)]
+                    low, last = first[other], ends[other]
+                    for a in range(first[cell], ends[cell]):
                         if part[a] < 0:
                             continue
                         while low < last and z[low] < z[a] - far:
@@ -218,12 +232,13 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
                                 break
                             if part[b] < 0 or (not at_border and part[a] == part[b]):
                                 continue
-                            joins = _joins(lattice, surfaces, key, joining, a, b, way)
+                            joins = _joins(surfaces, key, joining, a, b, way)
                             apart = abs(z[a] - z[b]) > joining.reach + SLACK
                             if (not at_border) if joins else apart:
                                 continue
                             kind = JOINS if joins else LINKS
-                            at = note_row(rows, before, num, part[a], part[b], 3 * kind + where)
+                            to = other_offset + part[b]
+                            at = note_row(rows, before, num, number[a], to, kind)
                             if at < 0:
                                 return k
                             num = max(num, at + 1)
@@ -232,19 +247,19 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def tally(lattice, surfaces, own, other, level, blocks, counts, columns, begin, end):
+def tally(surfaces, own, other, level, blocks, counts, columns, begin, end):
     """Count the surfaces of ``blocks[begin:end]`` whose `own` number is >= 0.
 
     The rows: the `own` and the `other` number, and the level, unless that is -1; if `level` is
     empty, the multiple of PLATEAU. A column more has the lowest height of each row [m].
     """
-    (rows, low), num = columns, np.int64(0)
+    (rows, low), num, lattice = columns, np.int64(0), surfaces.lattice
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+                for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if own[j] < 0 or (level.shape[0] > 0 and level[j] == -1):
                         continue
                     z = surfaces.z[j]

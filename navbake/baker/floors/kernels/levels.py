@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from navbake.baker.floors.kernels.labels import bin_of, note_row
 from navbake.baker.floors.kernels.members import sheet_of, shrink
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import SIZE, block_of, block_window
+from navbake.baker.kernels.tiles import SIZE, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Int32
 
 # What it costs to move a stair's tread, or a floor, by one level, and to take it out of the order:
 # a tread moves rather than a floor, and leaves the order rather than a floor moves
@@ -27,55 +27,68 @@ NO_WINDOW, EVERY, LOWEST = -(1 << 62), -(1 << 61), -(1 << 60)
 LOST, LOST_GROUND = -2, -3
 
 
-class Kept(NamedTuple):
+class Candidates(NamedTuple):
     """The surfaces that levels are made of.
 
     Attributes:
-        key: of each surface, 0 if it is kept, else -1, int8.
-        plateau: of each, its plateau's number in its block, int32; empty if no column has two.
-        offset: the number of each block's first plateau, int64.
+        key: of each surface, 0 if it is a candidate, else -1, int8.
+        plateau: of each, the number of its plateau, int32; empty if no column has two.
         is_stair: which plateaus are parts of stairs, bool.
     """
 
     key: NDArray[np.int8]
     plateau: Int32
-    offset: Int
     is_stair: Bool
 
 
+class HeightWindow(NamedTuple):
+    """Which heights `list_heights` counts.
+
+    Attributes:
+        ground: floors over others count from here on; the lowest of each column if it is -inf [m].
+        number: of the window, EVERY or LOWEST.
+        half_step: half of a window's height [m].
+        top: from here on nothing counts [m].
+    """
+
+    ground: float
+    number: int
+    half_step: float
+    top: float = math.inf
+
+
 @part(inline="always")
-def _is_stair(kept, block, j):
-    if kept.plateau.shape[0] == 0:
+def _is_stair(candidates, j):
+    if candidates.plateau.shape[0] == 0:
         return False
-    return kept.is_stair[kept.offset[block] + kept.plateau[j]]
+    return candidates.is_stair[candidates.plateau[j]]
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def mark_kept(labelled, spans, key, blocks, stacked, begin, end):
-    """Mark the labelled surfaces in ``blocks[begin:end]`` that lie in any span of heights.
+def mark_candidates(labelled, spans, key, stacked, begin, end):
+    """Mark the labelled surfaces in the blocks from `begin` to `end` that lie in a span of heights.
 
     Args:
-        spans: (n, 2) float64, see `given_spans`; all surfaces are kept where there are none.
-        key: receives 0 for those that are kept, -1 for the others.
-        stacked: by block, receives whether two lie in one cell.
+        spans: (n, 2) float64, see `given_spans`; if there are none, all are marked.
+        key: of each surface, receives 0 if it is marked, -1 if it isn't.
+        stacked: of each block, receives whether two lie in one cell.
     """
-    lattice = labelled.lattice
-    for k in range(begin, end):
-        block = blocks[k]
+    surfaces, lattice = labelled.surfaces, labelled.surfaces.lattice
+    for block in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, block)
         stacked[block] = False
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 count = 0
-                for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
+                for j in range(surfaces.first[cell], surfaces.end[cell]):
                     key[j] = -1
-                    if sheet_of(labelled, block, j) < 0:
+                    if sheet_of(labelled, j) < 0:
                         continue
-                    is_kept = spans.shape[0] == 0
+                    is_in_span = spans.shape[0] == 0
                     for s in range(spans.shape[0]):
-                        if spans[s, 0] <= labelled.z[j] < spans[s, 1]:
-                            is_kept = True
-                    if is_kept:
+                        if spans[s, 0] <= surfaces.z[j] < spans[s, 1]:
+                            is_in_span = True
+                    if is_in_span:
                         key[j] = 0
                         count += 1
                 if count > 1:
@@ -83,22 +96,21 @@ def mark_kept(labelled, spans, key, blocks, stacked, begin, end):
 
 
 @part(inline="always")
-def _window_of(surfaces, kept, block, j, heights, is_lowest):
-    """The window in which `list_heights` counts a kept surface, or NO_WINDOW."""
-    ground, window, half, _ = heights
-    if is_lowest != (ground == -math.inf):
+def _window_of(surfaces, candidates, j, window, is_lowest):
+    """The window in which `list_heights` counts a candidate, or NO_WINDOW."""
+    if is_lowest != (window.ground == -math.inf):
         return NO_WINDOW
-    if window == LOWEST:
+    if window.number == LOWEST:
         return LOWEST
-    number = np.int64(math.floor(surfaces.z[j] / half))
-    is_asked = window == EVERY or window <= number <= window + 1
-    return number if is_asked and not _is_stair(kept, block, j) else NO_WINDOW
+    number = np.int64(math.floor(surfaces.z[j] / window.half_step))
+    is_in = window.number == EVERY or window.number <= number <= window.number + 1
+    return number if is_in and not _is_stair(candidates, j) else NO_WINDOW
 
 
 @part(**UNCOUNTED)
-def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, num):
+def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
     """`list_heights` of one block; returns how many rows there are then, -1 for no room."""
-    (rows, low), (ground, _, _, top), reach, before = columns, heights, test.reach, num
+    (rows, low), reach, before, lattice = columns, test.reach, num, surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
     mask, left = masks
     # the window's cells are marked, with a margin, before those that shrinking leaves are counted
@@ -112,17 +124,17 @@ def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, n
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
                 if not marks and reach > 0 and not left[row - row0, col - col0]:
                     continue
-                own, is_lowest = block_of(lattice, row, col) if marks else block, True
-                first = surfaces.first[row * lattice.width + col]
-                for j in range(first, first + surfaces.length[row * lattice.width + col]):
-                    if kept.key[j] < 0:
+                is_lowest = True
+                cell = row * lattice.width + col
+                for j in range(surfaces.first[cell], surfaces.end[cell]):
+                    if candidates.key[j] < 0:
                         continue
                     z = surfaces.z[j]
-                    if z >= top or (ground == -math.inf and not is_lowest):
+                    if z >= window.top or (window.ground == -math.inf and not is_lowest):
                         break
-                    if z < ground - SLACK:
+                    if z < window.ground - SLACK:
                         continue
-                    number = _window_of(surfaces, kept, own, j, heights, is_lowest)
+                    number = _window_of(surfaces, candidates, j, window, is_lowest)
                     is_lowest = False
                     if number == NO_WINDOW:
                         continue
@@ -138,22 +150,21 @@ def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, n
 
 
 @kernel(nogil=True)
-def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns, begin, end):
+def list_heights(surfaces, candidates, window, test, blocks, counts, columns, begin, end):
     """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
 
-    Floors are the kept surfaces, without stairs, that lie over another one at or above the ground
+    Floors are the candidates, without stairs, that lie over another one at or above the ground
     in their column; over a ground of -inf, the lowest of their columns. Window n reaches from
-    ``n * half`` to ``(n + 1) * half``; one window counts together with the one above it, and their
-    cells are shrunk together, by the disc of `test`.
+    ``n * half_step`` to ``(n + 1) * half_step``; one window counts together with the one above it,
+    and their cells are shrunk together, by the disc of `test`.
 
-    `heights` are the ground [m], the number of a window, EVERY or LOWEST, `half` [m], and the
-    height from which on nothing counts [m]. The rows, see `navbake.baker.blocks.list_rows`: the
-    window, the multiple of PLATEAU, 0, and how many; with the lowest of these heights [m].
+    The rows, see `navbake.baker.blocks.list_rows`: the number of a window, the multiple of PLATEAU,
+    0, and how many; with the lowest of these heights [m].
     """
     num, size = np.int64(0), SIZE + 2 * test.reach
     for k in range(begin, end):
         masks = np.zeros((size, size), np.int32), np.empty((SIZE, SIZE), np.bool_)
-        after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], masks, columns, num)
+        after = _list_block(surfaces, candidates, window, test, blocks[k], masks, columns, num)
         if after < 0:
             return k
         counts[k], num = after - num, after
@@ -161,12 +172,12 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
 
 
 @part(**UNCOUNTED)
-def _place_bases(surfaces, kept, grounds, tolerance, cell, level):
-    """Give a cell's kept surfaces their bases; returns their number if two share one, else 0."""
+def _place_bases(surfaces, candidates, grounds, tolerance, cell, level):
+    """Give a cell's candidates their bases; returns their number if two share one, else 0."""
     count, base, is_shared = 0, 0, False
-    for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+    for j in range(surfaces.first[cell], surfaces.end[cell]):
         level[j] = -1
-        if kept.key[j] < 0:
+        if candidates.key[j] < 0:
             continue
         before, z = base if count > 0 else -1, surfaces.z[j]
         while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= z:
@@ -177,8 +188,8 @@ def _place_bases(surfaces, kept, grounds, tolerance, cell, level):
 
 
 @kernel(nogil=True)
-def place_blocks(lattice, surfaces, kept, rule, own, blocks, counts, columns, begin, end):
-    """Give each kept surface in ``blocks[begin:end]`` its level; no two of a column share one.
+def place_blocks(surfaces, candidates, rule, own, blocks, counts, columns, begin, end):
+    """Give each candidate in ``blocks[begin:end]`` its level; no two of a column share one.
 
     A surface's base is the highest ground at or below it. Where all bases of a column differ, they
     are the levels. Elsewhere the surfaces of a column are placed in their order, moved as little
@@ -193,21 +204,19 @@ def place_blocks(lattice, surfaces, kept, rule, own, blocks, counts, columns, be
             and whether columns with more surfaces than levels leave out floors, the lower ones
             first, rather than treads.
         own: the part of each surface; and receives its level, LOST or LOST_GROUND where all are
-            taken, -1 where it is not kept, (n,) int32.
+            taken, -1 where it is no candidate, (n,) int32.
     """
     (grounds, tolerance, leave_floors), (part, level) = rule, own
-    (rows, low), num = columns, np.int64(0)
+    (rows, low), num, lattice = columns, np.int64(0), surfaces.lattice
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                count = _place_bases(surfaces, kept, grounds, tolerance, cell, level)
+                count = _place_bases(surfaces, candidates, grounds, tolerance, cell, level)
                 if count > 0:
-                    _place_column(
-                        surfaces, kept, blocks[k], grounds, leave_floors, cell, level, count
-                    )
-                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+                    _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count)
+                for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if level[j] == -1:
                         continue
                     at = note_row(rows, before, num, part[j], 0, level[j])
@@ -221,15 +230,15 @@ def place_blocks(lattice, surfaces, kept, rule, own, blocks, counts, columns, be
 
 
 @part
-def _place_column(surfaces, kept, block, grounds, leave_floors, cell, level, count):
-    """Replace the levels of a cell's kept surfaces, which are their bases."""
+def _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count):
+    """Replace the levels of a cell's candidates, which are their bases."""
     num_levels, num = grounds.shape[0], 0
     places, base = np.empty(count, np.int64), np.empty(count, np.int64)
     found, cost = np.empty(count, np.int64), np.empty((2, count), np.int64)
     leave_floors = leave_floors and count > num_levels
-    for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-        if kept.key[j] >= 0:
-            is_stair = _is_stair(kept, block, j)
+    for j in range(surfaces.first[cell], surfaces.end[cell]):
+        if candidates.key[j] >= 0:
+            is_stair = _is_stair(candidates, j)
             places[num], base[num] = j, level[j]
             cost[0, num] = MOVE_STAIR if is_stair or leave_floors else MOVE_FLOOR
             cost[1, num] = SKIP_STAIR if is_stair != leave_floors else SKIP_FLOOR

@@ -7,14 +7,14 @@ mask.
 
 import math
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.floors.kernels.labels import note_row
+from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.kernels.connect import find_root, unite
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import block_of, block_window
+from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int, Int32
 
@@ -23,21 +23,16 @@ NOTHING, ITSELF = np.int64(-1), np.int64(-2)
 
 
 class Labelled(NamedTuple):
-    """Surfaces, see `Surfaces`, and the chosen sheets that they belong to.
+    """Surfaces and the chosen sheets that they belong to.
 
     Attributes:
-        part: of each surface, its part's number in its block, -1 for none.
-        offset: the number of each block's first part, int64.
+        surfaces: all of them.
+        part: of each surface, the number of its part, see `Labels`, -1 for none, int32.
         sheet: of each part, -1 unless it is chosen, int32.
     """
 
-    lattice: Any
-    first: Int32
-    length: Int32
-    z: Float
-    geom: Int32
+    surfaces: Surfaces
     part: Int32
-    offset: Int
     sheet: Int32
 
 
@@ -136,58 +131,31 @@ def shrink(mask, test, left):
 
 
 @part(inline="always")
-def sheet_of(labelled, block, j):
-    """The chosen sheet of a surface in a block, or -1."""
+def sheet_of(labelled, j):
+    """The chosen sheet of a surface, or -1."""
     part = labelled.part[j]
-    return labelled.sheet[labelled.offset[block] + part] if part >= 0 else np.int32(-1)
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def weigh(lattice, surfaces, part, level, blocks, counts, columns, begin, end):
-    """Sum up the surfaces of ``blocks[begin:end]`` that have a part and a level, not less than 0.
-
-    The rows, see `navbake.baker.blocks.list_rows`: the part in its block, the level, the geom, how
-    many, and the sums of their rows and columns. The same three may come in several rows.
-    """
-    (rows,), num = columns, np.int64(0)
-    for k in range(begin, end):
-        before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        for row in range(row0, row1):
-            for col in range(col0, col1):
-                cell = row * lattice.width + col
-                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                    if part[j] < 0 or level[j] < 0:
-                        continue
-                    at = note_row(rows, before, num, part[j], level[j], surfaces.geom[j])
-                    if at < 0:
-                        return k
-                    if at == num:
-                        rows[at, 4:], num = 0, num + 1
-                    rows[at, 4] += row
-                    rows[at, 5] += col
-        counts[k] = num - before
-    return end
+    return labelled.sheet[part] if part >= 0 else np.int32(-1)
 
 
 @part(inline="always")
 def _surface_below(labelled, row, col, sheet, limit):
     """The highest surface of another sheet below a limit in a cell, NOTHING or ITSELF."""
-    lattice, found = labelled.lattice, NOTHING
-    cell, block = row * lattice.width + col, block_of(lattice, row, col)
-    for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
-        other = sheet_of(labelled, block, j)
+    surfaces = labelled.surfaces
+    highest = NOTHING
+    cell = row * surfaces.lattice.width + col
+    for j in range(surfaces.first[cell], surfaces.end[cell]):
+        other = sheet_of(labelled, j)
         if other == sheet:
             return ITSELF
-        if other >= 0 and labelled.z[j] < limit:
-            found = np.int64(j)
-    return found
+        if other >= 0 and surfaces.z[j] < limit:
+            highest = np.int64(j)
+    return highest
 
 
 @part(**UNCOUNTED)
 def _mark_sheet(labelled, sheet, window, reach, mask):
     """Mark a sheet's cells in a window and within reach of it, in a mask that is all 0."""
-    (row0, row1, col0, col1), lattice = window, labelled.lattice
+    (row0, row1, col0, col1), lattice = window, labelled.surfaces.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
             if _surface_below(labelled, row, col, sheet, -math.inf) == ITSELF:
@@ -208,7 +176,7 @@ def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end)
         for b in range(start[n], start[n + 1]):
             if found >= test.needed or size <= 2 * reach:
                 break
-            row0, row1, col0, col1 = block_window(labelled.lattice, blocks[b])
+            row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
             row0, row1 = max(row0, boxes[sheet, 0]), min(row1, boxes[sheet, 2])
             col0, col1 = max(col0, boxes[sheet, 1]), min(col1, boxes[sheet, 3])
             if row1 > row0 and col1 > col0:
@@ -234,7 +202,7 @@ def _next(lattice, row, col, way):
 def _drop_at(labelled, row, col, way, sheet, limit, reach):
     """Whether another sheet's surface lies below the limit within reach of an edge."""
     for _ in range(reach):
-        row, col = _next(labelled.lattice, row, col, way)
+        row, col = _next(labelled.surfaces.lattice, row, col, way)
         beside = _surface_below(labelled, row, col, sheet, limit) if row >= 0 else ITSELF
         if beside != NOTHING:
             return beside >= 0
@@ -245,24 +213,24 @@ def _drop_at(labelled, row, col, way, sheet, limit, reach):
 def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
     """List the edges of sheets in ``blocks[begin:end]``, see `navbake.baker.blocks.list_rows`.
 
-    The rows: the part in its block, the cell, the surface's place, the way out, and whether a floor
+    The rows: the part, the cell, the surface's place, the way out, and whether a floor
     of another sheet lies more than a step below within reach, 1 or 0. No sheet is lower than
     `lowest` [m].
     """
-    (rows,), num, lattice = columns, 0, labelled.lattice
+    (rows,), num, surfaces = columns, 0, labelled.surfaces
     for k in range(begin, end):
         before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+        row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[k])
         for row in range(row0, row1):
             for col in range(col0, col1):
-                cell = row * lattice.width + col
-                for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
-                    sheet = sheet_of(labelled, blocks[k], j)
+                cell = row * surfaces.lattice.width + col
+                for j in range(surfaces.first[cell], surfaces.end[cell]):
+                    sheet = sheet_of(labelled, j)
                     if sheet < 0:
                         continue
-                    limit = labelled.z[j] - step - SLACK
+                    limit = surfaces.z[j] - step - SLACK
                     for way in range(4):
-                        r, c = _next(lattice, row, col, way)
+                        r, c = _next(surfaces.lattice, row, col, way)
                         if r >= 0 and _surface_below(labelled, r, c, sheet, limit) == ITSELF:
                             continue
                         if num == rows.shape[0]:
@@ -283,12 +251,11 @@ def look_below(labelled, cells, sheets, limits, places, below, begin, end):
     Writes their places: NOTHING where there is none, ITSELF where the sheet has a surface in the
     cell; and their sheets, -1 for none.
     """
-    width = labelled.lattice.width
+    width = labelled.surfaces.lattice.width
     for n in range(begin, end):
         row, col = cells[n] // width, cells[n] % width
         j = _surface_below(labelled, row, col, sheets[n], limits[n])
-        block = block_of(labelled.lattice, row, col)
-        places[n], below[n] = j, sheet_of(labelled, block, j) if j >= 0 else np.int32(-1)
+        places[n], below[n] = j, sheet_of(labelled, j) if j >= 0 else np.int32(-1)
 
 
 @kernel(nogil=True)

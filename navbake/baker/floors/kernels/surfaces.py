@@ -5,7 +5,7 @@ solids the line leaves there less how many it enters.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,23 +23,22 @@ LEANING = 0.05
 
 
 class Surfaces(NamedTuple):
-    """The floor-like surfaces of all cells: cell i holds ``[first[i], first[i] + length[i])``.
+    """The floor-like surfaces of all cells: cell i holds ``[first[i], end[i])``.
 
-    Cells can be replaced one by one, so runs lie in any order, with gaps between them.
+    The runs of a block of cells lie together, so their order is not that of the cells.
 
     Attributes:
-        first: (cells,) int32.
-        length: (cells,) int32.
-        room: the capacity of each run, (cells,) int32; `length` itself until one is replaced.
+        lattice: of the cells.
+        first, end: (cells,) int32.
         z: heights, ascending in a cell, (n,) float64 [m].
         geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane around.
         marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
         normal: unit normals, (n, 3) float32; (n, 0) where no slope rises more than a step a cell.
     """
 
+    lattice: Any
     first: Int32
-    length: Int32
-    room: Int32
+    end: Int32
     z: Float
     geom: Int32
     marks: NDArray[np.uint8]
@@ -163,7 +162,7 @@ def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, be
 
 
 @part(**UNCOUNTED)
-def slope_joins(lattice, surfaces, a, b, way, step):
+def slope_joins(surfaces, a, b, way, step):
     """Whether slopes join two surfaces of neighbouring cells that no step joins.
 
     `b` is east (0) or south (1) of `a`. The slope of each predicts a rise from `a` to `b`, the
@@ -173,9 +172,9 @@ def slope_joins(lattice, surfaces, a, b, way, step):
     dz = surfaces.z[b] - surfaces.z[a]
     if abs(dz) <= step + SLACK:
         return False
-    normal = surfaces.normal
+    normal, cell_size = surfaces.normal, surfaces.lattice.cell_size
     # rows run south, against y
-    axis, turn = (0, -lattice.cell_size) if way == 0 else (1, lattice.cell_size)
+    axis, turn = (0, -cell_size) if way == 0 else (1, cell_size)
     one, other = turn * normal[a, axis] / normal[a, 2], turn * normal[b, axis] / normal[b, 2]
     if max(abs(one), abs(other)) <= step + SLACK:
         return False
