@@ -26,7 +26,7 @@ def test_planned_paths_touch_nothing(name):
 
 def test_a_line_through_a_wall_touches_it():
     config = load_config(CONFIGS / "apartment.yaml", [])
-    scene = load_scene(config.scene)
+    scene = load_scene(config)
     model = drive_agent.make_model(config, scene, 0.18)
     result = drive_agent.Drive()
     line = np.array([[0.0, -6.0, 0.0], [0.0, 6.0, 0.0]])
@@ -37,7 +37,7 @@ def test_a_line_through_a_wall_touches_it():
 
 def test_a_follower_reaches_all_goals_of_a_set():
     config = load_config(CONFIGS / "apartment.yaml", [])
-    scene = load_scene(config.scene)
+    scene = load_scene(config)
     grid = navbake.bake(config).inflate(drive_agent.RADIUS)
     content = make_episodes(grid, "point", "habitat", count=3)
     finder = navbake.PathFinder(grid)

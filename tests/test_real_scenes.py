@@ -391,7 +391,7 @@ def test_recast_mesh_is_read_whole(name, number):
     path = DATA / "recast_meshes" / f"{name}.obj"
     assert len(read_obj(path)) == number
     assert sum(len(part.faces) for part in read_mesh_parts(path, up="y")) == number
-    assert len(load_scene(config_of(name).scene).shapes.triangles.corners) == number
+    assert len(load_scene(config_of(name)).shapes.triangles.corners) == number
 
 
 @pytest.mark.parametrize("name", ["nav_test", "dungeon"])

@@ -15,7 +15,6 @@ from box_worlds import box, stages_of_xml, world
 from navbake.baker.boxes import GAP, MARGIN, find_level_boxes
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.pipeline import build_grid, run_bake
-from navbake.baker.warn import collect_warnings
 from navbake.config.settings import load_config
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.navgrid.lattice import Lattice
@@ -51,6 +50,11 @@ def check_client(grid, warnings, most_lost=0.0):
             assert all(a[1] < b[0] for a, b in pairwise(heights))
 
 
+def bake_xml(folder, xml, **sections):
+    stages = stages_of_xml(folder, xml, **sections)
+    return build_grid(stages.config, stages.standing, stages.moving)
+
+
 @pytest.mark.parametrize("name", SAMPLES)
 def test_client_finds_each_free_cell_of_a_sample(name):
     result = run_bake(load_config(CONFIGS / f"{name}.yaml", ["names.enabled=false"]))
@@ -71,7 +75,7 @@ def test_client_finds_each_free_cell_of_two_slabs(tmp_path, shift):
     """2.7 as float32 lies above 2.7, and -0.3 below -0.3."""
     moved = f'<body pos="0 0 {shift!r}">{"".join(SLABS)}</body>'
     stages = stages_of_xml(tmp_path, world(moved), grid={"cell_size": 0.2})
-    grid = build_grid(stages)
+    grid = build_grid(stages.config, stages.standing, stages.moving)
     assert [level.ground for level in grid.levels] == pytest.approx([shift, 2.7 + shift])
     check_client(grid, [])
     low, high = grid.levels
@@ -81,32 +85,32 @@ def test_client_finds_each_free_cell_of_two_slabs(tmp_path, shift):
 def test_box_of_one_level_is_the_scenes_own(tmp_path):
     """By its geometry: not the lattice, which is larger, nor the floor, which is higher."""
     pieces = box("", -1.93, -1, -0.35, 1.93, 1.51, 0) + box("", 0, 0, 0, 0.3, 0.3, 2.13)
-    grid = build_grid(stages_of_xml(tmp_path, world(pieces)))
+    grid = bake_xml(tmp_path, world(pieces))
     assert grid.bbox_yup == ((-1.93, -0.35, -1.51), (1.93, 2.13, 1.0))
     assert grid.min_yup[1] == 0 and look_up(grid).lost == 0
 
 
 def test_box_of_one_level_holds_floors_beside_the_scenes_own(tmp_path):
     pieces = '<geom type="plane" size="0 0 1"/>' + box("", -0.5, -0.5, 0.5, 0.5, 0.5, 0.7)
-    grid = build_grid(stages_of_xml(tmp_path, world(pieces), grid={"margin": 2.0}))
+    grid = bake_xml(tmp_path, world(pieces), grid={"margin": 2.0})
     assert grid.bbox_yup == ((-2.5, -MARGIN, -2.5), (2.5, 0.7, 2.5))
     bounds = {"grid": {"bounds": [-1, -1, 3, 2]}}
-    assert build_grid(stages_of_xml(tmp_path, world(pieces), **bounds)).bbox_yup == (
+    assert bake_xml(tmp_path, world(pieces), **bounds).bbox_yup == (
         (-1.0, -MARGIN, -2.0),
         (3.0, 0.7, 1.0),
     )
     endless = world('<geom type="plane" size="0 0 1"/>')
-    grid = build_grid(stages_of_xml(tmp_path, endless, **bounds))
+    grid = bake_xml(tmp_path, endless, **bounds)
     assert grid.bbox_yup == ((-1.0, -MARGIN, -2.0), (3.0, 1.14, 1.0))
     assert look_up(grid).lost == 0
 
 
 def test_grounds_are_written_without_noise(tmp_path):
     pieces = box("", -2, -2, -0.1, 2, 2, 3.1e-16)
-    grid = build_grid(stages_of_xml(tmp_path, world(pieces)))
+    grid = bake_xml(tmp_path, world(pieces))
     assert grid.min_yup[1] == 0 and math.copysign(1, grid.min_yup[1]) == 1
     assert grid.navbake["levels"][0]["ground"] == 0
-    grid = build_grid(stages_of_xml(tmp_path, world(pieces), levels=[{"ground": -0.1 - 2e-17}]))
+    grid = bake_xml(tmp_path, world(pieces), levels=[{"ground": -0.1 - 2e-17}])
     assert grid.min_yup[1] == -0.1
 
 
@@ -243,9 +247,9 @@ def two_stairs():
 def test_warning_counts_the_cells_that_levels_cost(tmp_path):
     """The treads over a floor are on the level above, as high as treads of the level below."""
     stages = stages_of_xml(tmp_path, world(two_stairs()), grid={"cell_size": 0.1})
-    grid = build_grid(stages)
+    grid = build_grid(stages.config, stages.standing, stages.moving)
     assert len(grid.levels) == 2
     found = look_up(grid)
-    [warning] = interleaved(collect_warnings(stages))
+    [warning] = interleaved(grid.warnings)
     assert 0 < found.lost < 300 and f"misses {found.lost} of {found.free} free cells" in warning
     assert "on 'level " in warning and "`levels`" in warning

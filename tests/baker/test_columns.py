@@ -90,7 +90,7 @@ def load(folder: Path, xml: str, **settings: object) -> Scene:
     path = folder / "scene.xml"
     path.write_text(xml)
     config = {"scene": {"path": str(path), "geoms": "all", **settings}}
-    return load_scene(parse_config(config).scene)
+    return load_scene(parse_config(config))
 
 
 def cast(scene: Scene, lattice: Lattice, threads: int = 2) -> Columns:

@@ -467,7 +467,7 @@ def test_lattice_is_centred_on_the_scene(things: list[Thing]) -> None:
     config = parse_config(
         {"scene": {"path": str(path), "geoms": "all"}, "grid": {"cell_size": 0.13}}
     )
-    lattice = lay_lattice(load_scene(config.scene), config)
+    lattice = lay_lattice(load_scene(config), config)
     cells = np.array([x1 - x0, y1 - y0]) / 0.13
     assume((np.abs(cells - np.round(cells)) > 1e-4).all())
     assert (lattice.width, lattice.height) == tuple(np.ceil(cells))

@@ -73,5 +73,5 @@ def test_a_mesh_in_inches_far_away_has_the_cells_of_its_size(tmp_path, cells):
     mesh.export(tmp_path / "a.stl")  # in float32
     settings = {"scene": {"path": str(tmp_path / "a.stl"), "up": "z", "unit": INCH}}
     config = parse_config(settings, "x")
-    lattice = lay_lattice(load_scene(config.scene), config)
+    lattice = lay_lattice(load_scene(config), config)
     assert (lattice.width, lattice.height) == cells

@@ -1,26 +1,28 @@
-"""The stages of a bake: one can stop at each; which candidates are doors is settled before."""
+"""The stages of a bake: one can stop at each; each runs once, whatever is a door."""
 
 from __future__ import annotations
+
+import gc
+import weakref
 
 import numpy as np
 import pytest
 
 import navbake
 from box_worlds import FLOOR, box, stages_of_xml, world
-from differences import first_difference
 from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
 from door_scenes import world as door_world
 from navbake.baker import column_blocks
 from navbake.baker.boxes import written_ground
-from navbake.baker.clock import StageClock
 from navbake.baker.columns import Columns
 from navbake.baker.contents.contents import Contents
+from navbake.baker.contents.occupants import Occupants
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.pipeline import run_bake
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.scene import Scene
-from navbake.baker.stages import bake_stages, settle_doors, take_first_look
+from navbake.baker.stages import bake_stages
 from navbake.config.settings import load_config
 from navbake.errors import SceneError
 from navbake.threads import num_threads
@@ -34,8 +36,10 @@ TYPES = {
     "contents": Contents,
     "rooms": Rooms,
     "doors": list,
+    "occupants": Occupants,
 }
 STAGES = [*TYPES, "grid"]
+CUPBOARD_DOOR = CUPBOARD[CUPBOARD.index('<body name="cupboard_door"') : CUPBOARD.rindex("</body>")]
 
 
 def has_run(stages) -> list[str]:
@@ -47,7 +51,9 @@ def test_one_can_stop_at_each_stage(tmp_path, last):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.5, 0.5, 0.5)))
     value = getattr(stages, last)
     assert type(value) is TYPES[last]
-    assert has_run(stages) == STAGES[: STAGES.index(last) + 1]
+    # the leaves in all of their states, which rooms begin with, are a part of `doors`
+    end = STAGES.index("doors" if last == "rooms" else last) + 1
+    assert sorted(has_run(stages)) == sorted(STAGES[:end])
     assert getattr(stages, last) is value  # it is kept
 
 
@@ -62,6 +68,7 @@ def test_the_stages_of_a_crate_on_a_floor(tmp_path):
     assert not stages.contents.mark_walls(0)[0].any()
     assert [room.id for room in stages.rooms.table] == ["0:1"]
     assert stages.doors == []
+    assert stages.occupants.occupied[0].sum() == 25
 
 
 def test_columns_can_be_looked_at_where_there_is_no_floor(tmp_path):
@@ -101,64 +108,80 @@ def test_a_bake_is_its_stages(name):
 
 
 def test_geometry_is_given_back_before_the_grid_is_made(tmp_path, monkeypatch):
-    kept = []
-    stages = stages_of_xml(tmp_path, world(FLOOR))
-    monkeypatch.setattr("navbake.baker.pipeline.settle_doors", lambda _: settle_doors(stages))
+    opened = []
+    open_stages = navbake.baker.pipeline.open_stages
     build = navbake.baker.pipeline.build_grid
-    monkeypatch.setattr(
-        "navbake.baker.pipeline.build_grid", lambda made: (kept.extend(vars(made)), build(made))[1]
-    )
-    run_bake(stages.config)
-    assert "floors" in kept
-    # the grid needs none of them
-    assert not {"tiled", "judged_columns", "columns", "cells"} & {*kept, *vars(stages)}
-    assert isinstance(stages.columns, Columns)
+
+    def open_and_watch(*given, **named):
+        stages = open_stages(*given, **named)
+        opened.extend([weakref.ref(stages), weakref.ref(stages.columns.z)])
+        return stages
+
+    def build_and_look(*given):
+        gc.collect()
+        assert [kept() for kept in opened] == [None, None]
+        return build(*given)
+
+    monkeypatch.setattr("navbake.baker.pipeline.open_stages", open_and_watch)
+    monkeypatch.setattr("navbake.baker.pipeline.build_grid", build_and_look)
+    bake_world(tmp_path, SHELL)
+    assert opened
 
 
-# ---------------------------------------------------------------- which candidates are doors
+# ---------------------------------------------------------------- doors, and what is none
 
 
 def stages_of(folder, *parts, **settings):
     return stages_of_xml(folder, door_world(*parts), **settings)
 
 
-def test_all_stages_run_where_only_rooms_tell_what_is_a_door(tmp_path):
-    every = STAGES[:-1]
-    assert has_run(stages_of(tmp_path, ROOMS, LEAF)) == every
-    for doors in ({"find": False}, {"patterns": ["leaf"]}):
-        stages = stages_of(tmp_path, ROOMS, LEAF, doors=doors)
-        assert has_run(stages) == ["scene"]
-        assert len(stages.placed) == len(doors.get("patterns", ()))
-
-
-def test_the_scene_has_the_doors_and_nothing_before_them(tmp_path):
+def test_what_stands_is_found_without_the_leaves(tmp_path):
     stages = stages_of(tmp_path, ROOMS, LEAF)
     leaf = next(geom.id for geom in stages.scene.geoms if geom.name == "leaf")
     assert leaf in stages.scene.shapes.solids.geom
-    assert leaf not in stages.doorless.shapes.solids.geom
+    assert leaf not in stages.scene.structure.solids.geom
     assert leaf not in stages.columns.geom
     row, col = stages.lattice.rows_cols([3.0, 1.5])
     assert not stages.occupancy.levels[0][row, col]
-    (door,) = stages.placed
-    assert row * stages.lattice.width + col in door.cells["closed"][0]
+    assert not stages.occupants.occupied[0][row, col]
+    (door,) = stages.doors
+    assert door.is_door
+    assert row * stages.lattice.width + col in door.blocked["closed"][0]
 
 
-def test_what_is_no_door_stands_on_the_floor_again(tmp_path):
-    settled = stages_of(tmp_path, ROOMS, LEAF, CUPBOARD)
-    first = take_first_look(settled.config, StageClock())
-    assert [candidate.id for candidate in first.candidates] == ["leaf", "cupboard_door"]
-    assert [candidate.id for candidate in first.rejected] == ["cupboard_door"]
-    assert [candidate.id for candidate in settled.candidates] == ["leaf"]
-    assert settled.rejected == []
-    found = settled.occupancy.levels[0] & ~first.occupancy.levels[0]
-    assert found.any()
-    again = settle_doors(settled)
-    assert again is settled
+@pytest.mark.parametrize("parts", [(ROOMS, LEAF), (ROOMS, CUPBOARD), (ROOMS, LEAF, CUPBOARD)])
+def test_each_stage_begins_once_whatever_is_a_door(tmp_path, parts):
+    begun = []
+
+    def progress(stage: str, share: float) -> None:
+        if share == 0.0:
+            begun.append(stage)
+
+    bake_world(tmp_path, *parts, progress=progress)
+    for stage in ("scene", "columns", "floors", "occupancy", "contents", "occupants", "grid"):
+        assert begun.count(stage) == 1
+
+
+def test_a_leaf_that_is_no_door_is_in_the_way_alone(tmp_path):
+    without = stages_of(tmp_path, ROOMS, LEAF, CUPBOARD.replace(CUPBOARD_DOOR, ""))
+    stages = stages_of(tmp_path, ROOMS, LEAF, CUPBOARD)
+    assert [placed.candidate.id for placed in stages.doors] == ["leaf", "cupboard_door"]
+    assert [placed.is_door for placed in stages.doors] == [True, False]
+    assert stages.lattice == without.lattice
+    one, other = stages.floors.levels[0], without.floors.levels[0]
+    np.testing.assert_array_equal(one.floor, other.floor)
+    np.testing.assert_array_equal(stages.rooms.index[0], without.rooms.index[0])
+    np.testing.assert_array_equal(stages.occupancy.levels[0], without.occupancy.levels[0])
+    blocked = stages.occupants.occupied[0] & ~stages.occupancy.levels[0]
+    row, col = np.nonzero(blocked)
+    places = stages.lattice.positions(row, col)
+    # the leaf stands 0.8 m wide before the cupboard
+    assert len(places) > 5
+    assert (np.abs(places - [5.58, 2.6]) <= [0.08, 0.46]).all()
 
 
 # A leaf on the edge of the floor, and outside a stage that slides, whose backdrop looks like a
-# leaf. Without the stage, the leaf joins the room and the outside. With it, the floor goes on
-# behind the leaf, too little for a room of its own, so that one room is on both sides.
+# leaf. It carries no floor, so that the leaf joins the room and the outside.
 EDGE = """
 <geom name="floor" type="box" pos="2 1.5 -0.1" size="2.1 1.6 0.1"/>
 <geom name="wall_1" type="box" pos="4 0.525 1.2" size="0.05 0.525 1.2"/>
@@ -173,19 +196,15 @@ STAGE = """
 """
 
 
-def test_what_stands_on_the_floor_again_may_leave_no_door_of_another_leaf(tmp_path):
+def test_what_is_no_door_leaves_other_leaves_as_they_are(tmp_path):
     settings = {"rooms": {"sources": ["auto"], "min_area": 2.0}}
-    only = bake_world(tmp_path, EDGE, **settings).grid
-    assert [door.id for door in only.doors] == ["leaf"]
-    begun = []
-    progress = lambda stage, share: begun.append(stage) if share == 0.0 else None  # noqa: E731
-    grid = bake_world(tmp_path, EDGE, STAGE, progress=progress, **settings).grid
-    assert not grid.doors
-    assert begun.count("rooms") == 3  # without both, with the stage, with both
-    other = bake_world(tmp_path, EDGE, STAGE, doors={"find": False}, **settings).grid
-    digest = {"settingsDigest": other.navbake["settingsDigest"]}
-    grid.metadata = {**grid.metadata, "navbake": {**grid.navbake, **digest}}
-    assert first_difference(grid, other) is None
+    alone = bake_world(tmp_path, EDGE, **settings).grid
+    assert [door.id for door in alone.doors] == ["leaf"]
+    grid = bake_world(tmp_path, EDGE, STAGE, **settings).grid
+    assert grid.doors == alone.doors
+    assert grid.lattice == alone.lattice
+    np.testing.assert_array_equal(grid.floor_height, alone.floor_height)
+    np.testing.assert_array_equal(grid.room_index, alone.room_index)
 
 
 def test_threads_are_given_back(tmp_path):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import navbake
 from box_worlds import box, stages_of_xml, world
+from navbake.baker.contents.occupants import name_contents
 from navbake.baker.pipeline import bake
 from navbake.baker.stages import Stages
 from navbake.navgrid.grid import SceneGrid2D
@@ -66,7 +67,8 @@ def test_wall_on_a_line_has_its_name_on_both_sides(tmp_path, kind):
     assert stages.contents is not None
     walls = stages.contents.mark_walls(0)[0]
     assert blocked_columns(walls) == touched_columns(0.3) == [12, 13]
-    names = stages.contents.user_data(0, (slice(0, 20), slice(0, 20)))
+    window = (slice(0, 20), slice(0, 20))
+    names = name_contents(stages.contents, stages.occupants, 0, window)
     for cell, entry in names.items():
         beside = cell % 20 in (12, 13)
         assert (entry.get("walls") == ["thin"]) == beside

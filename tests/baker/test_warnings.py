@@ -12,10 +12,10 @@ import trimesh
 import navbake
 from box_worlds import FLOOR, box, world
 from navbake.baker.pipeline import run_bake
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings, parse_config
 from navbake.errors import SceneError
 from project_paths import SHARED_DATA
+from scenes_alone import load_alone
 
 DUNGEON = SHARED_DATA / "recast_meshes" / "dungeon.obj"
 ROBOT = """
@@ -84,7 +84,7 @@ def test_each_level_of_several_has_the_warnings_of_all(tmp_path):
 
 
 def movable(result):
-    return [warning for warning in result.warnings if "free joint" in warning]
+    return [warning for warning in result.warnings if "bodies that can move take floor" in warning]
 
 
 def test_a_robot_that_takes_floor_is_named(scene):
@@ -142,14 +142,14 @@ def building(path, up: str) -> str:
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
 def test_a_mesh_that_lies_on_its_side_gets_a_hint(tmp_path, suffix):
     lying = building(tmp_path / f"lying.{suffix}", "y")
-    hints = load_scene(SceneSettings(path=lying)).warnings
+    hints = load_alone(SceneSettings(path=lying)).warnings
     assert any("lowest along y" in hint and "set `scene.up` to y" in hint for hint in hints)
     for up in ("y", "z"):  # whoever says which axis is up knows
         assert not any(
-            "scene.up" in h for h in load_scene(SceneSettings(path=lying, up=up)).warnings
+            "scene.up" in h for h in load_alone(SceneSettings(path=lying, up=up)).warnings
         )
     upright = building(tmp_path / f"upright.{suffix}", "z")
-    assert not any("scene.up" in h for h in load_scene(SceneSettings(path=upright)).warnings)
+    assert not any("scene.up" in h for h in load_alone(SceneSettings(path=upright)).warnings)
 
 
 @pytest.mark.parametrize(
@@ -165,18 +165,18 @@ def test_a_mesh_that_lies_on_its_side_gets_a_hint(tmp_path, suffix):
 def test_a_mesh_that_is_probably_not_in_metres_gets_a_hint(tmp_path, scale, told):
     path = tmp_path / "flat.ply"
     trimesh.creation.box((8, 6, 2.5)).apply_scale(scale).export(path)
-    scene = load_scene(SceneSettings(path=path))
+    scene = load_alone(SceneSettings(path=path))
     hints = [text for text in scene.warnings if "unit" in text]
     assert len(hints) == bool(told) and scene.hints == hints
     assert all(text in hint for text in told for hint in hints)
     # whoever says the unit knows
-    said = load_scene(SceneSettings(path=path, unit=1.0)).warnings
+    said = load_alone(SceneSettings(path=path, unit=1.0)).warnings
     assert not any("unit" in text for text in said)
 
 
 @pytest.mark.skipif(not DUNGEON.exists(), reason="needs the meshes of Recast")
 def test_recasts_dungeon_lies_on_its_side():
-    warnings = load_scene(SceneSettings(path=DUNGEON)).warnings
+    warnings = load_alone(SceneSettings(path=DUNGEON)).warnings
     assert any("is taken with y up" in text and "`scene.up: y`" in text for text in warnings)
 
 

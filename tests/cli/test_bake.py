@@ -208,6 +208,8 @@ def test_geoms(folder, run, config):
     lines = {line.split()[1]: line for line in out.splitlines()[1:-1]}
     assert "wall [b]" in lines["wall"]  # no markup
     assert " yes " in lines["floor"]
+    assert " structure " in lines["floor"]
+    assert " structure " not in lines["shade"]
     assert " no " in lines["shade"]
     assert out.splitlines()[-1] == "2 geoms counted, 1 left out"
 
@@ -219,4 +221,20 @@ def test_geoms_as_json(folder, run):
     assert facts["scene_id"] == "room"
     assert [geom["name"] for geom in facts["geoms"]] == ["floor", "wall [b]", "shade"]
     assert all(geom["counted"] for geom in facts["geoms"])
-    assert set(facts["geoms"][0]) == {"id", "name", "body", "type", "counted", "shape", "reason"}
+    keys = {"id", "name", "body", "type", "counted", "shape", "role", "reason"}
+    assert set(facts["geoms"][0]) == keys
+    assert {geom["role"] for geom in facts["geoms"]} == {"structure"}
+
+
+def test_geoms_say_what_can_move(folder, run):
+    bodies = (
+        '<body name="ball"><freejoint/><geom name="ball" size="0.1"/></body>'
+        '<body name="stage"><freejoint/><geom name="boards" size="0.1"/></body>'
+    )
+    floor = '<geom name="floor" type="box" size="2 2 0.1"/>'
+    path = folder / "moving.xml"
+    path.write_text(f"<mujoco><worldbody>{floor}{bodies}</worldbody></mujoco>")
+    status, out, _ = run("geoms", "moving.xml", "--json", "--set", "floors.movable=[stage]")
+    assert status == 0
+    roles = {geom["name"]: geom["role"] for geom in json.loads(out)["geoms"]}
+    assert roles == {"floor": "structure", "ball": "movable", "boards": "structure that moves"}

@@ -134,8 +134,8 @@ def test_a_bake_verifies_its_grid(folder, run, how):
 def test_a_bake_says_where_it_disagrees(folder, run, monkeypatch, caplog):
     build = pipeline.build_grid
 
-    def build_wrong(stages):
-        grid = build(stages)
+    def build_wrong(*given):
+        grid = build(*given)
         row, col = np.argwhere(grid.occupancy == 1)[0].tolist()
         grid.weights[row, col], grid.attributes["occupancy"][row, col] = 1.0, 0
         return grid

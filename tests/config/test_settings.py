@@ -69,6 +69,7 @@ def test_defaults(house):
         "roofs": False,
         "voids": False,
         "reach": "all",
+        "movable": [],
         "starts": [],
     }
     assert config.names.model_dump() == {"enabled": True, "walls": []}
@@ -101,7 +102,7 @@ def test_every_key(house):
             levels:
             - {ground: 0, top: 2.7, name: ground floor}
             - ground: 3.0
-            floors: {min_area: 0, shrink: 0, roofs: true}
+            floors: {min_area: 0, shrink: 0, roofs: true, movable: [bridge, "stage*"]}
             names: {enabled: false, walls: ["wall_*", fence]}
             attributes: [clearance, island]
             output: out/a.grid.json
@@ -114,6 +115,7 @@ def test_every_key(house):
     assert config.grid.bounds == [-1.0, 0.0, 2.5, 3.0]
     assert config.grid.max_cells == 1000
     assert isinstance(config.grid.cell_size, float)
+    assert config.floors.movable == ["bridge", "stage*"]
     assert config.levels[0].name == "ground floor"
     assert config.levels[1].model_dump() == {"ground": 3.0, "top": None, "name": None}
     assert config.names.model_dump() == {"enabled": False, "walls": ["wall_*", "fence"]}
@@ -443,7 +445,14 @@ def test_digest_ignores_where_the_scene_lies_and_how_numbers_are_written():
 
 @pytest.mark.parametrize(
     "override",
-    ["scene.id=b", "grid.cell_size=0.2", "agent.radius=0.3", "levels=[{ground: 0}]", "scene.up=y"],
+    [
+        "scene.id=b",
+        "grid.cell_size=0.2",
+        "agent.radius=0.3",
+        "levels=[{ground: 0}]",
+        "scene.up=y",
+        "floors.movable=[bridge]",
+    ],
 )
 def test_digest_sees_what_changes_cells(override):
     data = {"scene": {"path": "a.xml"}}

@@ -30,7 +30,7 @@ def obstacles_of(folder, xml, **scene):
     path = folder / "scene.xml"
     path.write_text(xml, encoding="utf-8")
     config = parse_config({"scene": {"path": str(path), "geoms": "all", **scene}})
-    loaded = load_scene(config.scene)
+    loaded = load_scene(config)
     return Obstacles(loaded, loaded.data)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.contents.cell_names import BLOCKERS, NAMED, OBJECTS, WALLS, name_cells
+from navbake.baker.contents.occupants import name_contents
 from navbake.baker.kernels.constants import OBJECT, WALL
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import Stages
@@ -20,7 +21,8 @@ SMALL = {"min_area": 0.1, "shrink": 0.1}
 
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
-    return dict(stages.contents.user_data(level, (slice(0, height), slice(0, width))))
+    window = (slice(0, height), slice(0, width))
+    return dict(name_contents(stages.contents, stages.occupants, level, window))
 
 
 def at(stages: Stages, x: float, y: float, level: int = 0) -> Any:
@@ -151,9 +153,9 @@ def test_each_level_names_its_own(tmp_path):
 
 def test_a_window_counts_cells_from_its_own_corner(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.3, 0.2, 0.5)))
-    contents = stages.contents
-    whole = dict(contents.user_data(0, (slice(0, 40), slice(0, 40))))
-    part = dict(contents.user_data(0, (slice(18, 30), slice(21, 25))))
+    whole = user_data(stages)
+    window = (slice(18, 30), slice(21, 25))
+    part = dict(name_contents(stages.contents, stages.occupants, 0, window))
     expected = {
         (cell // 40 - 18) * 4 + cell % 40 - 21: data
         for cell, data in whole.items()

@@ -59,9 +59,14 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
     return things
 
 
+def all_entries(listed: LevelContents) -> tuple[NDArray, NDArray, NDArray]:
+    """The cell, the geom and the flags of each entry of a level."""
+    return take_entries(listed.first, listed.geom, listed.flags, np.arange(len(listed.first)))
+
+
 def masks(listed: LevelContents, geom: int) -> tuple[NDArray, NDArray, NDArray]:
     """The cells that a geom stands in, those it blocks, and those it meets in the upper band."""
-    cell, geoms, flags = take_entries(listed, np.arange(len(listed.first)))
+    cell, geoms, flags = all_entries(listed)
     found = np.zeros((3, len(listed.first)), dtype=bool)
     for mask, flag in zip(found, (STANDS, BLOCKS, PROBED), strict=True):
         mask[cell[(geoms == geom) & (flags & flag > 0)]] = True
@@ -114,7 +119,7 @@ def check_whole(stages: Stages, contents: Contents) -> None:
         stages.floors.levels, stages.occupancy.levels, contents.levels, strict=True
     ):
         has_floor = ~np.isnan(level.floor.ravel())
-        cell, geom, flags = take_entries(listed, np.arange(len(listed.first)))
+        cell, geom, flags = all_entries(listed)
         assert has_floor[cell].all()
         assert (np.diff(cell * 100_000 + geom) > 0).all()
         assert flags.all()
@@ -142,7 +147,7 @@ FLOORS = {
 )
 def test_every_geom_in_every_cell(tmp_path, monkeypatch, kinds, floor, radius):
     everything = lambda scene, extents: np.ones(len(scene.geoms), dtype=bool)  # noqa: E731
-    monkeypatch.setattr("navbake.baker.contents.contents.wall_candidates", everything)
+    monkeypatch.setattr("navbake.baker.stages.wall_candidates", everything)
     rng = np.random.default_rng([len(kinds), ord(floor[1]), round(radius * 100)])
     for _ in range(2):
         things = [FLOORS[floor], *random_things(rng, kinds, 7)]
@@ -176,10 +181,7 @@ def test_threads_change_nothing(tmp_path):
             )
         found.append(stages.contents.levels)
     for one, other in zip(*found, strict=True):
-        for arrays in zip(
-            *(take_entries(listed, np.arange(len(listed.first))) for listed in (one, other)),
-            strict=True,
-        ):
+        for arrays in zip(all_entries(one), all_entries(other), strict=True):
             np.testing.assert_array_equal(*arrays)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from box_worlds import stages_of_xml
+from navbake.baker.contents.occupants import name_contents
 from navbake.baker.kernels.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.stages import Stages, bake_stages
@@ -255,7 +256,8 @@ def test_a_pattern_that_matches_nothing_is_told_with_near_names(tmp_path):
 
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
-    return dict(stages.contents.user_data(level, (slice(0, height), slice(0, width))))
+    window = (slice(0, height), slice(0, width))
+    return dict(name_contents(stages.contents, stages.occupants, level, window))
 
 
 # ---------------------------------------------------------------- meshes that hold a building

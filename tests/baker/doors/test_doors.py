@@ -354,7 +354,7 @@ def test_other_states_equal_a_bake_of_them(name, tmp_path):
 def test_other_states_equal_a_bake_that_knows_of_no_doors(name):
     """Doors are mere bodies there, posed by their joints."""
     config = load_config(CONFIGS / f"{name}.yaml")
-    scene = load_scene(config.scene)
+    scene = load_scene(config)
     bounds = config.grid.bounds or scene.bounds[:, :2].ravel().tolist()
     config = config.model_copy(update={"grid": config.grid.model_copy(update={"bounds": bounds})})
     grid = run_bake(config).grid

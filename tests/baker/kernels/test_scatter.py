@@ -89,7 +89,7 @@ def test_occupancy_as_when_every_cell_asks_every_geom(seed):
             floor = level.floor.flat[cell]
             band = floor + footprint.low, floor + footprint.high
             prisms = prisms_over(columns, cell, *band, footprint.square, footprint.radius)
-            answers = set(geoms_that_meet(stages.tiled, prisms).values())
+            answers = set(geoms_that_meet(stages.tile_index, prisms).values())
             if MEETS in answers or line_meets(columns, cell, prisms[0]):
                 assert occupied.flat[cell], cell
             elif UNDECIDED not in answers:
@@ -108,7 +108,8 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
     tops = [*(level.ground for level in stages.floors.levels[1:]), np.inf]
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
     for level, occupied, top, listed in levels:
-        at, geom, flags = take_entries(listed, np.arange(len(listed.first)))
+        every = np.arange(len(listed.first))
+        at, geom, flags = take_entries(listed.first, listed.geom, listed.flags, every)
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             ceiling = max(min(top, floor + OPEN_ABOVE), floor + height) - TOUCH
@@ -120,7 +121,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
             sure, maybe = {}, {}
             for name, sizes in volumes.items():
                 prisms = prisms_over(columns, cell, *sizes)
-                answers = geoms_that_meet(stages.tiled, prisms)
+                answers = geoms_that_meet(stages.tile_index, prisms)
                 geoms = range(len(candidates))
                 lines = {g for g in geoms if line_meets(columns, cell, prisms[0], g)}
                 sure[name] = lines | {g for g, answer in answers.items() if answer == MEETS}
@@ -142,7 +143,7 @@ def test_queries_in_any_order_and_more_than_one_a_cell():
     num = stages.lattice.width * stages.lattice.height
     cells = rng.integers(0, num, 3000)
     floors = rng.choice([-0.5, 0.0, 0.3, 1.2], 3000)
-    ask = stages.columns, stages.tiled, footprint
+    ask = stages.columns, stages.tile_index, footprint
     together = look_at_cells(*ask, cells, floors).occupied
     assert together.any() and not together.all()
     for n in range(0, 3000, 40):
@@ -158,7 +159,8 @@ def test_any_number_of_threads_finds_the_same():
         with limit_threads(threads):
             stages = random_stages(11)
             level = stages.contents.levels[0]
-            listed = take_entries(level, np.arange(len(level.first)))
+            every = np.arange(len(level.first))
+            listed = take_entries(level.first, level.geom, level.flags, every)
             answers.append([stages.occupancy.levels[0], *listed])
     for one, two in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, two)

@@ -14,10 +14,10 @@ import yaml
 import navbake
 from navbake.baker.scene.building import make_slab
 from navbake.baker.scene.model import CompileLimits
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from project_paths import ROOT
+from scenes_alone import load_alone
 
 LAB = ROOT / "tests" / "buildings" / "lab.building.yaml"
 DOORS = {
@@ -194,7 +194,7 @@ def test_what_is_wrong_is_named(lab, write, change, named):
     change(lab)
     expectation = nullcontext() if named is None else pytest.raises(SceneError, match=named)
     with expectation:
-        load_scene(SceneSettings(path=write(lab)))
+        load_alone(SceneSettings(path=write(lab)))
 
 
 @pytest.mark.parametrize(
@@ -237,4 +237,4 @@ def test_a_slab_is_closed_and_faces_outward():
 
 def test_isolated():
     settings = SceneSettings(path=LAB)
-    assert load_scene(settings, limits=CompileLimits()).digest == load_scene(settings).digest
+    assert load_alone(settings, limits=CompileLimits()).digest == load_alone(settings).digest

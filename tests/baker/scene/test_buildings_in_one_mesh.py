@@ -10,10 +10,11 @@ import pytest
 import trimesh
 
 from navbake.baker.pipeline import BakeResult, run_bake
-from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, parse_config
 from navbake.errors import ConfigError, SceneError
 from project_paths import SHARED_DATA
+from scenes_alone import load_alone
 
 HARD = SHARED_DATA / "hard_cases"
 
@@ -51,7 +52,7 @@ def scene_of(folder: Path, *pieces, geom="", **settings) -> Scene:
         f'<mujoco><asset><mesh name="m" file="{mesh}" inertia="shell"/></asset><worldbody>'
         f'<geom name="house" type="mesh" mesh="m" {geom}/></worldbody></mujoco>'
     )
-    return load_scene(SceneSettings(path=path, **settings))
+    return load_alone(SceneSettings(path=path, **settings))
 
 
 # ---------------------------------------------------------------- hulls that hide room
@@ -98,8 +99,8 @@ def test_it_turns_on_the_pose_and_on_what_is_asked(tmp_path):
     path = tmp_path / "scene.xml"
     assert scene_of(tmp_path, walls(1.5)).geoms[0].shape == "closed surface"
     tall, picky = AgentSettings(height=1.6), FloorSettings(min_area=10.0)
-    assert load_scene(SceneSettings(path=path), tall).geoms[0].shape == "hull"
-    assert load_scene(SceneSettings(path=path), floors=picky).geoms[0].shape == "hull"
+    assert load_alone(SceneSettings(path=path), tall).geoms[0].shape == "hull"
+    assert load_alone(SceneSettings(path=path), floors=picky).geoms[0].shape == "hull"
     # standing on its side, the ring is a tunnel
     ring = (walls(1.1),)
     assert scene_of(tmp_path, *ring).geoms[0].shape == "hull"
@@ -149,7 +150,7 @@ def test_ground_under_a_mesh(tmp_path):
     assert level.min_yup[1] == 0.0
     assert level.free.sum() == 36 * 36
     assert np.nanmax(level.floor_height[level.free]) == 0.0
-    report = load_scene(SceneSettings(path=path, ground=-1.5)).geoms[-1]
+    report = load_alone(SceneSettings(path=path, ground=-1.5)).geoms[-1]
     assert (report.name, report.type, report.shape) == ("ground", "plane", "half-space")
     assert report.counted and report.reason == "added by `scene.ground`"
 
@@ -161,7 +162,7 @@ def test_ground_in_mjcf_keeps_ids_and_what_auto_takes(tmp_path):
         '<geom name="ground" size="1"/><freejoint/></body><geom name="b" size="1"/>'
         "</worldbody></mujoco>"
     )
-    plain, with_ground = (load_scene(SceneSettings(path=path, ground=z)) for z in (None, 0.25))
+    plain, with_ground = (load_alone(SceneSettings(path=path, ground=z)) for z in (None, 0.25))
     names = [geom.name for geom in plain.geoms]
     assert [geom.name for geom in with_ground.geoms] == [*names, "ground#2"]
     assert [geom.reason for geom in with_ground.geoms[:-1]] == [g.reason for g in plain.geoms]
@@ -169,10 +170,10 @@ def test_ground_in_mjcf_keeps_ids_and_what_auto_takes(tmp_path):
     assert plain.digest != with_ground.digest
     np.testing.assert_array_equal(plain.bounds, with_ground.bounds)
     with pytest.raises(SceneError, match="none of the 2 geoms"):
-        load_scene(SceneSettings(path=path, ground=0.0, exclude={"geoms": ["*"]}))
+        load_alone(SceneSettings(path=path, ground=0.0, exclude={"geoms": ["*"]}))
     mujoco.mj_saveModel(plain.model, str(tmp_path / "scene.mjb"))
     with pytest.raises(ConfigError, match=r"`scene.ground` can't be added to an MJB"):
-        load_scene(SceneSettings(path=tmp_path / "scene.mjb", ground=0.0))
+        load_alone(SceneSettings(path=tmp_path / "scene.mjb", ground=0.0))
 
 
 # ---------------------------------------------------------------- hard cases

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
+from scenes_alone import load_alone
 
 OFF = 'contype="0" conaffinity="0"'
 TETRAHEDRON = 'vertex="0 0 0 1 0 0 0 1 0 0 0 1"'
@@ -19,7 +19,7 @@ def load(tmp_path):
     def call(world, before="", **settings):
         path = tmp_path / "scene.xml"
         path.write_text(f"<mujoco>{before}<worldbody>{world}</worldbody></mujoco>")
-        return load_scene(SceneSettings(path=path, **settings))
+        return load_alone(SceneSettings(path=path, **settings))
 
     return call
 
@@ -141,7 +141,7 @@ BODIES = """
         ({"geoms": ["geom 3"]}, ["floor", "top", "glass", "arm [left]"]),
         ({"geoms": ["*[[]left[]]"]}, ["floor", "top", "glass", "geom 3"]),
         ({"geoms": ["Floor"]}, ["floor", "top", "glass", "geom 3", "arm [left]"]),
-        ({"movable": True}, ["floor", "top", "arm [left]"]),
+        ({"movable": True}, ["floor", "top"]),
     ],
 )
 def test_exclusion(load, exclude, left):
@@ -150,15 +150,16 @@ def test_exclusion(load, exclude, left):
 
 def test_why_something_is_excluded(load):
     exclude = {"bodies": ["tab*"], "geoms": ["floor", "gl*"], "movable": True}
-    scene = load(BODIES, exclude=exclude)
+    scene = load(BODIES + '<geom name="shelf" size="1"/>', exclude=exclude)
     assert reasons(scene) == {
         "floor": "excluded: matches 'floor'",
+        "shelf": "can collide",
         "top": "excluded: body 'table' matches 'tab*'",
         "glass": "excluded: matches 'gl*'",
-        "geom 3": "excluded: body 'vase' is movable (free joint)",
-        "arm [left]": "can collide",
+        "geom 4": "excluded: body 'vase' can move",
+        "arm [left]": "excluded: body 'robot' can move",
     }
-    assert [geom.shape for geom in scene.geoms] == ["", "", "", "", "solid"]
+    assert [geom.shape for geom in scene.geoms] == ["", "solid", "", "", "", ""]
     assert scene.warnings == []
 
 

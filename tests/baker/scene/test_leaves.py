@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
-from navbake.baker.scene.leaves import find_candidates, pose_doors, without_doors
+from navbake.baker.doors.poses import pose_doors
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.leaves import DoorCandidate, find_candidates
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
-from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.scene.scene import Scene
 from navbake.config.settings import DoorSettings, SceneSettings, load_config, parse_config
 from project_paths import CONFIGS
+from scenes_alone import load_alone
 
 HANDLE = '<body name="handle" pos="0 0.8 1"><geom type="sphere" size="0.03"/></body>'
 LEAF_WITH_HANDLE = LEAF.replace("</body>", HANDLE + "</body>")
@@ -25,9 +28,22 @@ LEAF_WITH_HANDLE = LEAF.replace("</body>", HANDLE + "</body>")
 def load(tmp_path: Path):
     def run(*parts: str) -> Scene:
         (tmp_path / "scene.xml").write_text(world(*parts), encoding="utf-8")
-        return load_scene(SceneSettings(path=tmp_path / "scene.xml"))
+        return load_alone(SceneSettings(path=tmp_path / "scene.xml"))
 
     return run
+
+
+def look_for(scene: Scene, **settings: Any) -> tuple[list[DoorCandidate], list[str]]:
+    """The leaves that a scene has by settings of doors, and the patterns that match none."""
+    return find_candidates(
+        scene.model,
+        scene.data,
+        shapes=scene.shapes,
+        counted=np.array([geom.counted for geom in scene.geoms]),
+        movable=scene.movable,
+        stands=scene.stands,
+        settings=DoorSettings(**settings),
+    )
 
 
 # ---------------------------------------------------------------- patterns
@@ -55,14 +71,14 @@ def test_nothing_is_found_when_nobody_looks(tmp_path):
 )
 def test_a_pattern_that_makes_no_door_is_told(load, pattern, expected):
     scene = load(ROOMS, LEAF_WITH_HANDLE, '<body name="empty"/>')
-    doors, (warning,) = find_candidates(scene, DoorSettings(patterns=[pattern]))
+    doors, (warning,) = look_for(scene, patterns=[pattern])
     assert warning == f"`doors.patterns` pattern {expected}"
     assert [door.id for door in doors] == ["leaf"]
 
 
 def test_what_hangs_on_a_door_is_part_of_it(load):
     scene = load(ROOMS, LEAF_WITH_HANDLE)
-    ((door,), warnings) = find_candidates(scene, DoorSettings(patterns=["leaf", "*"]))
+    ((door,), warnings) = look_for(scene, patterns=["leaf", "*"])
     assert warnings == []
     assert door.geoms.tolist() == [7, 8]
 
@@ -80,7 +96,7 @@ def test_what_hangs_on_a_door_is_part_of_it(load):
 )
 def test_what_does_not_look_like_a_door(load, find, instead):
     assert find in LEAF
-    assert find_candidates(load(ROOMS, LEAF.replace(find, instead)), DoorSettings()) == ([], [])
+    assert look_for(load(ROOMS, LEAF.replace(find, instead))) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -90,7 +106,7 @@ def test_what_does_not_look_like_a_door(load, find, instead):
 def test_what_just_looks_like_a_door(load, size, joint):
     leaf = LEAF.replace("0.02 0.43 1", size)
     leaf = leaf.replace('axis="0 0 1" range="0 90"', joint) if joint else leaf
-    doors, _ = find_candidates(load(ROOMS, leaf), DoorSettings())
+    doors, _ = look_for(load(ROOMS, leaf))
     assert len(doors) == 1
 
 
@@ -147,7 +163,7 @@ def test_a_broken_height_field_whose_name_is_not_utf_8(tmp_path):
     path = tmp_path / "b.mjb"
     path.write_bytes((tmp_path / "a.mjb").read_bytes().replace(b"hill\0", b"h\xefll\0"))
     with pytest.raises(Exception, match="hfield 'h\ufffdll' has heights or a size that"):
-        load_scene(SceneSettings(path=path))
+        load_alone(SceneSettings(path=path))
 
 
 # ---------------------------------------------------------------- trees and shapes
@@ -183,14 +199,15 @@ def arrays(shapes):
 
 
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain", "clutter"])
-def test_doors_and_the_rest_are_what_is_collected_of_them(name):
-    scene = load_scene(load_config(CONFIGS / f"{name}.yaml").scene)
-    doors, _ = find_candidates(scene, DoorSettings())
-    of_doors = np.concatenate([[], *(door.geoms for door in doors)]).astype(int).tolist()
-    rest = [geom for geom in range(scene.model.ngeom) if geom not in of_doors]
+def test_leaves_and_what_stands_are_what_is_collected_of_them(name):
+    scene = load_alone(load_config(CONFIGS / f"{name}.yaml").scene)
+    leaves = scene.leaves
+    of_leaves = np.concatenate([[], *(leaf.geoms for leaf in leaves)]).astype(int).tolist()
+    welded = scene.model.body_weldid[scene.model.geom_bodyid] == 0
+    standing = [geom for geom in np.flatnonzero(welded).tolist() if geom not in of_leaves]
     for found, geoms in (
-        (without_doors(scene, doors).shapes, rest),
-        (pose_doors(scene, doors, "modelled"), sorted(of_doors)),
+        (scene.structure, standing),
+        (pose_doors(scene, leaves, "modelled"), sorted(of_leaves)),
     ):
         expected, *_ = collect_shapes(scene.model, scene.data, scene.choices, scene.parts, geoms)
         for one, other in zip(arrays(found), arrays(expected), strict=True):
@@ -199,11 +216,10 @@ def test_doors_and_the_rest_are_what_is_collected_of_them(name):
 
 def test_each_door_is_posed_as_if_it_moved_alone(load):
     scene = load(ROOMS, LEAF, CUPBOARD)
-    doors, _ = find_candidates(scene, DoorSettings())
-    assert len(doors) == 2
+    assert len(scene.leaves) == 2
     for state in ("open", "closed"):
-        together = pose_doors(scene, doors, state)
-        for door in doors:
+        together = pose_doors(scene, scene.leaves, state)
+        for door in scene.leaves:
             mask = np.zeros(scene.model.ngeom, dtype=bool)
             mask[door.geoms] = True
             data = mujoco.MjData(scene.model)

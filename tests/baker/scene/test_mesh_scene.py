@@ -13,11 +13,11 @@ from PIL import Image
 
 from navbake.baker.scene import mesh_scene
 from navbake.baker.scene.mesh_scene import read_mesh_parts, read_plain
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from project_paths import SHARED_DATA
 from scene_files import WEDGE, write_dae
+from scenes_alone import load_alone
 
 IN_Z_UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # (x, y, z) of y up to (x, -z, y)
 
@@ -63,7 +63,7 @@ def test_every_format_in_every_frame(tmp_path, name):
     (part,) = read_mesh_parts(path, up="y", unit=0.01)
     same_triangles(part, WEDGE.triangles @ IN_Z_UP.T * 0.01)
     assert volume(part) == pytest.approx(1e-6 * WEDGE.volume)  # not mirrored
-    scene = load_scene(SceneSettings(path=path, up="y", unit=0.01))
+    scene = load_alone(SceneSettings(path=path, up="y", unit=0.01))
     np.testing.assert_allclose(scene.bounds, [[0, -0.01, 0], [0.03, 0, 0.02]], atol=1e-9)
     assert [geom.shape for geom in scene.geoms] == ["closed surface"]
 
@@ -73,7 +73,7 @@ def test_exact_and_not_compiled(tmp_path):
     mesh = trimesh.creation.box(bounds=[[0.1, 0.2, 0.3], [40.7, 30.1, 3.3]])
     path = tmp_path / "hall.obj"
     mesh.export(path, digits=15)
-    scene = load_scene(SceneSettings(path=path))
+    scene = load_alone(SceneSettings(path=path))
     np.testing.assert_array_equal(scene.bounds, mesh.bounds)
     top = scene.shapes.triangles.corners[:, :, 2].max(axis=1)
     assert set(top) == {0.3, 3.3}
@@ -88,7 +88,7 @@ def test_names_are_unique_and_those_of_geoms_and_bodies(tmp_path):
     groups = ("roof", "world", "world", "g#2", "g", "a\tb")
     faces = "".join(f"o {name}\nf 1 2 3\n" for name in groups)
     (tmp_path / "house.obj").write_text(f"{vertices}f 1 2 3\n{faces}g roof\nf 1 2 3\n")
-    scene = load_scene(SceneSettings(path=tmp_path / "house.obj"))
+    scene = load_alone(SceneSettings(path=tmp_path / "house.obj"))
     names = [geom.name for geom in scene.geoms]
     assert len(set(names)) == len(names) >= 6
     assert {"house", "roof", "g"} <= set(names)
@@ -113,7 +113,7 @@ def test_patterns_choose_parts(tmp_path):
     settings = SceneSettings(
         path=tmp_path / "house.glb", exclude={"geoms": ["lamp*"]}, meshes={"*_a": "hull"}
     )
-    geoms = {geom.name: geom for geom in load_scene(settings).geoms}
+    geoms = {geom.name: geom for geom in load_alone(settings).geoms}
     assert {name: geom.shape for name, geom in geoms.items()} == {
         "wall_a": "hull",
         "wall_b": "closed surface",
@@ -184,7 +184,7 @@ def test_primitives_are_named_by_their_node_and_the_same_each_time(tmp_path):
     path.write_bytes(make_glb(count=3))
     for _ in range(2):
         assert [part.name for part in read_mesh_parts(path)] == ["tri", "tri#2", "tri#3"]
-    digests = {load_scene(SceneSettings(path=path)).digest for _ in range(2)}
+    digests = {load_alone(SceneSettings(path=path)).digest for _ in range(2)}
     assert len(digests) == 1
 
 
@@ -538,7 +538,7 @@ def test_odd_meshes_make_a_model(tmp_path, vertices, faces, count):
     (part,) = read_mesh_parts(path)
     assert len(part.faces) == count
     assert len(part.vertices) <= 3 * count
-    scene = load_scene(SceneSettings(path=path))
+    scene = load_alone(SceneSettings(path=path))
     np.testing.assert_array_equal(scene.shapes.triangles.corners, triangles(part))
     used = np.array(vertices, float)[np.unique(faces[0])]
     assert (scene.bounds[0] <= used.min(axis=0)).all()
@@ -559,7 +559,7 @@ def test_odd_meshes_make_a_model(tmp_path, vertices, faces, count):
 def test_unusable_meshes(tmp_path, vertices, faces, culprit):
     path = write_obj(tmp_path / "odd.obj", vertices, faces)
     with pytest.raises(SceneError, match=culprit):
-        load_scene(SceneSettings(path=path))
+        load_alone(SceneSettings(path=path))
 
 
 def test_a_unit_that_overflows(tmp_path):
@@ -570,7 +570,7 @@ def test_a_unit_that_overflows(tmp_path):
 
 def test_flat_meshes_have_no_hull(tmp_path):
     path = write_obj(tmp_path / "odd.obj", SQUARE, [[0, 1, 2], [0, 2, 3]])
-    scene = load_scene(SceneSettings(path=path, meshes="hull"))
+    scene = load_alone(SceneSettings(path=path, meshes="hull"))
     assert scene.geoms[0].shape == "surface"
     assert scene.warnings == [
         "mesh 'odd' of geom 'odd' is flat, so it has no convex hull: it counts by its triangles"

@@ -13,11 +13,11 @@ import pytest
 import trimesh
 from PIL import Image
 
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from oracles.rays import first_hit
 from scene_files import WEDGE
+from scenes_alone import load_alone
 
 TETRAHEDRON = 'vertex="0 0 0 1 0 0 0 1 0 0 0 1"'
 
@@ -30,7 +30,7 @@ def load(tmp_path, monkeypatch):
     def call(world, before="", name="scene.xml", **settings):
         text = f"<mujoco>{before}<worldbody>{world}</worldbody></mujoco>"
         Path(name).write_text(text, encoding="utf-8")
-        return load_scene(SceneSettings(path=tmp_path / name, **settings))
+        return load_alone(SceneSettings(path=tmp_path / name, **settings))
 
     return call
 
@@ -70,14 +70,14 @@ def test_the_root_tells_mjcf_from_urdf(load, suffix):
 def test_ground_is_added_to_files_that_end_in_xml(load, tmp_path):
     (tmp_path / "scene.mjcf").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
     with pytest.raises(ConfigError, match=r"can't be added to .*scene\.mjcf: let its name end in"):
-        load_scene(SceneSettings(path=tmp_path / "scene.mjcf", ground=0.0))
+        load_alone(SceneSettings(path=tmp_path / "scene.mjcf", ground=0.0))
 
 
 def test_mujoco_s_parser_is_the_judge_of_mjcf(load, tmp_path):
     (tmp_path / "lax.xml").write_text(
         '\n <?xml version="1.0"?><mujoco><worldbody><geom size="1"/></worldbody></mujoco>'
     )
-    assert len(load_scene(SceneSettings(path=tmp_path / "lax.xml")).geoms) == 1
+    assert len(load_alone(SceneSettings(path=tmp_path / "lax.xml")).geoms) == 1
 
 
 def test_what_mujoco_warns_of_is_kept(load, tmp_path):
@@ -87,7 +87,7 @@ def test_what_mujoco_warns_of_is_kept(load, tmp_path):
     (tmp_path / "scene.xml").write_text(text + "</worldbody></mujoco>")
     if not hasattr(mujoco.MjsMesh, "octree_maxdepth"):
         pytest.skip("older MuJoCos don't warn of it")
-    scene = load_scene(SceneSettings(path=tmp_path / "scene.xml"))
+    scene = load_alone(SceneSettings(path=tmp_path / "scene.xml"))
     assert ["settotalmass" in warning for warning in scene.warnings].count(True) == 1
 
 
@@ -95,7 +95,7 @@ def test_mjb_is_the_same_scene(load, tmp_path):
     world = '<geom size="1"/><body name="b" pos="2 0 0"><geom type="mesh" mesh="m"/></body>'
     scene = load(world, f'<asset><mesh name="m" {TETRAHEDRON}/></asset>')
     mujoco.mj_saveModel(scene.model, str(tmp_path / "scene.mjb"))
-    again = load_scene(SceneSettings(path=tmp_path / "scene.mjb"))
+    again = load_alone(SceneSettings(path=tmp_path / "scene.mjb"))
     assert again.geoms == scene.geoms
     assert again.digest == scene.digest
     np.testing.assert_array_equal(again.shapes.triangles.corners, scene.shapes.triangles.corners)
@@ -151,10 +151,10 @@ def test_names_that_are_not_utf_8(load, tmp_path):
     text = (tmp_path / "scene.xml").read_text(encoding="utf-8")
     path.write_bytes(('<?xml version="1.0" encoding="latin-1"?>' + text).encode("latin-1"))
     assert [(geom.name, geom.body) for geom in scene.geoms] == [("t\xfcr", "caf\xe9")]
-    scene = load_scene(SceneSettings(path=path))  # MuJoCo takes the bytes as they are
+    scene = load_alone(SceneSettings(path=path))  # MuJoCo takes the bytes as they are
     assert [(geom.name, geom.body) for geom in scene.geoms] == [("t\ufffdr", "caf\ufffd")]
     with pytest.raises(ConfigError, match="has \ufffd"):
-        load_scene(SceneSettings(path=path, joints={"a": 1.0}))
+        load_alone(SceneSettings(path=path, joints={"a": 1.0}))
 
 
 def test_loads_in_threads(load, tmp_path):
@@ -162,7 +162,7 @@ def test_loads_in_threads(load, tmp_path):
     found = []
 
     def work():
-        found.append(load_scene(SceneSettings(path=tmp_path / "scene.xml")).digest)
+        found.append(load_alone(SceneSettings(path=tmp_path / "scene.xml")).digest)
 
     threads = [threading.Thread(target=work) for _ in range(8)]
     for thread in threads:
@@ -229,7 +229,7 @@ def test_keyframe_by_index_or_name(load):
 )
 def test_a_joint_beyond_its_range_is_told(load, joint, value, expected):
     angles = '<compiler angle="radian"/>'
-    body = f'<body><joint name="j" {joint}/><geom size="1"/></body>'
+    body = f'<geom size="1"/><body><joint name="j" {joint}/><geom size="1"/></body>'
     warnings = load(body, angles, joints={"j": value}).warnings
     assert len(warnings) == bool(expected)
     assert all(f"joint 'j' {expected}" in text for text in warnings)
@@ -487,7 +487,7 @@ def test_height_fields_without_a_size_are_refused(tmp_path, value):
     model.hfield_size[0, 1] = value
     mujoco.mj_saveModel(model, str(tmp_path / "a.mjb"))
     with pytest.raises(SceneError, match="hfield 'hill' has heights or a size that are no numbers"):
-        load_scene(SceneSettings(path=tmp_path / "a.mjb"))
+        load_alone(SceneSettings(path=tmp_path / "a.mjb"))
 
 
 def test_a_missing_texture_is_told_and_stops_nothing(load, tmp_path):

@@ -14,11 +14,12 @@ from PIL import Image
 import navbake
 from navbake.baker.scene import pieces
 from navbake.baker.scene.model import CompileLimits
-from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.scene.scene import Scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.scene_files import MODEL_PATHS, find_inputs
 from scene_files import WEDGE, leads_through, write_dae
+from scenes_alone import load_alone
 from sdf_scenes import write_world
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
@@ -39,7 +40,7 @@ def write(folder: Path, content: str, name: str = "w.sdf") -> Path:
 
 
 def load(path: Path, **settings: Any) -> Scene:
-    return load_scene(SceneSettings(path=path, **settings))
+    return load_alone(SceneSettings(path=path, **settings))
 
 
 def link(content: str, name: str = "l", more: str = "") -> str:
@@ -237,7 +238,7 @@ def test_where_models_are_looked_for(tmp_path, monkeypatch):
     assert set(find_inputs(path)) == expected
     assert load(path, model_path=[far]).digest == load(path).digest
     settings = SceneSettings(path=path)
-    assert load_scene(settings, limits=CompileLimits()).digest == load(path).digest
+    assert load_alone(settings, limits=CompileLimits()).digest == load(path).digest
 
 
 def test_broken_worlds(tmp_path):

@@ -11,9 +11,9 @@ import trimesh
 
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.mesh_scene import AXES, turn_up
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings, parse_config
 from navbake.types import Float
+from scenes_alone import load_alone
 
 GRID = 0.1  # edge of the triangles of a scan [m]
 
@@ -90,7 +90,7 @@ def test_axes_and_vectors_are_taken_as_they_are_set(tmp_path):
     trimesh.creation.box((1, 2, 3)).apply_translation((10, 20, 30)).export(path)
 
     def heights(up) -> list[float]:
-        (part,) = load_scene(SceneSettings(path=path, up=up)).parts.values()
+        (part,) = load_alone(SceneSettings(path=path, up=up)).parts.values()
         return [float(part.vertices[:, 2].min()), float(part.vertices[:, 2].max())]
 
     assert heights("z") == heights([0.0, 0.0, 2.0]) == [28.5, 31.5]
@@ -116,9 +116,9 @@ def test_auto_is_what_the_file_says(tmp_path, name, said, height):
         text = path.read_text()
         begin, rest = text[: text.index("<asset>") + 7], text[text.index("</asset>") :]
         path.write_text(begin + (AXIS.format(said) if said else "") + rest)
-    scene = load_scene(SceneSettings(path=path))
+    scene = load_alone(SceneSettings(path=path))
     assert np.diff(scene.bounds, axis=0)[0, 2] == pytest.approx(height)
-    assert load_scene(SceneSettings(path=path, up="z")).bounds[1, 2] == pytest.approx(1.5)
+    assert load_alone(SceneSettings(path=path, up="z")).bounds[1, 2] == pytest.approx(1.5)
 
 
 # ---------------------------------------------------------------- scans
@@ -139,21 +139,21 @@ def test_level_finds_the_floor_that_things_stand_on(tmp_path, down):
 def test_level_is_exact(tmp_path):
     up = np.array([0.31, -0.52, 0.79]) / np.linalg.norm([0.31, -0.52, 0.79])
     path = scan(tmp_path / "scan.ply", up)
-    (part,) = load_scene(SceneSettings(path=path, up="level")).parts.values()
-    (file,) = load_scene(SceneSettings(path=path, up="z")).parts.values()
+    (part,) = load_alone(SceneSettings(path=path, up="level")).parts.values()
+    (file,) = load_alone(SceneSettings(path=path, up="z")).parts.values()
     turn = np.linalg.lstsq(file.vertices, part.vertices, rcond=None)[0].T
     assert np.degrees(np.arccos((turn @ up)[2])) < 0.1
 
 
 def test_auto_takes_the_axis_of_a_scan_that_lies_on_its_side_and_says_so(tmp_path):
     path = scan(tmp_path / "scan.ply", np.array(AXES["-y"]))
-    scene = load_scene(SceneSettings(path=path))
+    scene = load_alone(SceneSettings(path=path))
     (hint,) = scene.hints
     assert "is taken with -y up" in hint and "`scene.up: -y` silences this" in hint
-    assert not load_scene(SceneSettings(path=path, up="-y")).warnings
+    assert not load_alone(SceneSettings(path=path, up="-y")).warnings
     assert scene.bounds[1, 2] == pytest.approx(2.5, abs=0.05)
     # one that stands upright stays as it is
-    assert not load_scene(SceneSettings(path=scan(tmp_path / "b.ply", np.array(AXES["z"])))).hints
+    assert not load_alone(SceneSettings(path=scan(tmp_path / "b.ply", np.array(AXES["z"])))).hints
 
 
 @pytest.mark.parametrize("up", ["y", [0, 1.0, 0]])
@@ -220,7 +220,7 @@ def test_specks_of_a_scan_are_left_out(tmp_path):
     trimesh.util.concatenate([trimesh.load(path), *specks, table]).export(path)
 
     def load(is_scan):
-        return load_scene(SceneSettings(path=path, up="z", scan=is_scan))
+        return load_alone(SceneSettings(path=path, up="z", scan=is_scan))
 
     (whole,), (kept,) = (load(is_scan).parts.values() for is_scan in (False, True))
     assert len(whole.faces) - len(kept.faces) == 2 * len(specks[0].faces)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from scene_files import WEDGE, write_dae
+from scenes_alone import load_alone
 
 ROOM = """
 <robot name="room">
@@ -48,7 +48,7 @@ def load(tmp_path):
         folder = tmp_path / "pkg" / "urdf"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "room.urdf").write_text(text.format(mesh=mesh, more=more))
-        return load_scene(SceneSettings(path=folder / "room.urdf", **settings))
+        return load_alone(SceneSettings(path=folder / "room.urdf", **settings))
 
     return call
 
@@ -252,5 +252,5 @@ def test_path_is_not_needed_to_be_absolute(load, wedge, tmp_path, monkeypatch):
     wedge("pkg/meshes/wedge.stl")
     load("package://pkg/meshes/wedge.stl")
     monkeypatch.chdir(tmp_path / "pkg" / "urdf")
-    scene = load_scene(SceneSettings(path=Path("room.urdf")))
+    scene = load_alone(SceneSettings(path=Path("room.urdf")))
     assert len(scene.geoms) == 5

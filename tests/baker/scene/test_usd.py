@@ -16,10 +16,11 @@ import navbake
 from navbake.baker.scene import pieces
 from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.pieces import MOST_PIECES
-from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import triangulate
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, MissingDependencyError, SceneError
+from scenes_alone import load_alone
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -45,7 +46,7 @@ CUBE_FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 
 
 
 def load(path: Path, **settings: Any) -> Scene:
-    return load_scene(SceneSettings(path=path, id="room", **settings))
+    return load_alone(SceneSettings(path=path, id="room", **settings))
 
 
 def bake_bytes(path: Path) -> str:
@@ -131,7 +132,7 @@ def test_samples(tmp_path, name):
 
 def test_isolated(tmp_path, room):
     settings = SceneSettings(path=write_room(tmp_path, 1.0, "Z", "plain"), id="room")
-    assert load_scene(settings, limits=CompileLimits()).digest == room[0]
+    assert load_alone(settings, limits=CompileLimits()).digest == room[0]
 
 
 def names(scene: Scene, counted: bool = True) -> set[str]:

@@ -27,7 +27,9 @@ OPEN_ROOM = """
 <mujoco><worldbody>
   <geom name="floor" type="box" pos="2 2 -0.1" size="2 2 0.1"/>
   <geom name="pillar" type="box" pos="0.2 0.2 1.25" size="0.2 0.2 1.25"/>
-  <body name="chair" pos="1 1 0.45"><freejoint/><geom type="box" size="0.2 0.2 0.45"/></body>
+  <body name="chair" pos="1 1 0.45">
+    <freejoint/><geom name="seat" type="box" size="0.2 0.2 0.45"/>
+  </body>
   <body name="fixed" pos="3 3 0.3"><geom name="box" type="box" size="0.2 0.2 0.3"/></body>
   <body name="person" mocap="true" pos="3 1 0.6"><geom type="cylinder" size="0.2 0.6"/></body>
 </worldbody></mujoco>
@@ -50,17 +52,18 @@ def test_updates_equal_fresh_bakes(scene, moves):
 
 def test_only_what_is_near_is_looked_at(monkeypatch):
     baker = open_room()
-    asked = []
-    cast = module.cast_at
+    looked_at = []
+    find_again = module.find_occupants_again
 
-    def spy(*given):
-        asked.append(len(given[-1]))
-        return cast(*given)
+    def spy(occupants, cells, **more):
+        looked_at.append(len(cells))
+        return find_again(occupants, cells, **more)
 
-    monkeypatch.setattr(module, "cast_at", spy)
+    monkeypatch.setattr(module, "find_occupants_again", spy)
     changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
     assert changes.reason == ""
-    assert asked and asked[0] < 400  # of 1,600 cells
+    assert len(looked_at) == 1
+    assert 0 < looked_at[0] < 400  # of 1,600 cells
     assert first_difference(changes.grid, fresh(baker)) is None
 
 
@@ -123,14 +126,17 @@ def test_readers_see_whole_grids_while_one_writes():
     assert len({id(grid) for grid in known}) == len(known)
 
 
-def test_a_geom_vanishes_and_appears():
+@pytest.mark.parametrize("name", ["box", "seat"])
+def test_a_geom_vanishes_and_appears(name):
     baker = open_room()
-    geom = baker.model.geom("box").id
+    geom = baker.model.geom(name).id
     occupied = int(baker.grid.occupancy.sum())
     for shown in (0, 1):
-        baker.model.geom_contype[geom] = baker.model.geom_conaffinity[geom] = shown
+        baker.model.geom_contype[geom] = shown
+        baker.model.geom_conaffinity[geom] = shown
         changes = baker.update()
-        assert changes.reason == ""
+        # `box` stands, `seat` can move
+        assert changes.reason == ("'box', which stands, has changed" if name == "box" else "")
         assert first_difference(changes.grid, fresh(baker)) is None
         assert (int(changes.grid.occupancy.sum()) == occupied) == bool(shown)
 
@@ -175,7 +181,7 @@ def test_a_finder_moves_to_the_new_grid():
     assert finder.find_path([1.0, 2.0, 0.0], [3.5, 2.0, 0.0]) is not None
 
 
-def test_rugs_may_cover_so_much_that_the_ground_is_higher():
+def test_rugs_that_cover_the_floor_leave_the_ground_where_it_is():
     rugs = "".join(
         f'<body name="rug_{k}" pos="{x} {y} 0.5" quat="1 1 0 0"><freejoint/>'
         '<geom type="box" size="0.5 0.5 0.02"/></body>'
@@ -184,16 +190,15 @@ def test_rugs_may_cover_so_much_that_the_ground_is_higher():
     xml = OPEN_ROOM.replace("</worldbody>", f"{rugs}</worldbody>")
     settings = {"grid": {"bounds": [0, 0, 4, 4]}}
     baker = navbake.Baker(mujoco.MjModel.from_xml_string(xml), **settings)
-    reasons = []
     for k in range(9):
         x, y = 0.9 + 1.1 * (k // 3), 0.9 + 1.1 * (k % 3)
         changes = baker.update(bodies={f"rug_{k}": [x, y, 0.02, 1, 0, 0, 0]})
         assert first_difference(changes.grid, fresh(baker, **settings)) is None
-        reasons.append(changes.reason)
-    assert "" in reasons
+        assert changes.reason == ""
+    assert baker.grid.navbake["levels"][0]["ground"] == 0.0
 
 
-def test_a_wall_of_boxes_cuts_off_a_part_and_gives_it_back():
+def test_a_row_of_boxes_cuts_off_a_part_and_is_no_wall():
     boxes = "".join(
         f'<body name="box_{k}" pos="{0.2 + 0.4 * k} 30 0.5"><freejoint/>'
         '<geom type="box" size="0.2 0.2 0.5"/></body>'
@@ -202,11 +207,14 @@ def test_a_wall_of_boxes_cuts_off_a_part_and_gives_it_back():
     xml = OPEN_ROOM.replace("</worldbody>", f"{boxes}</worldbody>")
     settings = {"grid": {"bounds": [0, 0, 4, 4]}}
     baker = navbake.Baker(mujoco.MjModel.from_xml_string(xml), **settings)
+    rooms = baker.grid.rooms
     for rows in ((3.6, 30), (2.6, 1.4), (3.2, 3.5)):
         for y in rows:
             places = {f"box_{k}": [0.2 + 0.4 * k, y, 0.5] for k in range(10)}
             changes = baker.update(bodies=places)
+            assert changes.reason == ""
             assert first_difference(changes.grid, fresh(baker, **settings)) is None
+            assert baker.grid.rooms == rooms
 
 
 BAD = {

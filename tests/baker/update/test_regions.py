@@ -1,13 +1,10 @@
-"""The kernels and shortcuts of an update against plain ways to the same answers."""
+"""Which cells an update looks at, against plain ways to the same answers."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.baker.columns import Columns, empty_crossings
 from navbake.baker.lattice import cells_near
-from navbake.baker.update import KeptColumns
 from navbake.navgrid.lattice import Lattice
 
 LATTICE = Lattice(-1.0, 2.0, 0.25, 23, 17)
@@ -40,33 +37,3 @@ def test_far_and_endless_boxes_are_cut_off_at_the_lattice():
     assert np.array_equal(cells_near(LATTICE, endless, 0.1), np.arange(CELLS))
     far = np.array([[1e30, 1e30, 0, 1e31, 1e31, 1.0], [-1e31, 0, 0, -1e30, 1, 1.0]])
     assert not len(cells_near(LATTICE, far, 0.1))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_columns_that_are_put_are_taken_again(seed):
-    rng, count = np.random.default_rng(seed), LATTICE.width * LATTICE.height
-
-    def draw(num):
-        start = np.concatenate([[0], np.cumsum(rng.integers(0, 4, num))])
-        crossings = empty_crossings(start, start[-1])
-        for array in crossings[1:]:
-            array[:] = rng.integers(0, 9, array.shape)
-        return crossings
-
-    def take(crossings, cell):
-        return [array[crossings.start[cell] : crossings.start[cell + 1]] for array in crossings[1:]]
-
-    first = draw(count)
-    kept, now = KeptColumns(Columns(LATTICE, first)), [take(first, cell) for cell in range(count)]
-    for _ in range(12):
-        cells = np.flatnonzero(rng.random(count) < 0.1)
-        new = draw(len(cells))
-        kept.put(cells, new)
-        for k, cell in enumerate(cells.tolist()):
-            now[cell] = take(new, k)
-    blocks = list(kept.blocks())
-    for cell, expected in enumerate(now):
-        one = kept.at(np.array([cell, 0, cell])).crossings
-        other = next(b for b in blocks if cell < b.known_rows.end * LATTICE.width).crossings
-        for found in (take(one, cell), take(other, cell)):
-            assert all(map(np.array_equal, found, expected))
