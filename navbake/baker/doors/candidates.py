@@ -44,7 +44,7 @@ class DoorCandidate:
     geoms: Int  # ids of the counted geoms of the body and its descendants, shape (n,)
     positions: dict[str, float]  # of the joint, by state but removed [rad or m]; empty for none
     joint_id: int  # MuJoCo's, -1 for none
-    named: bool  # by a pattern; else it was found by its joint and shape
+    named: bool  # by a pattern or by the file; else it was found by its joint and shape
 
     def position(self, state: str) -> float | None:
         """The joint's position in a state, as modelled where it hasn't that; None for no joint."""
@@ -60,9 +60,9 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
 
     A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up. One
     without a joint, as in IFC models, stands between walls that are higher than it. The descendants
-    of a candidate are part of it.
+    of a candidate are part of it. Bodies that the file says are doors need no pattern.
     """
-    if not settings.patterns and not settings.find:
+    if not settings.patterns and not settings.find and not scene.named_leaves:
         return [], []
     model = scene.model
     names, ends = all_names(model).bodies, find_subtree_ends(model)
@@ -73,16 +73,20 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     # by body id, the patterns that match its name; none for the world
     matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names]
     matches[0] = []
+    is_named = [
+        bool(m) or name in scene.named_leaves for m, name in zip(matches, names, strict=True)
+    ]
+    is_named[0] = False
     searched = set[int]()
     if settings.find:
         moves = model.body_weldid > 0
         # a leaf without a joint stands between other geoms
         num_bodies = model.nbody if counted.sum() > 1 else 1
         static = (body for body in range(1, num_bodies) if not moves[body : ends[body]].any())
-        searched = {body for body in (*joints, *static) if not matches[body]}
+        searched = {body for body in (*joints, *static) if not is_named[body]}
     geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
     for body in range(1, model.nbody):
-        if body in searched or matches[body]:
+        if body in searched or is_named[body]:
             under = geoms_of_bodies(model, body, int(ends[body]))
             geoms[body] = under[counted[under]]
     leaves = _find_leaves(scene, {body: geoms[body] for body in searched})
@@ -93,7 +97,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
                 del leaves[body]
     found, end = list[int](), 0  # and the end of the bodies of the last candidate
     for body, own in geoms.items():
-        if body >= end and len(own) and (matches[body] or body in leaves):
+        if body >= end and len(own) and (is_named[body] or body in leaves):
             found.append(body)
             end = int(ends[body])
     count = Counter(names[body] for body in found)
@@ -101,9 +105,17 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     for body in found:
         # names that aren't UTF-8 may look the same
         name = names[body] + (f" (body {body})" if count[names[body]] > 1 else "")
-        joint, named = joints.get(body, -1), bool(matches[body])
-        moves = (None, {}) if joint < 0 else (joint_name(model, joint), _positions(scene, joint))
-        candidates.append(DoorCandidate(name, moves[0], geoms[body], moves[1], joint, named))
+        joint = joints.get(body, -1)
+        candidates.append(
+            DoorCandidate(
+                name,
+                joint=None if joint < 0 else joint_name(model, joint),
+                geoms=geoms[body],
+                positions={} if joint < 0 else _positions(scene, joint),
+                joint_id=joint,
+                named=is_named[body],
+            )
+        )
     used = {pattern for body in found for pattern in matches[body]}
     unused = [pattern for pattern in settings.patterns if pattern not in used]
     return candidates, [_warn_unmatched(p, names, matches, geoms) for p in unused]

@@ -76,6 +76,7 @@ class Scene:
     choices: list[Choice]  # by geom id
     parts: dict[int, MeshPart]  # the exact meshes of a mesh scene by geom id, world frame
     meshes: MeshTriangles  # what the model's meshes count by, for geoms in other poses
+    named_leaves: frozenset[str]  # the names of bodies that the file says are doors
 
 
 @collector_off()
@@ -92,7 +93,8 @@ def load_scene(
     Agent and floors are for `scene.meshes: auto`, see `HiddenRoom`. With limits, MuJoCo compiles in
     a child process; `opened` is the model of a scene in memory.
     """
-    model, parts, ground, compiled, data = opened or open_file(settings, limits)
+    opened = opened or open_file(settings, limits)
+    model, parts, ground, data = opened.model, opened.parts, opened.ground, opened.data
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
     digest = run_beside(lambda: start_digest(model, data, parts)())
@@ -111,7 +113,7 @@ def load_scene(
         reasons = "; ".join(sorted({choice.reason for choice in own})[:3])
         none = f"none of the {len(own)} geoms of {settings.path} counts"
         raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
-    warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
+    warnings = [" ".join(warning.split()) for warning in [*opened.warnings, *warned]]
     warnings += warn_out_of_range(model, settings)
     hints = [text for text in warnings if parts and "`scene.up" in text]
     size = _warn_size(settings, parts, shapes.bounds)
@@ -127,7 +129,7 @@ def load_scene(
     ]  # fmt: skip
     return Scene(
         settings.id or stem_of(settings.path), geoms, shapes, shapes.bounds,
-        digest(), warnings, hints, model, data, choices, parts, meshes,
+        digest(), warnings, hints, model, data, choices, parts, meshes, opened.named_leaves,
     )  # fmt: skip
 
 
