@@ -22,7 +22,15 @@ from navbake.baker.columns import Columns, ColumnSource, ShapeSource
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
-from navbake.baker.doors.doors import Placing, Surroundings, cut_door, place_doors, pose_leaves
+from navbake.baker.doors.doors import (
+    DoorContext,
+    LeafCells,
+    PlacedLeaf,
+    block_cells,
+    cut_door,
+    place_doors,
+    pose_leaves,
+)
 from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
@@ -221,16 +229,25 @@ class Stages:
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        found = self.baked_columns, self.floors, self.cells[1], self.contents
-        return read_flags(self.doorless, *found, self.config.rooms, self.config.agent)
+        return read_flags(
+            self.doorless,
+            self.baked_columns,
+            self.floors,
+            of_columns=self.cells[1],
+            contents=self.contents,
+            occupied=self.occupancy.solid or self.occupancy.levels,
+            settings=self.config.rooms,
+            agent=self.config.agent,
+        )
 
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms; doors are not named in it yet."""
-        _ = self.contents  # which is timed by itself
+        _ = self.contents, self.leaf_cells  # which are timed by themselves
         max_step = self.config.agent.traversable_floor_height
+        closed_leaves = [leaf.closed for leaf in self.leaf_cells]
         with self.clock.stage("rooms"):
-            return find_rooms(self.room_flags, self.config.rooms, max_step)
+            return find_rooms(self.room_flags, self.config.rooms, max_step, closed_leaves)
 
     @cached_property
     def cells(self) -> tuple[CellFinder, ColumnFlags]:
@@ -248,28 +265,40 @@ class Stages:
             return finder, of_columns
 
     @property
-    def around_doors(self) -> Surroundings:
+    def door_context(self) -> DoorContext:
         """What doors stand in."""
-        levels, found = self.floors.levels, (self.occupancy, self.rooms, self.footprint)
-        return Surroundings(self.baked_columns, levels, *found, self.config.agent)
+        return DoorContext(self.baked_columns, self.floors.levels, self.rooms, self.config.agent)
 
     @cached_property
-    def doors(self) -> list[Placing]:
+    def leaf_cells(self) -> list[LeafCells]:
+        """What each candidate blocks in each state."""
+        levels = self.floors.levels
+        with self.clock.part("doors"):
+            leaves = pose_leaves(self.scene, self.candidates, self.lattice, self.footprint.reach)
+            return block_cells(leaves, levels, self.footprint, self.lattice)
+
+    @cached_property
+    def doors(self) -> list[PlacedLeaf]:
         """What each candidate is, and what it blocks in each state."""
-        around = self.around_doors
+        context = self.door_context
         with self.clock.stage("doors"):
-            posed = self.candidates, self.lattice, self.footprint.reach
-            return place_doors(pose_leaves(self.scene, *posed), around)
+            return place_doors(self.leaf_cells, context)
 
     @cached_property
-    def cut_doors(self) -> dict[Placing, Door]:
+    def cut_doors(self) -> dict[PlacedLeaf, Door]:
         """The doors as the grid has them."""
         return {one: self.cut_door(one) for one in self.placed}
 
-    def cut_door(self, placing: Placing) -> Door:
+    def cut_door(self, door: PlacedLeaf) -> Door:
         """A door as the grid has it."""
-        windows, width = self.boxes.windows, self.lattice.width
-        return cut_door(placing, windows, width, self.config.doors.state)
+        return cut_door(
+            door,
+            occupied=self.occupancy.levels,
+            solid=self.occupancy.solid,
+            windows=self.boxes.windows,
+            width=self.lattice.width,
+            wanted=self.config.doors.state,
+        )
 
     @cached_property
     def holes(self) -> Float:
@@ -291,19 +320,19 @@ class Stages:
         return areas
 
     @property
-    def placed(self) -> list[Placing]:
+    def placed(self) -> list[PlacedLeaf]:
         """The candidates that are doors."""
-        return [one for one in self.doors if one.cells]
+        return [leaf for leaf in self.doors if leaf.is_door]
 
     @property
     def rejected(self) -> list[DoorCandidate]:
         """The candidates that are parts of the scene; see `settle_doors`."""
-        return [one.candidate for one in self.doors if one.is_part]
+        return [leaf.candidate for leaf in self.doors if _is_part(leaf)]
 
     @property
     def settled(self) -> list[DoorCandidate]:
         """The candidates without those that are rejected."""
-        return [one.candidate for one in self.doors if not one.is_part]
+        return [leaf.candidate for leaf in self.doors if not _is_part(leaf)]
 
     @cached_property
     def areas(self) -> PaintedAreas:
@@ -325,7 +354,7 @@ class Stages:
             free = ~(np.stack(taken) | np.isnan(floors))
             for number, level in enumerate(free):  # as doors are, so are their links
                 for door in placed:
-                    for cells in door.cells.values():
+                    for cells in door.blocked.values():
                         level.ravel()[cells[number]] = False
             space = Space(columns, self.tiled, self.footprint)
             known = self.doorless, self.lattice, floors, free, space, self.config.agent
@@ -365,6 +394,11 @@ class Stages:
         for name in (*geometry, "_extents", "cells", "room_flags"):
             self.__dict__.pop(name, None)
         self.doorless.shapes.forget_triangles()
+
+
+def _is_part(leaf: PlacedLeaf) -> bool:
+    """Whether a leaf that is no door is a part of the scene on the lattice."""
+    return not leaf.is_door and not leaf.leaf.is_beside
 
 
 def _describe_extent(scene: Scene, config: BakeConfig) -> str:

@@ -12,7 +12,6 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from operator import is_
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,7 +23,13 @@ from navbake.baker.clock import StageClock
 from navbake.baker.column_blocks import cast_at, list_once, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
-from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
+from navbake.baker.doors.doors import (
+    LeafCells,
+    PlacedLeaf,
+    block_cells,
+    place_doors,
+    pose_leaves,
+)
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.following import (
     FollowedDoors,
@@ -387,17 +392,23 @@ class LiveStages:
                     now.boxes = was.boxes  # which then depend on floors alone
             else:
                 self._room_flags = None  # they share the arrays of floors, which were written to
+        now.leaf_cells = _follow_leaves(was, now, touched, len(changed) > 0)
+        flags_hold &= not len(touched)  # what stands there may close an opening
+        closed = [[leaf.closed for leaf in stages.leaf_cells] for stages in (was, now)]
+        if not are_equal(closed[0], closed[1]):
+            self._room_flags = None
         if not flags_hold or self._room_flags is None:
             now.cells = self._cells
             flags, self._room_flags = self._room_flags, now.room_flags
             flags_hold = flags is not None and are_equal(now.room_flags, flags)
         if flags_hold or are_equal(now.rooms, was.rooms):
             now.rooms = was.rooms
-        now.doors = _follow_doors(was, now, touched)
+        now.doors = _follow_doors(was, now)
         if now.rooms is was.rooms and now.doors is was.doors:
             now.room_table = was.room_table
         if now.boxes.windows == was.boxes.windows:
-            known_doors = was.cut_doors
+            same = now.occupancy is was.occupancy
+            known_doors = was.cut_doors if same else {}
             now.cut_doors = {one: known_doors.get(one) or now.cut_door(one) for one in now.placed}
         now.free_geometry()
         self.stages = now
@@ -440,24 +451,28 @@ def _box(stages: Stages) -> Float:
     return np.full((2, 3), np.inf) if bounds is None else bounds
 
 
-def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
-    """Place again the doors that moved, and those near cells that something touched."""
-    around, known = now.around_doors, {one.candidate: one for one in was.doors}
-    mask = np.zeros(now.lattice.shape, dtype=np.bool_)
-    mask.ravel()[touched] = True
-    new = [one for one in now.candidates if one not in known]
+def _follow_leaves(was: Stages, now: Stages, touched: Int, floors_changed: bool) -> list[LeafCells]:
+    """What each leaf blocks; as it was but for those that moved, or whose floors changed."""
+    known = {cells.leaf.candidate: cells for cells in was.leaf_cells}
+    new = [candidate for candidate in now.candidates if candidate not in known]
     leaves = pose_leaves(now.scene, new, now.lattice, now.footprint.reach)
-    leaves += [
-        one.leaf
-        for one in map(known.get, now.candidates)
-        if one and (now.rooms is not was.rooms or one.depends_on(mask, around))
-    ]
-    for one in place_doors(leaves, around):
-        if one.candidate not in known or not are_equal(one, known[one.candidate]):
-            known[one.candidate] = one
-    doors = [known[one] for one in now.candidates]
-    same = len(doors) == len(was.doors) and all(map(is_, doors, was.doors))
-    return was.doors if same else doors
+    if floors_changed:
+        mask = np.zeros(now.lattice.shape, dtype=np.bool_)
+        mask.ravel()[touched] = True
+        for cells in was.leaf_cells:
+            box = cells.leaf.box
+            window = None if box is None else now.lattice.window(box, now.footprint.reach)
+            if window is not None and mask[window].any():
+                leaves.append(cells.leaf)
+    for cells in block_cells(leaves, now.floors.levels, now.footprint, now.lattice):
+        known[cells.leaf.candidate] = cells
+    return [known[candidate] for candidate in now.candidates]
+
+
+def _follow_doors(was: Stages, now: Stages) -> list[PlacedLeaf]:
+    """Place the leaves again if anything that they depend on may have changed."""
+    doors = place_doors(now.leaf_cells, now.door_context)
+    return was.doors if are_equal(doors, was.doors) else doors
 
 
 def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:

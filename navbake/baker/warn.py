@@ -82,7 +82,7 @@ def collect_warnings(stages: Stages) -> list[str]:
         *_warn_hidden_ground(stages),
         *(stages.contents.warnings if stages.contents else ()),
         *stages.rooms.warnings,
-        *warn_doors(stages.placed, stages.config.doors.state),
+        *warn_doors(stages.placed, stages.occupancy.levels, stages.config.doors.state),
         *_warn_interleaved(stages),
         *stages.areas.warnings,
         *stages.links.warnings,

@@ -79,6 +79,7 @@ class LevelFlags(NamedTuple):
     # edge for anything to be outdoors: nothing else depends on it
     sky: Bool
     bank: Bool  # without a floor, and the ground under the sky is too steep to stand on
+    occupied: Bool  # without a floor, or what stands meets the square in an agent's way
 
 
 class RoomFlags(NamedTuple):
@@ -140,10 +141,15 @@ def read_flags(
     floors: Floors,
     of_columns: ColumnFlags,
     contents: Contents | None,
+    occupied: Sequence[Bool],
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Read all that rooms depend on from a scene and its earlier stages."""
+    """Read all that rooms depend on from a scene and its earlier stages.
+
+    `occupied` are the cells of each level, of the whole lattice, that have no floor, or whose
+    squares are met by what stands in an agent's way.
+    """
     lattice, levels = columns.lattice, list[LevelFlags]()
     of_columns.decisive = []
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
@@ -162,7 +168,7 @@ def read_flags(
             sky[:] = False
             decisive -= kernels.SKY
         of_columns.decisive.append(decisive.ravel())
-        levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
+        levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank, occupied[number]))
     ends = ~EVERY_SIDE
     if scene.bounds is not None:
         x0, y0, x1, y1 = lattice.bounds
