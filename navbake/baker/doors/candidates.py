@@ -157,7 +157,8 @@ def _positions(scene: Scene, joint: int) -> dict[str, float]:
     model = scene.model
     low, high = (float(v) for v in model.jnt_range[joint])
     if not model.jnt_limited[joint]:
-        low, high = 0.0, QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
+        low = 0.0
+        high = QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
     closed = min(max(0.0, low), high)
     opened = low if closed - low > high - closed else high
     modelled = float(scene.data.qpos[model.jnt_qposadr[joint]])
@@ -183,8 +184,10 @@ def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shap
         return scene.shapes.only(mask)
     data = data_with_joints(scene.model, scene.data, moved)
     geoms = np.flatnonzero(mask).tolist()
-    known = scene.choices, scene.parts, geoms, scene.meshes
-    return collect_shapes(scene.model, data, *known)[0]
+    shapes, *_ = collect_shapes(
+        scene.model, data, scene.choices, scene.parts, geoms, meshes=scene.meshes
+    )
+    return shapes
 
 
 def largest_side(extents: Extents, geoms: Int) -> int:

@@ -210,46 +210,62 @@ def pose_leaves(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
-
-    def pose(candidate: DoorCandidate) -> Leaf:
-        own = {state: candidate.only(shapes) for state, shapes in posed.items()}
-        boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
-        windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
-        ends, box = np.array([*boxes.values()]), None
-        if len(ends):
-            box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
-        near, state_at = dict[str, Near | None](), dict[float | None, str]()
-        for state, shapes in own.items():
-            # states at one position of the joint are found once
-            first = state_at.setdefault(candidate.position(state), state)
-            window = windows.get(state)
-            near[state] = near.get(first)
-            if first == state and window is not None:
-                tiled = tile_shapes(shapes, lattice.cut(*window), reach)
-                near[state] = window, tiled, cast_columns(tiled)
-        # seen from above, most doors are too small, which is quickly found
-        geoms = candidate.geoms
-        sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
-        tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
-        travel = ""
-        if candidate.positions:
-            by = abs(candidate.positions["open"] - candidate.positions["closed"])
-            is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-            travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-        lines = _lines_from(extents["closed"], geoms, lattice, reach)
-        is_beside = "modelled" in windows and windows["modelled"] is None
-        return Leaf(
-            candidate,
-            box,
-            is_beside,
-            near,
-            lines=lines,
-            tops=tops,
-            travel=travel,
-        )
-
     with limit_threads(1):  # a door is too small to be worth more
-        return [pose(candidate) for candidate in candidates]
+        return [
+            _pose_leaf(candidate, scene, posed, extents, lattice=lattice, reach=reach)
+            for candidate in candidates
+        ]
+
+
+def _pose_leaf(
+    candidate: DoorCandidate,
+    scene: Scene,
+    posed: Mapping[str, Shapes],
+    extents: Mapping[str, Extents],
+    lattice: Lattice,
+    reach: float,
+) -> Leaf:
+    """One leaf of all that are `posed`, by state; `extents` measure all geoms in each state."""
+    shapes_at = {state: candidate.only(shapes) for state, shapes in posed.items()}
+    boxes = {
+        state: bounds
+        for state, shapes in shapes_at.items()
+        if (bounds := shapes.bounds) is not None
+    }
+    windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
+    whole_box = None
+    if boxes:
+        corners = np.array([*boxes.values()])
+        whole_box = np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+    near = dict[str, Near | None]()
+    state_at = dict[float | None, str]()  # the first state at each position of the joint
+    for state, shapes in shapes_at.items():
+        # states at one position of the joint are found once
+        first = state_at.setdefault(candidate.position(state), state)
+        window = windows.get(state)
+        near[state] = near.get(first)
+        if first == state and window is not None:
+            tiled = tile_shapes(shapes, lattice.cut(*window), reach)
+            near[state] = window, tiled, cast_columns(tiled)
+    # seen from above, most doors are too small, which is quickly found
+    tops = dict[str, Shapes]()
+    for state, measured in extents.items():
+        if np.nansum((measured.thin * measured.long)[candidate.geoms]) >= MIN_AREA - SLACK:
+            tops[state] = shapes_at[state]
+    travel = ""
+    if candidate.positions:
+        opened_by = abs(candidate.positions["open"] - candidate.positions["closed"])
+        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+        travel = f"{np.degrees(opened_by):.3g}°" if is_hinge else f"{opened_by:.3g} m"
+    return Leaf(
+        candidate,
+        box=whole_box,
+        is_beside="modelled" in windows and windows["modelled"] is None,
+        near=near,
+        lines=_lines_from(extents["closed"], candidate.geoms, lattice, reach),
+        tops=tops,
+        travel=travel,
+    )
 
 
 def _lines_from(extents: Extents, geoms: Int, lattice: Lattice, reach: float) -> LeafLines | None:
@@ -396,10 +412,9 @@ def _rooms_beside(
     room = np.where(inside, context.rooms.index[level].ravel()[cell], 0)
     has_room = room > 0
     for seen in (is_before_leaves & has_room, is_seen & has_room, is_seen):
-        one = _room_in_sight(room[0], seen[0], level, context.rooms)
-        other = _room_in_sight(room[1], seen[1], level, context.rooms)
-        if one != other:
-            return one, other
+        sides = [_room_in_sight(room[k], seen[k], level, context.rooms) for k in (0, 1)]
+        if sides[0] != sides[1]:
+            return sides[0], sides[1]
     return None
 
 
@@ -419,29 +434,42 @@ def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
 
     What lies on a floor, like a mat, does not count.
     """
-    lattice, bounds, agent = context.rooms.lattice, shapes.bounds, context.agent
+    lattice = context.rooms.lattice
+    agent = context.agent
+    bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds)
     if window is None:
         return 0.0
     rows, cols = window
     cut = lattice.cut(rows, cols)
-    own = cast_columns(tile_shapes(shapes, cut, 0.0))
-    has_any = np.flatnonzero(np.diff(own.start))
-    last = own.start[has_any + 1] - 1
-    flat = own.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
+    columns = cast_columns(tile_shapes(shapes, cut, 0.0))
+    has_any = np.flatnonzero(np.diff(columns.start))
+    last = columns.start[has_any + 1] - 1
+    is_flat = columns.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
     top = np.full(cut.shape, np.nan)  # of each cell, if one can stand there
-    top.ravel()[has_any[flat]] = own.z[last[flat]]
+    top.ravel()[has_any[is_flat]] = columns.z[last[is_flat]]
     step = agent.traversable_floor_height + SLACK
-    parts = [level.floor[window] for level in context.floors]
-    for floor in parts:  # what lies on a floor is a mat
+    floors = [level.floor[window] for level in context.floors]
+    for floor in floors:  # what lies on a floor is a mat
         top[np.abs(top - floor) <= step] = np.nan
     places = np.argwhere(~np.isnan(top))
     cells = (places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start
-    tall, under = top[tuple(places.T)], np.zeros(len(cells), dtype=np.bool_)
-    band = tall + SLACK, tall + agent.height - SLACK
-    lines_blocked(cells, *band, context.columns.at(cells).crossings, under, 0, len(cells))
-    top[tuple(places[under].T)] = np.nan
-    sides = [(a, b) for one, other in EDGES for a, b in ((one, other), (other, one))]
-    if not any((np.abs(top[a] - floor[b]) <= step).any() for floor in parts for a, b in sides):
-        return 0.0
-    return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
+    heights = top[tuple(places.T)]
+    is_under = np.zeros(len(cells), dtype=np.bool_)  # something an agent would not fit below
+    lines_blocked(
+        cells,
+        heights + SLACK,
+        heights + agent.height - SLACK,
+        context.columns.at(cells).crossings,
+        is_under,
+        0,
+        len(cells),
+    )
+    top[tuple(places[is_under].T)] = np.nan
+    for floor in floors:
+        for side, other_side in EDGES:
+            rises = [top[side] - floor[other_side], top[other_side] - floor[side]]
+            rise = np.abs(np.stack(rises))
+            if (rise <= step).any():
+                return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
+    return 0.0
