@@ -143,7 +143,7 @@ def test_the_leaf_of_a_cupboard_changes_no_room(find_rooms, y, cell_size):
 
 
 def test_a_board_on_a_wall_or_in_a_room_is_no_door(bake):
-    for y in (3.97, 2.0):
+    for y in (3.99, 3.97, 2.0):  # in the face of a wall, before it
         assert bake(HALL, leaf("board", 1.0, y, 1.2)).doors == ()
 
 
@@ -179,6 +179,21 @@ def test_a_space_between_two_leaves_is_a_room_if_one_can_be_in_it(bake):
         assert b.rooms == ends
         assert a.rooms == ("0:1", "0:3" if "0:3" in ends else "0:2")
         assert {kind for kind, _ in neighbours(grid)} == {"door"}
+
+
+@pytest.mark.parametrize("cell_size", CELLS)
+def test_leaves_close_behind_each_other_part_together(bake, cell_size):
+    """Two double doors in an opening so wide that nothing but they part the rooms."""
+    opening = (0.8, 5.2)
+    leaves = [
+        leaf(f"{name}_{side}", at, hinge, 2.2, along="y", sign=sign)
+        for name, at in (("a", 2.03), ("b", 2.15))
+        for side, hinge, sign in (("south", opening[0], 1), ("north", opening[1], -1))
+    ]
+    walls = box(2.0, 2.2, 0.0, opening[0]) + box(2.0, 2.2, opening[1], 6.0)
+    grid = bake(room(0, 5, 0, 6), walls, *leaves, cell_size=cell_size)
+    assert len(grid.rooms) == 2
+    assert [set(door.rooms) for door in grid.doors] == [{"0:1", "0:2"}] * 4
 
 
 # ---------------------------------------------------------------- where rooms meet
