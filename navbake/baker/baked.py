@@ -67,6 +67,20 @@ class Standing:
     warnings: list[str]
 
 
+class CutDoor(NamedTuple):
+    """A door as the grid has it.
+
+    Attributes:
+        door: with its cells that nothing else occupies.
+        entry: the door as the file states it.
+        is_stuck: whether its open state blocks most of what its closed one does.
+    """
+
+    door: Door
+    entry: Json
+    is_stuck: bool
+
+
 @dataclass(frozen=True)
 class Moving:
     """What follows from the pose of a scene, too.
@@ -87,7 +101,7 @@ class Moving:
     doors: list[PlacedLeaf]
     occupants: Occupants
     lost_floors: dict[int, float]
-    cut_doors: list[Door]
+    cut_doors: list[CutDoor]
     room_table: list[Json]
     areas: PaintedAreas
     links: BakedLinks

@@ -195,6 +195,7 @@ class FollowedScene:
             counted=scene.roles != LEFT_OUT,
             movable=scene.movable,
             stands=scene.stands,
+            named=scene.named_leaves,
             settings=self._config.doors,
         )
         leaves = self._keep_leaves(leaves, moved, compared)

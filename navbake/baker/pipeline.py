@@ -29,7 +29,6 @@ from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.links import Agent, Link, Stop
-from navbake.navgrid.rooms import Door
 from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
 from navbake.types import Bool, Json
@@ -222,7 +221,7 @@ def _level_grid(
     number: int, config: BakeConfig, standing: Standing, moving: Moving, metadata: Json
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
-    doors = moving.cut_doors
+    doors = [cut.door for cut in moving.cut_doors]
     window = standing.boxes.windows[number]
     level = standing.floors.levels[number]
     part = standing.lattice.cut(*window)
@@ -302,20 +301,10 @@ def _metadata(config: BakeConfig, standing: Standing, moving: Moving) -> Json:
             **{name: table for name, table in traffic.items() if table},
             "names": config.names.enabled,
             "rooms": moving.room_table,
-            "doors": [_door_entry(door) for door in moving.cut_doors],
+            "doors": [cut.entry for cut in moving.cut_doors],
             **({"warnings": warned} if warned else {}),
         },
     }
-
-
-def _door_entry(door: Door) -> Json:
-    """A door as the file states it; see `navbake.navgrid.rooms.parse_doors`."""
-    rooms = list(door.rooms)
-    entry: Json = {"id": door.id, "joint": door.joint, "rooms": rooms, "state": door.state}
-    for name, by_state in (("cells", door.cells), ("solid", door.solid)):
-        if by_state or name == "cells":
-            entry[name] = {s: [[*runs] for runs in of.items()] for s, of in by_state.items()}
-    return entry
 
 
 def _named_links(standing: Standing, moving: Moving) -> list[Json]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navbake.baker.arguments import take_input
-from navbake.baker.baked import FloorLattice, Moving, Standing
+from navbake.baker.baked import CutDoor, FloorLattice, Moving, Standing
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns, list_shapes
@@ -35,11 +35,12 @@ from navbake.baker.contents.kinds import wall_candidates
 from navbake.baker.contents.lost_floors import find_lost_floors
 from navbake.baker.contents.occupants import Occupants, OverFloors, find_occupants
 from navbake.baker.doors.doors import (
-    Leaf,
+    DoorContext,
+    LeafCells,
     PlacedLeaf,
-    Surroundings,
-    close_leaves,
+    block_cells,
     cut_door,
+    is_stuck,
     place_doors,
     pose_leaves,
 )
@@ -242,47 +243,49 @@ class Stages:
                 floors=self.floors,
                 column_flags=cells.column_flags,
                 contents=contents,
+                occupied=cells.occupancy.solid or cells.occupancy.levels,
                 settings=self.config.rooms,
                 agent=self.config.agent,
             )
 
     @cached_property
-    def leaves(self) -> list[Leaf]:
-        """The leaves in each of their states."""
-        with self.clock.stage("doors"):
-            return pose_leaves(self.scene, self.scene.leaves, self.lattice, self.footprint.reach)
+    def leaf_cells(self) -> list[LeafCells]:
+        """What each leaf blocks in each state, whatever else stands there."""
+        levels = self.floors.levels
+        with self.clock.part("doors"):
+            leaves = pose_leaves(self.scene, self.scene.leaves, self.lattice, self.footprint.reach)
+            return block_cells(leaves, levels, self.footprint, self.lattice)
 
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms; doors are not named in it yet."""
         flags = self.room_flags
-        leaves = self.leaves
+        leaf_cells = self.leaf_cells
         with self.clock.stage("rooms"):
             return find_rooms(
                 flags,
                 self.config.rooms,
                 max_step=self.config.agent.traversable_floor_height,
-                closed_leaves=close_leaves(leaves, self.floors.levels, self.footprint),
+                closed_leaves=[cells.closed for cells in leaf_cells],
             )
+
+    @property
+    def door_context(self) -> DoorContext:
+        """What leaves are placed in."""
+        return DoorContext(
+            columns=self.column_blocks,
+            floors=self.floors.levels,
+            rooms=self.rooms,
+            agent=self.config.agent,
+        )
 
     @cached_property
     def doors(self) -> list[PlacedLeaf]:
         """What each leaf is, and what it blocks in each state."""
-        around = self.around_doors
-        leaves = self.leaves
+        context = self.door_context
+        leaf_cells = self.leaf_cells
         with self.clock.stage("doors"):
-            return place_doors(leaves, around)
-
-    @property
-    def around_doors(self) -> Surroundings:
-        """What leaves are placed in."""
-        return Surroundings(
-            columns=self.column_blocks,
-            floors=self.floors.levels,
-            rooms=self.rooms,
-            footprint=self.footprint,
-            agent=self.config.agent,
-        )
+            return place_doors(leaf_cells, context)
 
     @cached_property
     def occupants(self) -> Occupants:
@@ -483,9 +486,9 @@ def cut_placed(
     standing: Standing,
     occupants: Occupants,
     config: BakeConfig,
-) -> Door:
+) -> CutDoor:
     """A door as the grid has it: its cells that nothing else occupies, by level."""
-    return cut_door(
+    door = cut_door(
         placed,
         occupants.occupied,
         occupants.solid,
@@ -493,6 +496,17 @@ def cut_placed(
         width=standing.lattice.width,
         wanted=config.doors.state,
     )
+    return CutDoor(door, list_door(door), is_stuck(placed, occupants.occupied))
+
+
+def list_door(door: Door) -> Json:
+    """A door as the file states it; see `navbake.navgrid.rooms.parse_doors`."""
+    rooms = list(door.rooms)
+    entry: Json = {"id": door.id, "joint": door.joint, "rooms": rooms, "state": door.state}
+    for name, by_state in (("cells", door.cells), ("solid", door.solid)):
+        if by_state or name == "cells":
+            entry[name] = {s: [[*runs] for runs in of.items()] for s, of in by_state.items()}
+    return entry
 
 
 def list_rooms(rooms: Rooms, doors: Sequence[PlacedLeaf]) -> list[Json]:

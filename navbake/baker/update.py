@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.arguments import take_input
-from navbake.baker.baked import Moving, Standing
+from navbake.baker.baked import CutDoor, Moving, Standing
 from navbake.baker.clock import StageClock
 from navbake.baker.contents.lost_floors import find_lost_floors
 from navbake.baker.contents.occupants import (
@@ -27,7 +27,14 @@ from navbake.baker.contents.occupants import (
     find_occupants_again,
     geoms_of,
 )
-from navbake.baker.doors.doors import PlacedLeaf, Surroundings, place_doors, pose_leaves
+from navbake.baker.doors.doors import (
+    DoorContext,
+    PlacedLeaf,
+    block_cells,
+    closes_alike,
+    place_again,
+    pose_leaves,
+)
 from navbake.baker.following import FollowedScene, Moved
 from navbake.baker.lattice import lay_lattice
 from navbake.baker.pipeline import build_grid
@@ -35,7 +42,6 @@ from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, open_file
 from navbake.baker.stages import (
     cut_placed,
-    list_rooms,
     make_links,
     mark_in_the_way,
     open_stages,
@@ -45,7 +51,6 @@ from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.rooms import Door
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
@@ -89,7 +94,7 @@ class BakedScene(NamedTuple):
 
     standing: Standing
     moving: Moving
-    around_doors: Surroundings
+    door_context: DoorContext
     over_floors: OverFloors
 
 
@@ -215,7 +220,7 @@ class Baker:
 
     def _bake(self, opened: OpenScene) -> BakedScene:
         stages = open_stages(self._config, StageClock(), opened=opened)
-        return BakedScene(stages.standing, stages.moving, stages.around_doors, stages.over_floors)
+        return BakedScene(stages.standing, stages.moving, stages.door_context, stages.over_floors)
 
 
 def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
@@ -282,30 +287,21 @@ def _follow_doors(before: BakedScene, scene: Scene) -> list[PlacedLeaf]:
         WholeBake: a leaf closes other cells than before, so that rooms may be others.
     """
     was = before.moving.doors
-    placed = {one.candidate: one for one in was}
-    others = [leaf for leaf in scene.leaves if leaf not in placed]
+    by_candidate = {placed.candidate: placed for placed in was}
+    others = [leaf for leaf in scene.leaves if leaf not in by_candidate]
     if not others:
         return was
-    around = before.around_doors
     lattice = before.standing.lattice
-    leaves = pose_leaves(scene, others, lattice, around.footprint.reach)
-    by_id = {one.candidate.id: one for one in was}
-    for one in place_doors(leaves, around):
-        former = by_id.get(one.candidate.id)
-        if former is None or not closes_alike(one, former):
-            raise WholeBake(f"the leaf {one.candidate.id!r} closes other cells")
-        placed[one.candidate] = one
-    return [placed[leaf] for leaf in scene.leaves]
-
-
-def closes_alike(one: PlacedLeaf, other: PlacedLeaf) -> bool:
-    """Whether two leaves close the same cells, and part the same rooms."""
-    return (
-        one.is_door == other.is_door
-        and one.rooms == other.rooms
-        and len(one.closed_cells) == len(other.closed_cells)
-        and all(map(np.array_equal, one.closed_cells, other.closed_cells))
-    )
+    footprint = before.over_floors.footprint
+    leaves = pose_leaves(scene, others, lattice, footprint.reach)
+    by_id = {placed.candidate.id: placed for placed in was}
+    for cells in block_cells(leaves, before.standing.floors.levels, footprint, lattice):
+        leaf = cells.leaf.candidate
+        former = by_id.get(leaf.id)
+        if former is None or not closes_alike(cells, former):
+            raise WholeBake(f"the leaf {leaf.id!r} closes other cells")
+        by_candidate[leaf] = place_again(cells, former, before.door_context)
+    return [by_candidate[leaf] for leaf in scene.leaves]
 
 
 def _follow_lost_floors(
@@ -337,18 +333,14 @@ def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> 
     ]
     former = [placed for placed in was.doors if placed.is_door]
     cut_by = dict(zip(former, was.cut_doors, strict=True))
-    cut_doors = list[Door]()
+    cut_doors = list[CutDoor]()
     placed_doors = [placed for placed in moving.doors if placed.is_door]
     for placed in placed_doors:
         cut = cut_by.get(placed)
         if cut is None or _blocks_any(placed, differing):
             cut = cut_placed(placed, standing, moving.occupants, config)
         cut_doors.append(cut)
-    room_table = was.room_table
-    same = len(placed_doors) == len(former)
-    if not (same and all(map(closes_alike, placed_doors, former))):
-        room_table = list_rooms(standing.rooms, placed_doors)
-    return replace(moving, cut_doors=cut_doors, room_table=room_table)
+    return replace(moving, cut_doors=cut_doors)
 
 
 def _differ(now: Sequence[Bool], before: Sequence[Bool]) -> list[Bool]:

@@ -109,7 +109,11 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
         *_warn_nothing_free(config, standing.floors, moving),
         *_warn_movable(standing, moving),
         *_warn_lost_floors(moving),
-        *warn_doors([placed for placed in moving.doors if placed.is_door], config.doors.state),
+        *warn_doors(
+            [placed for placed in moving.doors if placed.is_door],
+            {cut.door.id for cut in moving.cut_doors if cut.is_stuck},
+            config.doors.state,
+        ),
         *moving.areas.warnings,
         *moving.links.warnings,
     ]

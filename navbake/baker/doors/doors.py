@@ -1,15 +1,15 @@
-"""Doors: which candidates join rooms, and what each door blocks in each state.
+"""Doors: what each leaf blocks in each state, and which leaves are doors.
 
-Floors, levels and rooms are found without the doors. The cells of a door are laid over what
+Floors, levels and rooms are found without the leaves; closed ones part rooms. Whether a leaf is a
+door depends on floors and rooms alone, not on what moves. The cells of a door are laid over what
 everything else occupies, so that a grid with a door in another state equals a bake of it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from navbake.baker.kernels.constants import HINGE, SLACK
 from navbake.baker.kernels.overlap import lines_blocked
 from navbake.baker.lattice import EDGES, Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
+from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.leaves import DoorCandidate, largest_side
@@ -29,10 +30,13 @@ from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import STATES, Door, Runs, to_runs
 from navbake.threads import limit_threads
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
-# The length of lines of sight from each side of a closed leaf [m]
-SIGHT = 0.6
+# The length of lines of sight from each side of a closed leaf; they reach at least so many cells
+# beyond those that it blocks [m, cells]
+SIGHT, SIGHT_CELLS = 0.6, 2.0
+# What a leaf ends at reaches at most so far on in its line, if it is no wall [m]
+FRAME = 0.5
 # Where lines of sight begin along the leaf, as shares of its width from its middle, off the frame
 LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
 # A door opens nothing if its open state blocks this share of the closed door's cells
@@ -40,6 +44,8 @@ STUCK = 0.75
 MIN_AREA = 0.5  # of floor on a door that is worth a warning [m²]
 Near = tuple[Window, TiledShapes, Columns]
 """A window of the lattice, and what is in it."""
+CellsByState = Mapping[str, Sequence[Int]]
+"""By a door's state and level, the ids of cells on the whole lattice, ascending."""
 WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
 
 
@@ -53,87 +59,133 @@ class Leaf:
     # by state, the window near it and what is in it, None for no cells; states at one position of
     # the joint share one
     near: dict[str, Near | None]
-    # the cells along lines away from both sides of the closed leaf, shape (sides, lines, steps), -1
-    # beside the lattice; None without such lines
-    sight: Int | None
+    lines: LeafLines | None  # from the closed leaf; None for no geometry that is finite
     tops: dict[str, Shapes]  # by state, where large enough to walk on
     travel: str  # by how much its joint opens it, with the unit
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedLeaf:
-    """A candidate among floors and rooms: a door, a part of the scene, or neither."""
+class LeafCells:
+    """What a leaf blocks, whatever else stands there.
+
+    Attributes:
+        blocked: the cells whose volume over the floor the leaf meets.
+        blocked_squares: the cells whose squares alone it meets; empty where the footprint is the
+            square.
+    """
 
     leaf: Leaf
-    is_door: bool = False
-    rooms: RoomIds = (None, None)
-    # by state and level, the cells that the door alone blocks, ascending; empty for no door
-    blocked: dict[str, list[Int]] = field(default_factory=dict)
-    # the cells whose squares the door alone meets; empty where the footprint is the square
-    blocked_squares: dict[str, list[Int]] = field(default_factory=dict)
-    closed_cells: Sequence[Int] = ()  # by level, what the closed door blocks, whatever else does
-    carried: str = ""  # a warning of the floor that it carries
+    blocked: CellsByState
+    blocked_squares: CellsByState
+
+    @property
+    def closed(self) -> ClosedLeaf:
+        """The closed leaf, which may part rooms."""
+        return ClosedLeaf(self.blocked["closed"], self.leaf.lines)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedLeaf:
+    """A leaf among floors and rooms: a door, or something that stands in the way as it is.
+
+    It does not depend on what else stands there.
+
+    Attributes:
+        is_door: whether it is one; else it has no rooms.
+        rooms: on both sides.
+        blocked, blocked_squares: see `LeafCells`.
+        carried: a warning of the floor that the door carries, empty for none.
+    """
+
+    leaf: Leaf
+    is_door: bool
+    rooms: RoomIds
+    blocked: CellsByState
+    blocked_squares: CellsByState
+    carried: str
 
     @property
     def candidate(self) -> DoorCandidate:
         """Whose leaf it is."""
         return self.leaf.candidate
 
-    @cached_property
-    def is_stuck(self) -> bool:
-        """Whether its open state blocks most of what its closed one does."""
-        closed, opened = self.blocked["closed"], self.blocked.get("open", [])
-        both = sum(len(np.intersect1d(*pair)) for pair in zip(closed, opened, strict=False))
-        return both > 0 and both >= STUCK * sum(map(len, closed))
+    @property
+    def closed_cells(self) -> Sequence[Int]:
+        """By level, what the closed leaf blocks."""
+        return self.blocked["closed"]
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
 
-    def depends_on(self, touched: Bool, around: Surroundings) -> bool:
-        """Whether a change in the cells of a mask, (height, width), may change it."""
-        leaf, lattice = self.leaf, around.rooms.lattice
-        reach = around.footprint.reach + lattice.cell_size
-        window = None if leaf.box is None else lattice.window(leaf.box, reach)
-        if window is not None and touched[window].any():
-            return True
-        return leaf.sight is not None and bool(touched.ravel()[leaf.sight[leaf.sight >= 0]].any())
 
+def free_cells(blocked: CellsByState, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
+    """Those of a leaf's cells that nothing else occupies.
 
-def free_cells(blocked, occupied):
+    `occupied` are the cells of each level that anything but doors occupies, (height, width).
+    """
     return {
-        s: [ids[~m.ravel()[ids]] for ids, m in zip(by, occupied, strict=True)]
-        for s, by in blocked.items()
+        state: [cells[~mask.ravel()[cells]] for cells, mask in zip(by_level, occupied, strict=True)]
+        for state, by_level in blocked.items()
     }
 
 
-def close_leaves(leaves, floors, footprint):
-    return []
+def is_stuck(door: PlacedLeaf, occupied: Sequence[Bool]) -> bool:
+    """Whether a door's open state blocks most of what its closed one does."""
+    cells = free_cells(door.blocked, occupied)
+    closed = cells["closed"]
+    both = sum(
+        len(np.intersect1d(at_closed, at_open))
+        for at_closed, at_open in zip(closed, cells["open"], strict=True)
+    )
+    return both > 0 and both >= STUCK * sum(map(len, closed))
 
 
-def cut_door(placing, occupied, solid_layers, windows, width, wanted) -> Door:
-    """The door in a state, with cells on each level's window of the lattice, of a `width`."""
+def cut_door(
+    door: PlacedLeaf,
+    occupied: Sequence[Bool],
+    solid: Sequence[Bool] | None,
+    windows: Sequence[Window],
+    width: int,
+    wanted: str,
+) -> Door:
+    """The door in a state, with cells on each level's window of the lattice, of a `width`.
 
-    def cut(levels: list[Int]) -> dict[int, Runs]:
-        pairs = enumerate(zip(levels, windows, strict=True))
-        inside = ((k, cut_cells(*pair, width)[0]) for k, pair in pairs if len(pair[0]))
-        return {number: to_runs(cells) for number, cells in inside if len(cells)}
+    `occupied` and `solid`: the cells of each level that anything but doors occupies, and those
+    whose squares it meets, None where these are the same.
+    """
 
-    own = free_cells(placing.blocked, occupied)
-    squares = free_cells(placing.blocked_squares, solid_layers) if solid_layers is not None else {}
-    cells, solid = ({s: cut(c) for s, c in of.items()} for of in (own, squares))
-    state, known = placing.state(wanted), placing.candidate
-    return Door(known.id, known.joint, placing.rooms, state, cells, solid)
+    def cut(by_level: Sequence[Int]) -> dict[int, Runs]:
+        runs = dict[int, Runs]()
+        for number, (cells, window) in enumerate(zip(by_level, windows, strict=True)):
+            inside, _ = cut_cells(cells, window, width)
+            if len(inside):
+                runs[number] = to_runs(inside)
+        return runs
+
+    cells = free_cells(door.blocked, occupied)
+    squares = {} if solid is None else free_cells(door.blocked_squares, solid)
+    return Door(
+        door.candidate.id,
+        door.candidate.joint,
+        door.rooms,
+        door.state(wanted),
+        {state: cut(by_level) for state, by_level in cells.items()},
+        {state: cut(by_level) for state, by_level in squares.items()},
+    )
 
 
-def warn_doors(doors: Sequence[PlacedLeaf], wanted: str) -> list[str]:
-    """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
+def warn_doors(doors: Sequence[PlacedLeaf], stuck_ids: Collection[str], wanted: str) -> list[str]:
+    """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor.
+
+    `stuck_ids` are the ids of those that open nothing, see `is_stuck`.
+    """
     stuck = [
         f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "
         f"opens it by {door.leaf.travel} only: check its range, whether the file means degrees or "
         "radians (`<compiler angle>`), and `grid.cell_size`"
         for door in doors
-        if door.is_stuck
+        if door.candidate.id in stuck_ids
     ]
     text = "has no hinge or slide of its own: open, it is taken out of its opening"
     fixed = [f"door {door.candidate.id!r} {text}" for door in doors if not door.candidate.positions]
@@ -142,13 +194,12 @@ def warn_doors(doors: Sequence[PlacedLeaf], wanted: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What was found in the scene without its doors."""
+class DoorContext:
+    """What was found in the scene without its leaves."""
 
     columns: ColumnSource
     floors: Sequence[LevelFloor]
     rooms: Rooms
-    footprint: Footprint
     agent: AgentSettings
 
 
@@ -160,171 +211,292 @@ def pose_leaves(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
-
-    def pose(candidate: DoorCandidate) -> Leaf:
-        own = {state: candidate.only(shapes) for state, shapes in posed.items()}
-        boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
-        windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
-        ends, box = np.array([*boxes.values()]), None
-        if len(ends):
-            box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
-        near, state_at = dict[str, Near | None](), dict[float | None, str]()
-        for state, shapes in own.items():
-            # states at one position of the joint are found once
-            first = state_at.setdefault(candidate.position(state), state)
-            window = windows.get(state)
-            near[state] = near.get(first)
-            if first == state and window is not None:
-                tiled = tile_shapes(shapes, lattice.cut(*window), reach)
-                near[state] = window, tiled, cast_columns(tiled)
-        # seen from above, most doors are too small, which is quickly found
-        geoms = candidate.geoms
-        sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
-        tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
-        travel = ""
-        if candidate.positions:
-            by = abs(candidate.positions["open"] - candidate.positions["closed"])
-            is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-            travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-        sight = _lines_of_sight(extents["closed"], geoms, lattice)
-        is_beside = "modelled" in windows and windows["modelled"] is None
-        return Leaf(candidate, box, is_beside, near, sight, tops, travel)
-
     with limit_threads(1):  # a door is too small to be worth more
-        return [pose(candidate) for candidate in candidates]
+        return [
+            _pose_leaf(candidate, scene, posed, extents, lattice=lattice, reach=reach)
+            for candidate in candidates
+        ]
 
 
-def _lines_of_sight(extents: Extents, geoms: Int, lattice: Lattice) -> Int | None:
+def _pose_leaf(
+    candidate: DoorCandidate,
+    scene: Scene,
+    posed: Mapping[str, Shapes],
+    extents: Mapping[str, Extents],
+    lattice: Lattice,
+    reach: float,
+) -> Leaf:
+    """One leaf of all that are `posed`, by state; `extents` measure all geoms in each state."""
+    shapes_at = {state: candidate.only(shapes) for state, shapes in posed.items()}
+    boxes = {
+        state: bounds
+        for state, shapes in shapes_at.items()
+        if (bounds := shapes.bounds) is not None
+    }
+    windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
+    whole_box = None
+    if boxes:
+        corners = np.array([*boxes.values()])
+        whole_box = np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+    near = dict[str, Near | None]()
+    state_at = dict[float | None, str]()  # the first state at each position of the joint
+    for state, shapes in shapes_at.items():
+        # states at one position of the joint are found once
+        first = state_at.setdefault(candidate.position(state), state)
+        window = windows.get(state)
+        near[state] = near.get(first)
+        if first == state and window is not None:
+            tiled = tile_shapes(shapes, lattice.cut(*window), reach)
+            near[state] = window, tiled, cast_columns(tiled)
+    # seen from above, most doors are too small, which is quickly found
+    tops = dict[str, Shapes]()
+    for state, measured in extents.items():
+        if np.nansum((measured.thin * measured.long)[candidate.geoms]) >= MIN_AREA - SLACK:
+            tops[state] = shapes_at[state]
+    travel = ""
+    if candidate.positions:
+        opened_by = abs(candidate.positions["open"] - candidate.positions["closed"])
+        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+        travel = f"{np.degrees(opened_by):.3g}°" if is_hinge else f"{opened_by:.3g} m"
+    return Leaf(
+        candidate,
+        box=whole_box,
+        is_beside="modelled" in windows and windows["modelled"] is None,
+        near=near,
+        lines=_lines_from(extents["closed"], candidate.geoms, lattice, reach),
+        tops=tops,
+        travel=travel,
+    )
+
+
+def _lines_from(extents: Extents, geoms: Int, lattice: Lattice, reach: float) -> LeafLines | None:
+    """The cells along lines from a closed leaf, which blocks those within `reach` [m]."""
     leaf = largest_side(extents, geoms)
     if not np.isfinite(extents.center[leaf]).all():
         return None
     across = extents.across[leaf]
     along = np.array([-across[1], across[0]])
-    # points on lines away from both sides, shape (sides, lines, steps, 2) [m]
-    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, lattice.cell_size / 2)
+    step = lattice.cell_size / 2
+    length = max(SIGHT, reach + SIGHT_CELLS * lattice.cell_size)
+    # points on the lines, shape (sides, lines, steps, 2) and (ends, steps, 2) [m]
+    to_side = extents.thin[leaf] / 2 + np.arange(0.0, length, step)
     start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
-    sight = start[:, None] + across * np.array([-1.0, 1.0])[:, None, None, None] * distance[:, None]
-    rows, cols = lattice.rows_cols(sight)
+    ways = across * np.array([-1.0, 1.0])[:, None, None, None]
+    sight = start[:, None] + ways * to_side[:, None]
+    to_end = extents.long[leaf] / 2 + np.arange(0.0, FRAME + step, step)
+    ways = along * np.array([-1.0, 1.0])[:, None, None]
+    ends = extents.center[leaf] + ways * to_end[:, None]
+    return LeafLines(_cells_at(sight, lattice), _cells_at(ends, lattice))
+
+
+def _cells_at(points: Float, lattice: Lattice) -> Int:
+    """The ids of the cells that points are in, shape (…), -1 beside the lattice."""
+    rows, cols = lattice.rows_cols(points)
     inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
     return np.where(inside, rows * lattice.width + cols, -1)
 
 
-def place_doors(leaves: Sequence[Leaf], around: Surroundings) -> list[PlacedLeaf]:
-    """Decide which candidates are doors, and find the cells that each door blocks in each state.
-
-    A candidate that no pattern names is a door when it stands between two rooms, or between a
-    room and the outside. One beside the lattice, as modelled, is neither door nor part of a scene.
-    """
+def block_cells(
+    leaves: Sequence[Leaf], floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+) -> list[LeafCells]:
+    """Find the cells that each leaf blocks in each state, over the floors of each level."""
     with limit_threads(1):  # a door is too small to be worth more
-        return [_place_door(leaf, around) for leaf in leaves]
+        return [_block_cells(leaf, floors, footprint, lattice) for leaf in leaves]
 
 
-def _place_door(leaf: Leaf, around: Surroundings) -> PlacedLeaf:
-    candidate = leaf.candidate
-    # by state; one that can't move is closed as it is modelled, and blocks nothing when it is open
-    blocked: dict[str, tuple[list[Int], list[Int]]] = {}
+def _block_cells(
+    leaf: Leaf, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+) -> LeafCells:
+    nothing: list[Int] = [np.empty(0, dtype=np.int64)] * len(floors)
+    blocked = dict[str, list[Int]]()
+    squares = dict[str, list[Int]]()
     for state, near in leaf.near.items():
-        same = (blocked[other] for other in blocked if leaf.near[other] is near)
-        blocked[state] = next(same, None) or _blocked_cells(near, around)
-    if not candidate.positions:
-        blocked["open"] = _blocked_cells(None, around)
-    closed, _ = blocked["closed"]
-    rooms = _rooms_beside(leaf, closed, around)
-    if rooms is None and not candidate.named:
-        return PlacedLeaf(leaf, False)
-
-    cells = {s: both[0] for s, both in blocked.items()}
-    solid = {s: both[1] for s, both in blocked.items()}
-    carried = ""
-    for state, shapes in leaf.tops.items():
-        area = _walkable_area(shapes, around)
-        if area >= MIN_AREA - SLACK:
-            missing = "which is missing in the grid, because doors carry no floor"
-            hint = "exclude it from `doors` if agents walk on it"
-            what = f"{area:.1f} m² of floor {WHEN[state]}"
-            carried = f"door {candidate.id!r} carries {what}, {missing}: {hint}"
-            break
-    return PlacedLeaf(leaf, True, rooms or (None, None), cells, solid, closed, carried)
+        same = next((other for other in blocked if leaf.near[other] is near), None)
+        if near is None:
+            blocked[state] = squares[state] = nothing
+        elif same is not None:
+            blocked[state] = blocked[same]
+            squares[state] = squares[same]
+        else:
+            blocked[state], squares[state] = _find_blocked(near, floors, footprint, lattice)
+    # one that can't move is closed as it is modelled, and blocks nothing when it is open
+    if not leaf.candidate.positions:
+        blocked["open"] = squares["open"] = nothing
+    return LeafCells(leaf, blocked, squares if footprint.radius > 0.0 else {})
 
 
-def _blocked_cells(near: Near | None, around: Surroundings) -> tuple[list[Int], list[Int]]:
+def _find_blocked(
+    near: Near, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+) -> tuple[list[Int], list[Int]]:
     """By level, the cells whose volume over the floor shapes meet, and whose squares they do."""
-    if near is None:
-        nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)
-        return nothing, nothing
     # only the cells near the door are looked at
     (rows, cols), tiled, columns = near
-    width, whole = cols.stop - cols.start, around.rooms.lattice.width
-    blocked, solid = [], []
-    for level in around.floors:
+    blocked = list[Int]()
+    squares = list[Int]()
+    for level in floors:
         floor = level.floor[rows, cols].ravel()
         local: Int = np.flatnonzero(~np.isnan(floor))
-        answers = look_at_cells(columns, tiled, around.footprint, local, floor[local])
-        row, col = np.divmod(local, width)
-        ids = (row + rows.start) * whole + col + cols.start
+        answers = look_at_cells(columns, tiled, footprint, local, floor[local])
+        row, col = np.divmod(local, cols.stop - cols.start)
+        ids = (row + rows.start) * lattice.width + col + cols.start
         blocked.append(ids[answers.occupied])
-        solid.append(ids[answers.solid])
-    return blocked, solid
+        squares.append(ids[answers.solid])
+    return blocked, squares
 
 
-def _rooms_beside(leaf: Leaf, closed: Sequence[Int], around: Surroundings) -> RoomIds | None:
+def place_doors(leaves: Sequence[LeafCells], context: DoorContext) -> list[PlacedLeaf]:
+    """Decide which leaves are doors.
+
+    One that a pattern or the file names is a door always. Another is one where it stands between
+    two rooms, or between a room and the outside; one beside the lattice, as modelled, is none.
+    """
+    # of each cell of a level, how many closed leaves block it
+    counts = [np.zeros(level.floor.size, dtype=np.int32) for level in context.floors]
+    for cells in leaves:
+        for count, blocked in zip(counts, cells.blocked["closed"], strict=True):
+            count[blocked] += 1
+    with limit_threads(1):  # a door is too small to be worth more
+        return [_place_door(cells, counts, context) for cells in leaves]
+
+
+def _place_door(cells: LeafCells, leaf_counts: Sequence[Int32], context: DoorContext) -> PlacedLeaf:
+    leaf = cells.leaf
+    rooms = _rooms_beside(leaf, cells.blocked["closed"], leaf_counts, context)
+    is_door = rooms is not None or leaf.candidate.named
+    return PlacedLeaf(
+        leaf,
+        is_door,
+        rooms or (None, None),
+        cells.blocked,
+        cells.blocked_squares,
+        _warn_carried(leaf, context) if is_door else "",
+    )
+
+
+def closes_alike(cells: LeafCells, former: PlacedLeaf) -> bool:
+    """Whether a leaf in another pose closes the same cells, so that it is a door as it was."""
+    lines = cells.leaf.lines
+    before = former.leaf.lines
+    if lines is None or before is None:
+        same_lines = lines is before
+    else:
+        same_lines = all(map(np.array_equal, lines, before))
+    return (
+        same_lines
+        and cells.leaf.candidate.named == former.candidate.named
+        and all(map(np.array_equal, cells.blocked["closed"], former.closed_cells))
+    )
+
+
+def place_again(cells: LeafCells, former: PlacedLeaf, context: DoorContext) -> PlacedLeaf:
+    """A leaf in another pose that closes the same cells, see `closes_alike`."""
+    return replace(
+        former,
+        leaf=cells.leaf,
+        blocked=cells.blocked,
+        blocked_squares=cells.blocked_squares,
+        carried=_warn_carried(cells.leaf, context) if former.is_door else "",
+    )
+
+
+def _warn_carried(leaf: Leaf, context: DoorContext) -> str:
+    """The warning of the floor that a door carries, empty for none."""
+    for state, shapes in leaf.tops.items():
+        area = _walkable_area(shapes, context)
+        if area >= MIN_AREA - SLACK:
+            return (
+                f"door {leaf.candidate.id!r} carries {area:.1f} m² of floor {WHEN[state]}, which "
+                "is missing in the grid, because doors carry no floor: exclude it from `doors` if "
+                "agents walk on it"
+            )
+    return ""
+
+
+def _rooms_beside(
+    leaf: Leaf, closed: Sequence[Int], leaf_counts: Sequence[Int32], context: DoorContext
+) -> RoomIds | None:
     """For each side, the last room seen along lines away from the closed leaf; None for one room.
 
-    If both sides see the same room, as where the doorway belongs to it, the outside, None, begins
-    where the floor ends.
+    Lines end at walls and at other closed leaves; if both sides then see the same room, they go on
+    behind these leaves. If they still do, as where the doorway belongs to the room, the outside,
+    None, begins where the floor ends. A side that sees nothing but a wall is none.
     """
     sizes = [len(cells) for cells in closed]
-    if not any(sizes) or leaf.sight is None:
+    if not any(sizes) or leaf.lines is None:
         return None
     level = int(np.argmax(sizes))
-    inside, cell = leaf.sight >= 0, np.maximum(leaf.sight, 0)
-    floor, is_open = around.floors[level].floor.ravel(), around.rooms.open_cells[level].ravel()
+    sight = leaf.lines.sight
+    inside = sight >= 0
+    cell = np.maximum(sight, 0)
+    floor = context.floors[level].floor.ravel()
+    is_open = context.rooms.open_cells[level].ravel()
     is_wall = inside & ~is_open[cell] & ~np.isnan(floor[cell])
     is_seen = ~np.logical_or.accumulate(is_wall, axis=-1)
-    room = np.where(inside, around.rooms.index[level].ravel()[cell], 0)
-
-    def room_in_sight(side: int, seen: Bool) -> str | None:
-        """The room that most lines end in, of what is `seen` along them."""
-        last = seen.shape[-1] - 1 - seen[side, :, ::-1].argmax(axis=-1)
-        number = np.where(seen[side].any(axis=-1), room[side, np.arange(len(last)), last], 0)
-        votes = Counter(around.rooms.id_of(level, k) for k in number.tolist())
-        return max(votes, key=lambda room: (votes[room], room is not None, room or ""))
-
-    for seen in (is_seen & (room > 0), is_seen):
-        one, other = room_in_sight(0, seen), room_in_sight(1, seen)
-        if one != other:
-            return one, other
+    if not is_seen.any(axis=(1, 2)).all():
+        return None
+    is_leaf = leaf_counts[level][cell] > np.isin(cell, closed[level])
+    is_before_leaves = is_seen & ~np.logical_or.accumulate(inside & is_leaf, axis=-1)
+    room = np.where(inside, context.rooms.index[level].ravel()[cell], 0)
+    has_room = room > 0
+    for seen in (is_before_leaves & has_room, is_seen & has_room, is_seen):
+        sides = [_room_in_sight(room[k], seen[k], level, context.rooms) for k in (0, 1)]
+        if sides[0] != sides[1]:
+            return sides[0], sides[1]
     return None
 
 
-def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
+def _room_in_sight(room: Int, seen: Bool, level: int, rooms: Rooms) -> str | None:
+    """The room that most lines end in, of what is `seen` along them, (lines, steps); None for none.
+
+    `room`: the index of the room at each step.
+    """
+    last = seen.shape[-1] - 1 - seen[:, ::-1].argmax(axis=-1)
+    number = np.where(seen.any(axis=-1), room[np.arange(len(last)), last], 0)
+    votes = Counter(rooms.id_of(level, k) for k in number.tolist())
+    return max(votes, key=lambda room_id: (votes[room_id], room_id is not None, room_id or ""))
+
+
+def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
     """The area of a door's top on which an agent can stand, if a step leads there [m²].
 
     What lies on a floor, like a mat, does not count.
     """
-    lattice, bounds, agent = around.rooms.lattice, shapes.bounds, around.agent
+    lattice = context.rooms.lattice
+    agent = context.agent
+    bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds)
     if window is None:
         return 0.0
     rows, cols = window
     cut = lattice.cut(rows, cols)
-    own = cast_columns(tile_shapes(shapes, cut, 0.0))
-    has_any = np.flatnonzero(np.diff(own.start))
-    last = own.start[has_any + 1] - 1
-    flat = own.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
+    columns = cast_columns(tile_shapes(shapes, cut, 0.0))
+    has_any = np.flatnonzero(np.diff(columns.start))
+    last = columns.start[has_any + 1] - 1
+    is_flat = columns.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
     top = np.full(cut.shape, np.nan)  # of each cell, if one can stand there
-    top.ravel()[has_any[flat]] = own.z[last[flat]]
+    top.ravel()[has_any[is_flat]] = columns.z[last[is_flat]]
     step = agent.traversable_floor_height + SLACK
-    parts = [level.floor[window] for level in around.floors]
-    for floor in parts:  # what lies on a floor is a mat
+    floors = [level.floor[window] for level in context.floors]
+    for floor in floors:  # what lies on a floor is a mat
         top[np.abs(top - floor) <= step] = np.nan
     places = np.argwhere(~np.isnan(top))
     cells = (places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start
-    tall, under = top[tuple(places.T)], np.zeros(len(cells), dtype=np.bool_)
-    band = tall + SLACK, tall + agent.height - SLACK
-    lines_blocked(cells, *band, around.columns.at(cells).crossings, under, 0, len(cells))
-    top[tuple(places[under].T)] = np.nan
-    sides = [(a, b) for one, other in EDGES for a, b in ((one, other), (other, one))]
-    if not any((np.abs(top[a] - floor[b]) <= step).any() for floor in parts for a, b in sides):
-        return 0.0
-    return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
+    heights = top[tuple(places.T)]
+    is_under = np.zeros(len(cells), dtype=np.bool_)  # something an agent would not fit below
+    lines_blocked(
+        cells,
+        heights + SLACK,
+        heights + agent.height - SLACK,
+        context.columns.at(cells).crossings,
+        is_under,
+        0,
+        len(cells),
+    )
+    top[tuple(places[is_under].T)] = np.nan
+    for floor in floors:
+        for side, other_side in EDGES:
+            rises = [top[side] - floor[other_side], top[other_side] - floor[side]]
+            rise = np.abs(np.stack(rises))
+            if (rise <= step).any():
+                return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
+    return 0.0

@@ -75,6 +75,7 @@ class LevelFlags(NamedTuple):
     # edge for anything to be outdoors: nothing else depends on it
     sky: Bool
     bank: Bool  # without a floor, and the ground under the sky is too steep to stand on
+    occupied: Bool  # without a floor, or what stands meets the square in an agent's way
 
 
 class RoomFlags(NamedTuple):
@@ -111,10 +112,15 @@ def read_flags(
     floors: Floors,
     column_flags: Sequence[NDArray[np.uint8]],
     contents: Contents | None,
+    occupied: Sequence[Bool],
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Read all that rooms depend on from a scene and its earlier stages."""
+    """Read all that rooms depend on from a scene and its earlier stages.
+
+    `occupied` are the cells of each level, of the whole lattice, that have no floor, or whose
+    squares are met by what stands in an agent's way.
+    """
     lattice, levels = columns.lattice, list[LevelFlags]()
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
@@ -128,7 +134,7 @@ def read_flags(
         longest = np.sqrt(2) * np.count_nonzero(edge) * lattice.cell_size  # if all touch
         if longest <= EDGE_LENGTH:
             sky[:] = False
-        levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
+        levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank, occupied[number]))
     ends = ~EVERY_SIDE
     if scene.bounds is not None:
         x0, y0, x1, y1 = lattice.bounds
@@ -199,7 +205,10 @@ def _mark_by_geoms(
     """
     num = scene.model.ngeom
     names = all_names(scene.model).own_geoms
-    chosen, warnings = _match(names, tuple(settings.geoms), "geoms")
+    matching, warnings = _match(names, tuple(settings.geoms), "geoms")
+    # what can move marks no room
+    stands = scene.stands[scene.model.geom_bodyid]
+    chosen = [geom for geom in matching if stands[geom]]
     labels, covered = ([np.zeros(columns.lattice.shape, np.int32) for _ in levels] for _ in "ab")
     if not chosen:
         return MarkedRooms([], labels, warnings)

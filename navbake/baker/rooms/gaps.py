@@ -56,19 +56,23 @@ def find_gaps(
     cell_size: float,
     door_width: float | None,
     rays: WallRays | None = None,
+    closed: Bool | None = None,
 ) -> tuple[list[Found], Int32, Int]:
     """The gaps of each direction, the spaces that all of them part, and how many cells each has.
 
     Space includes `holes`, without floor or wall. A gap wider than `door_width` [m] parts none.
+    Cells in a `closed` leaf are in no space and no gap, and lines end at them.
     """
     space = open_cells | holes
+    if closed is None:
+        closed = np.zeros_like(space)
     directions = find_directions(space, cell_size, rays)
     thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
     # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
     # doorways, come first, and close the way for others: so a line across a corridor does not go
     # through a door, and a wall's end at a wide opening is continued up to the opening's line
     marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
-    marked, least = np.zeros_like(space), door_width or 0.0
+    marked, least = closed.copy(), door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
         waiting, left = [], space & ~marked
         for direction, thick, own in zip(directions, thickness, marks, strict=True):
@@ -93,16 +97,17 @@ def find_gaps(
     for direction, own in zip(directions, marks, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
         leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
-        scanned = turned(label, direction), turned(space, direction), direction.shift
-        scan = Scan(*scanned, depths, leans)
-        found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own)))
+        is_open = turned(space & ~closed, direction)
+        scan = Scan(turned(label, direction), is_open, direction.shift, depths, leans)
+        gaps = _list_gaps(scan, turned(marked, direction), own)
+        found.append((direction, scan, gaps))
     return found, label, cells
 
 
 def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
     """The gaps of a direction: neighbouring columns of marked cells.
 
-    They lie between the same two spaces, and one cell of each is marked in `own`.
+    They lie between the same two spaces, one cell of each is marked in `own`, and all are open.
     """
     label, shift = scan.label, scan.shift
     col, top, end, _ = list_runs(marked.T)
@@ -113,6 +118,7 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
     below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # at the lattice's edge that is a marked cell, which has no label
     crosses = (above > 0) & (below > 0) & (above != below) & (mark > 0)
+    crosses &= np.logical_and.reduceat(scan.is_open.T[marked.T], starts)
     col, top, bottom, above, below, mark = (
         array[crosses].astype(np.int64) for array in (col, top, bottom, above, below, mark)
     )

@@ -17,12 +17,14 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import list_differing
 from navbake.baker.rooms.flags import MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
+from navbake.baker.rooms.leaves import ClosedLeaf, LeafMarks, mark_leaves
 from navbake.baker.rooms.segmentation import (
     find_cavities,
     find_outdoors,
     give_covered,
     renumber,
     segment_by_gaps,
+    share_leaves,
     share_rest,
 )
 from navbake.config.settings import RoomSettings
@@ -113,8 +115,16 @@ class NamedRoom(NamedTuple):
     outdoors: bool = False
 
 
-def find_rooms(flags, settings, max_step, closed_leaves) -> Rooms:
+def find_rooms(
+    flags: RoomFlags,
+    settings: RoomSettings,
+    max_step: float,
+    closed_leaves: Sequence[ClosedLeaf],
+) -> Rooms:
     """Find the room that each cell belongs to.
+
+    The source ``auto`` lets no room continue through a closed leaf that parts two spaces; two rooms
+    meet in its cells. What such a leaf leads into is a room whatever its size.
 
     A cell's room is that of the first source that has one for it; for ``auto`` see `share_rest`.
     Cells without a floor, or in a wall or a window, belong to none. On each level, rooms are
@@ -122,7 +132,7 @@ def find_rooms(flags, settings, max_step, closed_leaves) -> Rooms:
     room over several levels is one room on each. Rooms of a level meet where steps of at most
     `max_step` [m] lead from one to another.
     """
-    assignment = _Assignment(flags, settings)
+    assignment = _Assignment(flags, settings, closed_leaves)
     for source in settings.sources:
         if source == "auto":
             assignment.segment()
@@ -138,23 +148,35 @@ def find_rooms(flags, settings, max_step, closed_leaves) -> Rooms:
             )
         index.append(number.astype(np.uint16))
         named.append([assignment.rooms[k - 1] for k in order])
-    floors, open_cells = ([getattr(k, name) for k in flags.levels] for name in ("floor", "open"))
+    floors = [level.floor for level in flags.levels]
+    open_cells = [level.open for level in flags.levels]
+    occupied = [level.occupied for level in flags.levels]
     table = run_beside(describe_rooms, index, named, floors, flags.lattice)
-    openings = find_openings(index, floors, flags.links, max_step)
+    openings = find_openings(index, floors, occupied, flags.links, max_step)
     ends = (
         sorted((k, int(index[k].flat[cell])) for k, cell in ((level_a, a), (level_b, b)))
         for level_a, a, level_b, b in flags.links[flags.links[:, 0] != flags.links[:, 2]].tolist()
     )
     links = sorted({(a, b) for a, b in ends if a[1] and b[1]})
-    found = table(), openings, links, flags.lattice, open_cells, assignment.warnings
-    return Rooms(index, *found)
+    return Rooms(
+        index,
+        table(),
+        openings,
+        links,
+        lattice=flags.lattice,
+        open_cells=open_cells,
+        warnings=assignment.warnings,
+    )
 
 
 class _Assignment:
     """The room of each cell as the sources add rooms; the first source that has one keeps it."""
 
-    def __init__(self, flags: RoomFlags, settings: RoomSettings) -> None:
+    def __init__(
+        self, flags: RoomFlags, settings: RoomSettings, closed_leaves: Sequence[ClosedLeaf]
+    ) -> None:
         self._flags, self._settings = flags, settings
+        self._closed_leaves = closed_leaves
         shape = flags.lattice.shape
         self.owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         # whose floor lies under the cell's own, for cells without an owner
@@ -186,16 +208,25 @@ class _Assignment:
         given = self._settings.door_width
         door_width = None if given == "auto" else given
         labels, count, outdoors = list[Int32](), 0, set[int]()
+        leaf_cells: list[Bool | None] = []
         for number, level in enumerate(self._flags.levels):
-            asked = level, lattice.cell_size, least, door_width
-            segment, close = segment_by_gaps(*asked, self._flags.walls, lattice)
+            leaves = mark_leaves(level, number, self._closed_leaves, lattice.cell_size)
+            leaf_cells.append(None if leaves is None else leaves.parting & level.open)
+            segment, close = segment_by_gaps(
+                level,
+                lattice.cell_size,
+                least,
+                door_width,
+                walls=self._flags.walls,
+                lattice=lattice,
+                leaves=leaves,
+            )
             if close and door_width is None:
                 self.warnings.append(_describe_close(close, number, lattice))
-            owner = self.owner[number]
-            if owner.any():
-                owner = give_covered(owner, self._under[number] * level.open, segment)
-                self.owner[number], segment = share_rest(owner, segment, lattice.cell_size, least)
-            cavities = find_cavities(segment, self.owner[number], self._flags, number)
+            if self.owner[number].any():
+                segment = self._share(number, segment, leaves)
+            beyond = None if leaves is None else leaves.beyond
+            cavities = find_cavities(segment, self.owner[number], self._flags, number, beyond)
             if cavities.any():
                 segment, _ = renumber(np.where(cavities[segment], 0, segment))
             segment, outside = find_outdoors(segment, self._flags, number)
@@ -203,6 +234,21 @@ class _Assignment:
             labels.append(np.where(segment > 0, segment + count, 0) if count else segment)
             count += int(segment.max(initial=0))
         self.add(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
+        for owner, cells in zip(self.owner, leaf_cells, strict=True):
+            if cells is not None:
+                share_leaves(owner, cells)
+
+    def _share(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
+        """Share a level's segments between marked rooms and new ones; returns the new ones."""
+        level = self._flags.levels[number]
+        cell_size, least = self._flags.lattice.cell_size, self._settings.min_area
+        marked = self.owner[number]
+        owner = marked if leaves is None else np.where(leaves.parting, np.int32(0), marked)
+        owner = give_covered(owner, self._under[number] * level.open, segment)
+        beyond = None if leaves is None else leaves.beyond
+        owner, rest = share_rest(owner, segment, cell_size, least, beyond)
+        self.owner[number] = np.where(marked > 0, marked, owner)
+        return rest
 
 
 def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
@@ -248,14 +294,19 @@ def describe_rooms(
 
 
 def find_openings(
-    index: Sequence[RoomIndex], floors: Sequence[Float], links: Int, max_step: float
+    index: Sequence[RoomIndex],
+    floors: Sequence[Float],
+    occupied: Sequence[Bool],
+    links: Int,
+    max_step: float,
 ) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
 
-    A slope is a link between cells of a level; 8-connected cells form one opening.
+    A slope is a link between cells of a level; 8-connected cells form one opening. One in which no
+    two cells beside each other are free of what stands is closed (a curtain, a stub of a wall).
     """
     openings = []
-    for number, (rooms, floor) in enumerate(zip(index, floors, strict=True)):
+    for number, (rooms, floor, taken) in enumerate(zip(index, floors, occupied, strict=True)):
         on_level = (links[:, [0, 2]] == number).all(axis=1)
         beside = list_differing(rooms).T  # few: only their heights are compared
         is_step = np.abs(np.subtract(*floor.ravel()[beside.T])) <= max_step + SLACK
@@ -267,12 +318,19 @@ def find_openings(
         pairs, pair = np.unique(ends[meet] @ (PAIR, 1), return_inverse=True)
         # every two rooms on a lattice of their own, below that of the two before
         own = (rooms.shape[0] + 1) * rooms.shape[1]
-        both = np.unique(pair[:, None] * own + cells[meet])
+        cell_keys = pair[:, None] * own + cells[meet]
+        both, place = np.unique(cell_keys, return_inverse=True)
         part = connect(touching(both, rooms.shape[1]), len(both))
+        is_free = ~taken.ravel()[cells[meet]].any(axis=1)
+        is_passable = np.zeros(int(part.max()) + 1, dtype=np.bool_)
+        is_passable[part[place.reshape(-1, 2)[is_free]]] = True
         order = np.argsort(part, kind="stable")
-        for one in np.split(both[order], np.flatnonzero(np.diff(part[order])) + 1):
-            between = divmod(int(pairs[one[0] // own]), PAIR)
-            openings.append(Opening(number, between, one % own))
+        order = order[is_passable[part[order]]]
+        if not len(order):
+            continue
+        for keys in np.split(both[order], np.flatnonzero(np.diff(part[order])) + 1):
+            between = divmod(int(pairs[keys[0] // own]), PAIR)
+            openings.append(Opening(number, between, keys % own))
     return openings
 
 

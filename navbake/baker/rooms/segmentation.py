@@ -8,6 +8,7 @@ from navbake.baker.connect import connect, count_cells, label_parts, list_runs, 
 from navbake.baker.lattice import bounding_window, list_differing
 from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
+from navbake.baker.rooms.leaves import LeafMarks
 from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
@@ -38,6 +39,7 @@ def segment_by_gaps(
     door_width: float | None = None,
     walls: Shapes | None = None,
     lattice: Lattice | None = None,
+    leaves: LeafMarks | None = None,
 ) -> tuple[Int32, list[CloseCall]]:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -56,6 +58,10 @@ def segment_by_gaps(
     as one, so that a row of pillars parts nothing. Stairs that open to a room over their full width
     belong to it, at their foot rather than their head. A room smaller than `min_area` [m²] joins
     the one that it opens to the widest, or is none.
+
+    Closed `leaves` that part two spaces do so here: no gap, no line and no join leads through them,
+    and what they lead into is a room however small it is, unless it opens to another one or lies at
+    the edge of the grid (a threshold). Their own cells are in no room yet.
 
     Returns the room of each cell from 1, in reading order, 0 for none; and close calls.
 
@@ -76,18 +82,31 @@ def segment_by_gaps(
     rays = None
     if walls is not None and lattice is not None:
         rays = WallRays(walls, lattice.cut(*around), floor)
-    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width, rays)
+    closed = np.zeros_like(open_cells) if leaves is None else leaves.parting[around]
+    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width, rays, closed)
     spaces = Spaces(found, cells, cell_size, door_width, rays)
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
     label = spaces.whole[label]
     del found, spaces, rays  # which hold the lattice in all directions
+    open_cells = open_cells & ~closed
+    beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns
+    if leaves is not None:
+        # rooms meet in the cells of a leaf, not beside it
+        if leaves.others.any():
+            spread(label, open_cells & ~leaves.others[around])
+        rows, cols = np.divmod(leaves.beyond, level.open.shape[1])
+        beyond = np.stack([rows - around[0].start, cols - around[1].start])
     spread(label, open_cells)
+    _label_cavities(label, open_cells, beyond)
     least, count = min_area / cell_size**2 - ROUNDING, int(label.max(initial=0)) + 1
     cells = count_cells(label, count)
     steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
     is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
     joins = is_stair | (cells > 0) & (cells < least)
+    at_edge = np.bincount(label[edge], minlength=count)
+    is_kept = np.bincount(label[tuple(beyond)], minlength=count) > 0
+    is_kept &= at_edge == 0
     if joins[1:].any():
         # distances matter up to half the widest gap [half cells]
         reach = int(WIDEST / cell_size) + 2
@@ -96,11 +115,22 @@ def segment_by_gaps(
             heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
             peaks = widest_nodes(label, squared_distances(wall_nodes(open_cells), reach), count)
             regions.join_stairs(is_stair, heights / np.maximum(cells, 1), np.sqrt(peaks))
-        at_edge = np.bincount(label[edge], minlength=count)
         regions.join_small(least, at_edge, WIDEST / cell_size)
-        label = regions.wholes(least)[label]
+        label = regions.wholes(least, is_kept)[label]
     rooms[around] = renumber(label)[0]
     return rooms, close
+
+
+def _label_cavities(label: Int32, open_cells: Bool, beyond: Int) -> None:
+    """Label the spaces behind leaves that are all gap; `beyond` are rows and columns in them."""
+    row, col = beyond[:, label[tuple(beyond)] == 0]
+    if not len(row):
+        return
+    part, count = label_parts(open_cells & (label == 0))
+    number = np.zeros(count + 1, dtype=np.int32)
+    parts = np.unique(part[row, col])
+    number[parts] = label.max() + 1 + np.arange(len(parts))
+    label += number[part]
 
 
 def spread(label: Int32, open_cells: Bool) -> None:
@@ -228,9 +258,14 @@ class _Regions:
             if self._cells[to] < least:
                 heapq.heappush(queue, (int(self._cells[to]), to))
 
-    def wholes(self, least: float) -> Int32:
-        """The region that each one became part of, 0 where that has fewer than `least` cells."""
-        return np.where(self._cells[self._whole] >= least, self._whole, np.int32(0))
+    def wholes(self, least: float, is_kept: Bool) -> Int32:
+        """The region that each one became part of.
+
+        It is 0 where that has fewer than `least` cells, and none of its parts is kept.
+        """
+        is_room = self._cells >= least
+        is_room[self._whole[is_kept]] = True
+        return np.where(is_room[self._whole], self._whole, np.int32(0))
 
     def _join(self, to: int, gone: int) -> None:
         self._whole[self._whole == gone] = to
@@ -266,13 +301,14 @@ def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
 
 
 def share_rest(
-    owner: Int32, segment: Int32, cell_size: float, min_area: float
+    owner: Int32, segment: Int32, cell_size: float, min_area: float, beyond: Int | None = None
 ) -> tuple[Int32, Int32]:
     """Make rooms of what marked rooms, `owner`, leave of segments: owners, and new rooms.
 
     A segment without a mark is a room. In others each connected part of the rest is one, unless it
     is smaller than `min_area` [m²], or nowhere half a metre wide though its segment is (a doorway's
-    depth): then it goes to the marked room that it touches most.
+    depth): then it goes to the marked room that it touches most. What touches none, and has one of
+    the cells `beyond` closed leaves, is a room, too.
     """
     least = min_area / cell_size**2 - ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
@@ -285,12 +321,31 @@ def share_rest(
         of_segment = np.zeros(len(cells), dtype=np.int32)
         of_segment[part] = segment
         is_room |= (cells >= least) & ~_measure_parts(segment, cell_size)[1][of_segment]
-    is_room[0] = False
     touched = _most_touched(part, owner, len(cells))
+    if beyond is not None:
+        leads = np.zeros(len(cells), dtype=np.bool_)
+        leads[part.ravel()[beyond]] = True
+        is_room |= leads & (touched == 0)
+    is_room[0] = False
     taken = np.where(is_room[part], 0, touched[part])
     kept = np.where(has_marks[rest], 0, rest + np.int32(len(cells)) * (rest > 0))
     new, _ = renumber(np.where(is_room[part], part, kept).astype(np.int32))
     return np.where(owner > 0, owner, taken).astype(np.int32), new
+
+
+def share_leaves(owner: Int32, leaf_cells: Bool) -> None:
+    """Give the cells of leaves without a room to those on their sides; of two as near, the smaller.
+
+    Which of two rooms is the smaller turns with the map, unlike their numbers.
+    """
+    waiting = leaf_cells & (owner == 0)
+    cells = count_cells(owner, int(owner.max(initial=0)) + 1)
+    by_size = np.append(0, np.argsort(cells[1:], kind="stable") + 1).astype(np.int32)
+    rank = np.empty_like(by_size)
+    rank[by_size] = np.arange(len(by_size))
+    ranks = rank[owner]
+    spread(ranks, waiting)
+    owner[waiting] = by_size[ranks[waiting]]
 
 
 def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
@@ -330,11 +385,13 @@ def renumber(label: Int32) -> tuple[Int32, Int]:
     return number[label], order
 
 
-def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) -> Bool:
+def find_cavities(
+    segment: Int32, owner: Int32, flags: RoomFlags, level: int, beyond: Int | None = None
+) -> Bool:
     """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
 
-    A cavity meets no other space or level, nor the edge of the grid, and is smaller or narrower
-    than `CAVITY`. The largest segment is none.
+    A cavity meets no other space or level, nor the edge of the grid; no leaf leads into it, by the
+    cells `beyond` leaves; and it is smaller or narrower than `CAVITY`. The largest segment is none.
     """
     cell_size, count = flags.lattice.cell_size, int(segment.max(initial=0)) + 1
     area = count_cells(segment, count) * cell_size**2
@@ -344,6 +401,8 @@ def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) ->
     is_open[0] = True
     is_open[pairs[(pairs > 0).all(axis=0) & (pairs < count)]] = True
     is_open[segment[flags.levels[level].edge]] = True
+    if beyond is not None:
+        is_open[segment.ravel()[beyond]] = True
     for side in ((0, 1), (2, 3)):
         on_level = flags.links[flags.links[:, side[0]] == level]
         is_open[segment.ravel()[on_level[:, side[1]]]] = True

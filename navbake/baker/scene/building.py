@@ -196,6 +196,7 @@ class _Building:
                 axis = np.array([0.0, 0.0, -1.0]) * direction * side
                 joint = Joint(leaf, "hinge", hinge, axis, (0.0, turn))
             self.found.bodies[leaf] = Body(leaf, "", pose, joint)
+            self.found.named_leaves.add(leaf)
             self._add_box(leaf, ((wide - gap) / 2, thick / 2, high / 2), pose, leaf)
 
     def _elevation(self, level: str) -> float:

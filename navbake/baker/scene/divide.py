@@ -5,7 +5,7 @@ What stands makes floors, walls and rooms; what can move is only ever in the way
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
@@ -69,7 +69,14 @@ def mark_structure(roles: NDArray[np.uint8]) -> Bool:
     return structure
 
 
-def divide(model: Any, data: Any, shapes: Shapes, counted: Bool, config: BakeConfig) -> Division:
+def divide(
+    model: Any,
+    data: Any,
+    shapes: Shapes,
+    counted: Bool,
+    named_leaves: Collection[str],
+    config: BakeConfig,
+) -> Division:
     """Divide the geoms that count into what stands, what can move, and leaves of doors.
 
     Bodies that `floors.movable` names, and cars of lifts, carry floors, with all that hangs on
@@ -79,6 +86,7 @@ def divide(model: Any, data: Any, shapes: Shapes, counted: Bool, config: BakeCon
         model, data: the posed model.
         shapes: all geometry that counts.
         counted: by geom, whether it counts.
+        named_leaves: the names of bodies that the file says are doors.
     """
     movable = find_movable_bodies(model)
     ends = find_subtree_ends(model)
@@ -107,6 +115,7 @@ def divide(model: Any, data: Any, shapes: Shapes, counted: Bool, config: BakeCon
         counted=counted,
         movable=movable,
         stands=stands,
+        named=named_leaves,
         settings=config.doors,
     )
     roles = give_roles(model, counted, movable, stands, leaves)

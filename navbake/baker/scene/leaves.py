@@ -1,7 +1,7 @@
 """Door candidates: bodies that a pattern names, or that look like a door's leaf."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
@@ -42,7 +42,7 @@ class DoorCandidate:
     geoms: Int  # ids of the counted geoms of the body and its descendants, shape (n,)
     positions: dict[str, float]  # of the joint, by state but removed [rad or m]; empty for none
     joint_id: int  # MuJoCo's, -1 for none
-    named: bool  # by a pattern; else it was found by its joint and shape
+    named: bool  # by a pattern or by the file; else it was found by its joint and shape
 
     def position(self, state: str) -> float | None:
         """The joint's position in a state, as modelled where it hasn't that; None for no joint."""
@@ -60,6 +60,7 @@ def find_candidates(
     counted: Bool,
     movable: Bool,
     stands: Bool,
+    named: Collection[str],
     settings: DoorSettings,
 ) -> tuple[list[DoorCandidate], list[str]]:
     """Find bodies that may be doors, by name or by shape, by body id; warn of unused patterns.
@@ -74,9 +75,10 @@ def find_candidates(
         counted: by geom, whether it counts.
         movable: by body, whether it can move.
         stands: by body, whether it is part of what stands.
+        named: the names of bodies that the file says are doors.
         settings: patterns, and whether leaves are looked for.
     """
-    if not settings.patterns and not settings.find:
+    if not settings.patterns and not settings.find and not named:
         return [], []
     names = all_names(model).bodies
     ends = find_subtree_ends(model)
@@ -86,6 +88,8 @@ def find_candidates(
     # by body id, the patterns that match its name; none for the world
     matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names]
     matches[0] = []
+    is_named = [bool(matches[k]) or names[k] in named for k in range(model.nbody)]
+    is_named[0] = False
     searched = set[int]()
     if settings.find:
         hung = (k for k in joints if movable[k] and stands[model.body_parentid[k]])
@@ -93,10 +97,10 @@ def find_candidates(
         num_bodies = model.nbody if counted.sum() > 1 else 1
         jointless = (k for k in range(1, num_bodies) if k not in joints)
         fixed = (k for k in jointless if not movable[k : ends[k]].any())
-        searched = {body for body in (*hung, *fixed) if not matches[body]}
+        searched = {body for body in (*hung, *fixed) if not is_named[body]}
     geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
     for body in range(1, model.nbody):
-        if body in searched or matches[body]:
+        if body in searched or is_named[body]:
             under = geoms_of_bodies(model, body, int(ends[body]))
             geoms[body] = under[counted[under]]
     leaves = _find_leaves(shapes, model.ngeom, {body: geoms[body] for body in searched})
@@ -109,7 +113,7 @@ def find_candidates(
                 del leaves[body]
     found, end = list[int](), 0  # and the end of the bodies of the last candidate
     for body, own in geoms.items():
-        if body >= end and len(own) and (matches[body] or body in leaves):
+        if body >= end and len(own) and (is_named[body] or body in leaves):
             found.append(body)
             end = int(ends[body])
     count = Counter(names[body] for body in found)
@@ -125,7 +129,7 @@ def find_candidates(
                 geoms=geoms[body],
                 positions={} if joint < 0 else _positions(model, data, joint),
                 joint_id=joint,
-                named=bool(matches[body]),
+                named=is_named[body],
             )
         )
     used = {pattern for body in found for pattern in matches[body]}

@@ -92,7 +92,7 @@ class OpenScene(NamedTuple):
     """A scene's compiled mujoco.MjModel, before geoms are chosen.
 
     With the exact meshes of a mesh scene by geom id, the geom of `scene.ground`, MuJoCo's warnings,
-    and the pose, None where the settings say it.
+    the pose, None where the settings say it, and the names of bodies that the file says are doors.
     """
 
     model: Any
@@ -100,6 +100,7 @@ class OpenScene(NamedTuple):
     ground: int | None
     warnings: list[str]
     data: Any = None
+    named_leaves: frozenset[str] = frozenset()
 
 
 def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
@@ -110,6 +111,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
+    named_leaves = frozenset[str]()
     suffix = suffix_of(path)
     try:
         if not path.exists():
@@ -135,6 +137,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             with reading(str(path)):
                 pieces = resolve(READERS[suffix])(path, settings)
             model, parts = build_model(pieces, path, ground, warnings)
+            named_leaves = frozenset(pieces.named_leaves)
         elif suffix in REFUSED:
             raise SceneError(f"cannot read {path}: {REFUSED[suffix]}")
         else:
@@ -142,7 +145,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             raise SceneError(f"cannot tell what {path} is: expected one of {known}")
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
-    return OpenScene(model, parts, ground_of(model, settings), warnings)
+    ground_geom = ground_of(model, settings)
+    return OpenScene(model, parts, ground_geom, warnings, named_leaves=named_leaves)
 
 
 class CompileLimits(NamedTuple):
@@ -176,12 +180,13 @@ def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list
             too_much = f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
             asks = f"the scene asks for {too_much}"
             raise SceneError(f"MuJoCo crashed as it compiled {scene} {ended}: {asks}")
-        warned, error, parts = pickle.loads((place / RESULT).read_bytes())
+        warned, error, parts, named_leaves = pickle.loads((place / RESULT).read_bytes())
         warnings += warned
         if error is not None:
             raise error
         model = mujoco.MjModel.from_binary_path(str(place / MODEL))
-    return OpenScene(model, parts, ground_of(model, settings), warnings)
+    ground_geom = ground_of(model, settings)
+    return OpenScene(model, parts, ground_geom, warnings, named_leaves=named_leaves)
 
 
 def compile_job(folder: str) -> None:
@@ -195,16 +200,19 @@ def compile_job(folder: str) -> None:
         signal.setitimer(signal.ITIMER_REAL, limits.seconds)
     failed: Exception | None = None
     parts: dict[int, MeshPart] = {}
+    named_leaves = frozenset[str]()
     with catch_warnings() as warned:
         try:
-            model, parts, *_ = load_model(settings, warned)
-            mujoco.mj_saveModel(model, str(place / MODEL), None)
+            opened = load_model(settings, warned)
+            parts = opened.parts
+            named_leaves = opened.named_leaves
+            mujoco.mj_saveModel(opened.model, str(place / MODEL), None)
         except Exception as error:
             if not lacked_memory(error) and not isinstance(error, NavbakeError):
                 raise
             lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
             failed = SceneError(lacks) if lacked_memory(error) else error
-    (place / RESULT).write_bytes(pickle.dumps((warned, failed, parts)))
+    (place / RESULT).write_bytes(pickle.dumps((warned, failed, parts, named_leaves)))
 
 
 def limit_mesh_cache(num_bytes: int) -> None:

@@ -91,6 +91,7 @@ class Gathered:
     bodies: dict[str, Body] = field(default_factory=dict)  # by name, parents first
     warnings: list[str] = field(default_factory=list)
     decimals: int | None = None  # to which coordinates are rounded [m]
+    named_leaves: set[str] = field(default_factory=set)  # bodies that the file says are doors
 
 
 def check_count(count: int, path: Path) -> None:

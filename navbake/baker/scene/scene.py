@@ -98,6 +98,7 @@ class Scene:
     stands: Bool  # by body id, whether it makes floors, walls and rooms
     movers: Int  # by body id, the topmost body that moves it; itself if none does
     actuated: frozenset[int]  # of these, those that actuators move
+    named_leaves: frozenset[str]  # the names of bodies that the file says are doors
     leaves: list[DoorCandidate]  # bodies that may be doors, by body id
     cars: list[int]  # bodies that are cars of lifts, by body id
     unused: list[str]  # warnings of patterns of doors that match nothing, one line each
@@ -126,7 +127,11 @@ def load_scene(
     With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
     """
     settings = config.scene
-    model, parts, ground, compiled, data = opened or open_file(settings, limits)
+    opened = opened or open_file(settings, limits)
+    model = opened.model
+    parts = opened.parts
+    ground = opened.ground
+    data = opened.data
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
     digest = run_beside(lambda: start_digest(model, data, parts)())
@@ -142,7 +147,14 @@ def load_scene(
 
     def divide_chosen(choices: list[Choice], shapes: Shapes) -> Division:
         counted = np.array([choice.counted for choice in choices], dtype=np.bool_)
-        return divide(model, data, shapes, counted, config)
+        return divide(
+            model,
+            data,
+            shapes=shapes,
+            counted=counted,
+            named_leaves=opened.named_leaves,
+            config=config,
+        )
 
     try:
         choices, shapes, kinds, notes = choose(np.zeros(model.nbody, dtype=np.bool_))
@@ -162,7 +174,7 @@ def load_scene(
         reasons = "; ".join(sorted({choice.reason for choice in own})[:3])
         none = f"none of the {len(own)} geoms of {settings.path} counts"
         raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
-    warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
+    warnings = [" ".join(warning.split()) for warning in [*opened.warnings, *warned]]
     warnings += warn_out_of_range(model, settings)
     hints = [text for text in warnings if parts and "`scene.up" in text]
     size = _warn_size(settings, parts, shapes.bounds)
@@ -200,6 +212,7 @@ def load_scene(
         stands=division.stands,
         movers=division.movers,
         actuated=frozenset(division.movers[[*find_actuated_bodies(model)]].tolist()),
+        named_leaves=opened.named_leaves,
         leaves=division.leaves,
         cars=division.cars,
         unused=division.unused,

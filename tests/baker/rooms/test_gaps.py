@@ -31,7 +31,7 @@ def segment_by_gaps(is_open, cell_size=CELL, min_area=1.0, floor=None, holes=Non
     """The rooms of open cells, under a roof and away from the edge of the grid; and close calls."""
     none = np.zeros_like(is_open)
     floor = np.zeros(none.shape) if floor is None else floor
-    level = LevelFlags(floor, is_open, none if holes is None else holes, none, none, none)
+    level = LevelFlags(floor, is_open, none if holes is None else holes, none, none, none, none)
     return segmentation.segment_by_gaps(level, cell_size, min_area, width)
 
 

@@ -274,7 +274,8 @@ def test_rooms_depend_on_their_flags_alone():
     config = load_config(ROOT / "configs" / "house.yaml")
     stages = settle_doors(take_first_look(config, StageClock(None)))
     flags, step = stages.room_flags, config.agent.traversable_floor_height
-    again = find_rooms(copy.deepcopy(flags), config.rooms, step)
+    leaves = [leaf.closed for leaf in stages.leaf_cells]
+    again = find_rooms(copy.deepcopy(flags), config.rooms, step, leaves)
     assert again.table == stages.rooms.table and again.links == stages.rooms.links
     np.testing.assert_array_equal(again.index, stages.rooms.index)
     assert are_equal(flags, copy.deepcopy(flags))
@@ -317,8 +318,13 @@ def test_storeys_are_linked_by_steps():
 )
 def test_openings_are_where_steps_and_slopes_lead_to_another_room(floor, rooms, slopes, expected):
     links = np.array([(0, a, 0, b) for a, b in slopes], dtype=np.int64).reshape(-1, 4)
-    given = [np.array(rooms, dtype=np.uint16)], [np.array(floor)], links
-    assert [(o.rooms, o.cells.tolist()) for o in find_openings(*given, 0.25)] == expected
+    index = np.array(rooms, dtype=np.uint16)
+    free = np.zeros(index.shape, dtype=np.bool_)
+    openings = find_openings([index], [np.array(floor)], [free], links, 0.25)
+    assert [(o.rooms, o.cells.tolist()) for o in openings] == expected
+    # what stands on all of one side closes it
+    openings = find_openings([index], [np.array(floor)], [index == 1], links, 0.25)
+    assert openings == []
 
 
 def test_doors_go_to_the_opening_they_are_in():

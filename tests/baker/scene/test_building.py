@@ -238,3 +238,46 @@ def test_a_slab_is_closed_and_faces_outward():
 def test_isolated():
     settings = SceneSettings(path=LAB)
     assert load_alone(settings, limits=CompileLimits()).digest == load_alone(settings).digest
+
+
+NARROW = {
+    "coordinate_system": "cartesian_meters",
+    "levels": {
+        "L1": {
+            "elevation": 0,
+            # a hall, and a WC of 1.0 x 1.8 m in its corner behind a door as wide as itself
+            "vertices": [
+                [0, 0, 0, ""], [6, 0, 0, ""], [6, 5, 0, ""], [0, 5, 0, ""],
+                [1.1, 0, 0, ""], [1.1, 1.9, 0, ""], [0, 1.9, 0, ""],
+                [3, 3, 0, ""], [4, 3, 0, ""],
+            ],
+            "floors": [{"vertices": [0, 1, 2, 3]}],
+            "walls": [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5]],
+            "doors": [
+                [5, 6, {"name": [1, "wc"], "type": [1, "hinged"]}],
+                [7, 8, {"name": [1, "screen"], "type": [1, "sliding"]}],
+            ],
+        }
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("find", [True, False])
+def test_what_the_file_calls_a_door_is_one(write, find):
+    """Also in the middle of a hall, where nothing but the file says so."""
+    path = write(NARROW)
+    grid = navbake.bake(path, doors={"find": find})
+    assert [door.id for door in grid.doors] == ["wc", "screen"]
+    wc, screen = grid.doors
+    assert set(wc.rooms) == {"0:1", "0:2"}
+    assert screen.rooms == (None, None)
+    ends = (0.5, 0.9, 0), (0.5, 4, 0)
+    assert navbake.PathFinder(grid).find_path(*ends) is None
+    opened = navbake.bake(path, doors={"find": find, "state": "open"})
+    assert navbake.PathFinder(opened).find_path(*ends) is not None
+
+
+def test_doors_of_a_file_are_named_in_a_process_of_its_own(write):
+    settings = SceneSettings(path=write(NARROW))
+    names = load_alone(settings, limits=CompileLimits()).named_leaves
+    assert names == load_alone(settings).named_leaves == {"wc", "screen"}
