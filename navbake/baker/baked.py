@@ -32,6 +32,20 @@ class FloorLattice(NamedTuple):
     window: Window
 
 
+class StandingLayers(NamedTuple):
+    """Layers of a level as they are written, of its own rectangle.
+
+    Attributes:
+        floor: the floor [m], float32.
+        room_index: the room of each cell, uint16.
+        unseen: the cells that no surface was seen in, uint8; None where none is told apart.
+    """
+
+    floor: NDArray[np.float32]
+    room_index: NDArray[np.uint16]
+    unseen: NDArray[np.uint8] | None
+
+
 @dataclass(frozen=True)
 class Standing:
     """What follows from what stands, and from closed leaves: nothing that moves changes it.
@@ -40,7 +54,7 @@ class Standing:
         lattice: the cells.
         judged: where floors were judged.
         floors: the storeys.
-        floor_layers: the floor of each level as it is written, of the whole lattice.
+        layers: the layers of each level that nothing which moves changes.
         occupancy: the cells that what stands occupies.
         contents: what stands in the cells; None where neither names nor rooms need it.
         rooms: the room of each cell.
@@ -55,7 +69,7 @@ class Standing:
     lattice: Lattice
     judged: FloorLattice
     floors: Floors
-    floor_layers: list[NDArray[np.float32]]
+    layers: list[StandingLayers]
     occupancy: Occupancy
     contents: Contents | None
     rooms: Rooms

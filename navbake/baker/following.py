@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.divide import LEAF, LEFT_OUT, give_roles, mark_structure
+from navbake.baker.scene.divide import LEAF, LEFT_OUT, give_roles
 from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.scene.model import OpenScene, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
@@ -98,7 +98,7 @@ class FollowedScene:
 
     def _read(self, data: Any) -> Compared:
         model = self._model
-        geoms, sites = find_markers(model, data, self._config.rooms)
+        geoms, sites = find_markers(model, data, self._config.rooms, self.scene.stands)
         return Compared(
             choices=[getattr(model, name).tobytes() for name in CHOOSING],
             poses=np.hstack([data.geom_xpos, data.geom_xmat]),
@@ -169,15 +169,16 @@ class FollowedScene:
     ) -> str:
         """Why what stands, or what marks rooms, is another than before; empty where it isn't."""
         was = self.scene
-        differs = geoms & (mark_structure(was.roles) | mark_structure(scene.roles))
+        differs = geoms & (was.is_structure | scene.is_structure)
         if differs.any():
             name = scene.geoms[int(np.argmax(differs))].name
             return f"{name!r}, which stands, has changed"
         if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
-        marks = compared.marking_geoms & scene.stands[scene.model.geom_bodyid]
         sites = self._compared.marking_sites
-        if (moved & marks).any() or not np.array_equal(compared.marking_sites, sites):
+        if (moved & compared.marking_geoms).any() or not np.array_equal(
+            compared.marking_sites, sites
+        ):
             return "what marks rooms has changed"
         return ""
 

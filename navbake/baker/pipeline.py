@@ -224,6 +224,7 @@ def _level_grid(
     doors = [cut.door for cut in moving.cut_doors]
     window = standing.boxes.windows[number]
     level = standing.floors.levels[number]
+    layers = standing.layers[number]
     part = standing.lattice.cut(*window)
 
     def with_doors(layer: Bool, name: str) -> NDArray[np.uint8]:
@@ -236,14 +237,14 @@ def _level_grid(
         return cut.view(np.uint8)
 
     attributes: dict[str, NDArray[Any]] = {
-        "floorHeight": np.ascontiguousarray(standing.floor_layers[number][window]),
-        "roomIndex": np.ascontiguousarray(standing.rooms.index[number][window]),
+        "floorHeight": layers.floor,
+        "roomIndex": layers.room_index,
         "occupancy": with_doors(moving.occupants.occupied[number], "cells"),
     }
     if moving.occupants.solid is not None:
         attributes["solid"] = with_doors(moving.occupants.solid[number], "solid")
-    if level.unseen is not None:
-        attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
+    if layers.unseen is not None:
+        attributes["unseen"] = layers.unseen
     if moving.areas.layers:
         attributes["area"] = np.ascontiguousarray(moving.areas.layers[number][window])
     user_data = UserData()

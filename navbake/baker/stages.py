@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navbake.baker.arguments import take_input
-from navbake.baker.baked import CutDoor, FloorLattice, Moving, Standing
+from navbake.baker.baked import CutDoor, FloorLattice, Moving, Standing, StandingLayers
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns, list_shapes
@@ -44,14 +44,14 @@ from navbake.baker.doors.doors import (
     place_doors,
     pose_leaves,
 )
-from navbake.baker.floors.levels import Floors, crop_floors, fill_holes, find_floors
+from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
-from navbake.baker.lattice import cut_cells, lay_lattice, lay_whole
+from navbake.baker.lattice import Window, cut_cells, lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.flags import RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
-from navbake.baker.scene.divide import MOVABLE, mark_structure
+from navbake.baker.scene.divide import MOVABLE
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.leaves import mark_geoms
 from navbake.baker.scene.model import CompileLimits, OpenScene
@@ -364,7 +364,7 @@ class Stages:
             lattice=self.lattice,
             judged=self.judged,
             floors=self.floors,
-            floor_layers=[level.floor.astype(np.float32) for level in self.floors.levels],
+            layers=_cut_layers(self.floors.levels, self.rooms, boxes.windows),
             occupancy=self.occupancy,
             contents=self.contents,
             rooms=self.rooms,
@@ -515,6 +515,25 @@ def list_rooms(rooms: Rooms, doors: Sequence[PlacedLeaf]) -> list[Json]:
     return [room.to_json() for room in rooms.with_doors(closed).table]
 
 
+def _cut_layers(
+    levels: Sequence[LevelFloor], rooms: Rooms, windows: Sequence[Window]
+) -> list[StandingLayers]:
+    """The layers of each level on its own rectangle."""
+    layers = []
+    for level, room_index, window in zip(levels, rooms.index, windows, strict=True):
+        unseen = None
+        if level.unseen is not None:
+            unseen = level.unseen[window].astype(np.uint8)
+        layers.append(
+            StandingLayers(
+                floor=level.floor[window].astype(np.float32),
+                room_index=np.ascontiguousarray(room_index[window]),
+                unseen=unseen,
+            )
+        )
+    return layers
+
+
 def _cut_steps(links: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
     """The steps with cells counted on each level's own rectangle."""
     steps = links.copy()
@@ -549,7 +568,7 @@ def make_links(
     in_the_way = mark_in_the_way(scene, doors, config)
     ground = Ground(
         scene=scene,
-        shapes=scene.shapes.only(mark_structure(scene.roles) | in_the_way),
+        shapes=scene.shapes.only(scene.is_structure | in_the_way),
         lattice=standing.lattice,
         floors=floors,
         free=free,

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.divide import mark_structure
 from navbake.baker.scene.model import is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
@@ -138,7 +137,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     bodies = dict(numbered) | {f"{name} (body {body})": body for name, body in numbered}
     ends = find_subtree_ends(model)
     removed, unknown = set[int](), list[str]()
-    no_floors = set(np.flatnonzero(~mark_structure(scene.roles)).tolist())
+    no_floors = set(np.flatnonzero(~scene.is_structure).tolist())
     # a grid doesn't state how its lifts were found; their cars carry floors
     for link in grid.links:
         if link.kind == "lift" and (body := bodies.get(link.name)) is not None:

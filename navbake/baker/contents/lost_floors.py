@@ -40,6 +40,10 @@ def find_lost_floors(
     geoms = geoms_of(shapes)
     is_chosen = chosen[geoms]
     boxes = boxes_of(shapes)[is_chosen]
+    # what is endless is looked at on the lattice
+    x_min, y_min, x_max, y_max = lattice.bounds
+    boxes[:, 0:4:3] = np.clip(boxes[:, 0:4:3], x_min, x_max)
+    boxes[:, 1:5:3] = np.clip(boxes[:, 1:5:3], y_min, y_max)
     movers = mover_of[geoms[is_chosen]]
     size = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
     large = np.flatnonzero(np.bincount(movers, size) >= LEAST_FLOOR - SLACK)

@@ -180,14 +180,21 @@ def mark_rooms(
     return found
 
 
-def find_markers(model: Any, data: Any, settings: RoomSettings) -> tuple[Bool, Float]:
-    """The geoms of a model that may mark rooms, (ngeom,) bool, and the poses of such sites."""
+def find_markers(model: Any, data: Any, settings: RoomSettings, stands: Bool) -> tuple[Bool, Float]:
+    """The geoms of a model that may mark rooms, (ngeom,) bool, and the poses of such sites.
+
+    They are parts of bodies that stand, by body id; what can move marks no room.
+    """
     geoms = np.zeros(model.ngeom, dtype=np.bool_)
     if "geoms" in settings.sources:
-        geoms[_match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")[0]] = True
-    sites, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
+        matching, _ = _match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
+        geoms[matching] = stands[model.geom_bodyid[matching]]
+    sites = list[int]()
+    if "sites" in settings.sources:
+        matching, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
+        sites = [site for site in matching if stands[model.site_bodyid[site]]]
     placed = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
-    return geoms, np.hstack(placed)[sites if "sites" in settings.sources else []]
+    return geoms, np.hstack(placed)[sites]
 
 
 def _mark_by_geoms(
@@ -253,6 +260,8 @@ def _mark_by_sites(
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     kept, small = list[str | None](), list[str]()
     for site in chosen:
+        if not scene.stands[scene.model.site_bodyid[site]]:
+            continue
         masks = _stand_in(site, scene, lattice, levels, agent)
         if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
             small.append(names[site])

@@ -109,10 +109,15 @@ class Scene:
         movers: Int = self.movers[self.model.geom_bodyid]
         return movers
 
+    @property
+    def is_structure(self) -> Bool:
+        """By geom id, whether it makes floors."""
+        return mark_structure(self.roles)
+
     @cached_property
     def structure(self) -> Shapes:
         """The geometry of what stands."""
-        return self.shapes.only(mark_structure(self.roles))
+        return self.shapes.only(self.is_structure)
 
 
 @collector_off()
