@@ -5,14 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.contents.contents import take_entries
-from navbake.baker.contents.occupants import Entries, count_taken
 from navbake.baker.kernels.constants import BUILDING, OBJECT, WALL
 from navbake.baker.kernels.contents import LevelContents, mark_walls
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
 from navbake.navgrid.lattice import Lattice
 
 CELLS, GEOMS = 12, 8
-MOVER_OF = np.array([1, 1, 1, 2, 2, 3, 4, 4])  # the geoms of a body that moves lie together
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -61,23 +59,3 @@ def test_wall_cells_and_low_ones(seed):
         is_wall = any(k == WALL or (k == BUILDING and flags & PROBED) for k, flags in blocking)
         assert walls[n] == is_wall
         assert lows[n] == (BUILDING in [k for k, _ in blocking] and BUILDING not in upper)
-
-
-@settings(deadline=None)  # its kernels may be compiled first
-@given(seeds)
-def test_a_body_takes_the_cells_that_it_blocks_and_nothing_standing_does(seed):
-    rng = np.random.default_rng(seed)
-    bands = []
-    expected = np.zeros(5, dtype=np.int64)
-    standing = rng.random((3, CELLS)) < 0.3
-    for band in range(3):
-        _, lists = random_lists(rng)
-        rows = []
-        for cell, entries in enumerate(lists):
-            rows += [(band * CELLS + cell, geom, flags) for geom, flags in entries]
-            bodies = {int(MOVER_OF[geom]) for geom, flags in entries if flags & BLOCKS}
-            if not standing[band, cell]:
-                expected[list(bodies)] += 1
-        cell, geom, flags = np.array(rows, dtype=np.int64).reshape(-1, 3).T
-        bands.append(Entries(cell, geom.astype(np.int32), flags.astype(np.uint8)))
-    assert np.array_equal(count_taken(bands, standing, MOVER_OF, 5), expected)

@@ -42,6 +42,7 @@ def look_for(scene: Scene, **settings: Any) -> tuple[list[DoorCandidate], list[s
         counted=np.array([geom.counted for geom in scene.geoms]),
         movable=scene.movable,
         stands=scene.stands,
+        named=scene.named_leaves,
         settings=DoorSettings(**settings),
     )
 
