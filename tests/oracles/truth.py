@@ -24,6 +24,7 @@ SURE = 1e-7  # less than this is rounding [m]
 RIM = 1e-8  # for exact rims [m]
 BESIDE = 1e-6  # how far beside a seam its lines are cast [m]
 UNSURE = 2e-6  # up to this a limit may count as kept or not [m]
+LEANING = 0.05  # sides that face up by at most this may be upright ones that lean
 
 
 class UnsureError(Exception):
@@ -85,8 +86,20 @@ class Truth:
             self.top = np.where(up >= min_up - SURE, z, np.nan)
             self._rise = self.rules.cell_size * np.sqrt(np.clip(1 - up**2, 0, None)) / up
             self._steep = np.where((up > 0) & ~(up >= min_up - SURE), z, np.nan)
+        self._refuse_leaning_sides(up)
         self.standable = np.stack([self._is_standable(k) for k in range(len(self.top))])
         self.counted = self._count_sheets()
+
+    def _refuse_leaning_sides(self, up: Float) -> None:
+        """Be unsure where a line passes a side that is nearly upright, at most a step above a top.
+
+        The bake takes such sides for upright ones of a building that leans, the truth for bumps.
+        """
+        for z, is_leaning in zip(self._steep, (up > 0) & (up <= LEANING + SURE), strict=True):
+            with np.errstate(invalid="ignore"):
+                below = np.where(self.top <= z, self.top, -np.inf).max(axis=0)
+                if (is_leaning & (z - below <= self.rules.step + UNSURE)).any():
+                    raise UnsureError("a side leans a little")
 
     def _lay_cells(self) -> None:
         x0, y0, x1, y1 = self.rules.bounds

@@ -64,8 +64,7 @@ class Occupants(NamedTuple):
         entries: the geoms in cells, by level and band of `BAND_ROWS` rows.
         occupied: the cells of each level that they or what stands occupies, (height, width).
         solid: the cells whose squares they or what stands meets; None where these are the same.
-        taken: by body id, how many cells each takes that nothing that stands blocks, nor another
-            body; so a cup on a table takes none.
+        taken: by body id, how many cells it blocks that nothing which stands blocks.
     """
 
     entries: list[list[Entries]]
