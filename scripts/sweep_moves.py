@@ -34,9 +34,9 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests")]
 
 import navbake  # noqa: E402
+from benchmarks.moving_scenes import free_pieces, make_any, make_storeys  # noqa: E402
 from differences import first_difference  # noqa: E402 (of the tests)
 from make_house import make_house  # noqa: E402
-from moving_scenes import free_pieces, make_any, make_storeys  # noqa: E402
 from random_scenes import make_scene  # noqa: E402 (of the tests)
 
 SCENES = (

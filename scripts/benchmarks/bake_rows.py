@@ -11,6 +11,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 
 import navbake
 from benchmarks.measure import Job, Row, Sample, run_process
+from benchmarks.moving_scenes import make_hall, make_rooms, make_storeys
 from benchmarks.peers import plain_loop_job, recast_job, why_no_recast
 from benchmarks.scenes import APARTMENT, CELL, DUNGEON, ROOT, SAMPLES, TRIANGLES, Scenes, num_cells
 
@@ -105,8 +107,7 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         },
         **_command_rows(scenes.folder),
         **{
-            f"update {name}": lambda name=name: _update_row(name, 1, share)  # type: ignore[misc]
-            for name, share in MOVING.items()
+            f"update {name}": partial(_update_row, name, 1, share) for name, share in MOVING.items()
         },
         "update 100 bodies": lambda: _update_row("house-100", 100, 0.10),
         "update whole": lambda: _update_row("whole", 1, 1.1),
@@ -239,8 +240,7 @@ MOVING = {
 
 def _make_moving(name: str) -> tuple[Any, dict[str, Any]]:
     """The model of a row of updates, and its settings."""
-    from moving_scenes import make_hall, make_rooms, make_storeys  # beside bench.py
-    from sweep_moves import make_model
+    from sweep_moves import make_model  # beside bench.py
 
     kind, _, more = name.partition(", ")
     if kind == "hall":
