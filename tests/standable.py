@@ -10,6 +10,6 @@ from navbake.baker.stages import Stages
 
 def sheets_of(stages: Stages, columns: ColumnSource | None = None) -> Sheets:
     """The sheets that steps make of the surfaces in the columns, those of the bake if None."""
-    source = stages.baked_columns if columns is None else columns
+    source = stages.column_blocks if columns is None else columns
     agent = stages.config.agent
-    return find_sheets(find_surfaces(source, stages.tiled.shapes.planes, agent), agent)
+    return find_sheets(find_surfaces(source, stages.tile_index.shapes.planes, agent), agent)

@@ -9,7 +9,7 @@ from navbake.baker.clock import StageClock
 from navbake.baker.column_blocks import ColumnBlocks, ShapeBlocks, join_columns
 from navbake.baker.columns import Columns, ShapeSource, split_rows
 from navbake.baker.pipeline import run_bake
-from navbake.baker.stages import bake_stages, take_first_look
+from navbake.baker.stages import bake_stages, open_stages
 from navbake.config.settings import load_config, parse_config
 from navbake.formats.navgrid import dumps_navgrid
 from project_paths import CONFIGS
@@ -35,27 +35,27 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     geoms = [f'<geom type="mesh" mesh="m" pos="{n / 3} {n / 4} .3"/>' for n in range(5)]
     path.write_text(f"<mujoco>{mesh}<worldbody>{CRACKED}{''.join(geoms)}</worldbody></mujoco>")
     config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
-    tiled = take_first_look(config, StageClock()).tiled
+    tiles = open_stages(config, StageClock()).tile_index
 
-    def find(shapes: ShapeSource = tiled) -> ColumnBlocks:
+    def find(shapes: ShapeSource = tiles) -> ColumnBlocks:
         return ColumnBlocks(shapes, config.agent, config.floors.crack, StageClock())
 
-    def join(shapes: ShapeSource = tiled) -> Columns:
-        window = slice(0, tiled.lattice.height), slice(0, tiled.lattice.width)
-        return join_columns(find(shapes), window, tiled.lattice)
+    def join(shapes: ShapeSource = tiles) -> Columns:
+        window = slice(0, tiles.lattice.height), slice(0, tiles.lattice.width)
+        return join_columns(find(shapes), window, tiles.lattice)
 
-    whole, width = join(), tiled.lattice.width
-    assert len(whole.z) > len(columns_module.cast_columns(tiled).z)
-    cells = np.unique(np.random.default_rng(0).integers(0, width * tiled.lattice.height, 500))
+    whole, width = join(), tiles.lattice.width
+    assert len(whole.z) > len(columns_module.cast_columns(tiles).z)
+    cells = np.unique(np.random.default_rng(0).integers(0, width * tiles.lattice.height, 500))
     for rows in (8, 16, 40):
         monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * width)
-        assert len(split_rows(tiled.lattice)) == -(-tiled.lattice.height // rows)
+        assert len(split_rows(tiles.lattice)) == -(-tiles.lattice.height // rows)
         for one, other in zip(join().crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
     monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
     monkeypatch.setattr(column_blocks, "KEPT_TRIANGLES", 0)
     monkeypatch.setattr(column_blocks, "TIMES", np.inf)
-    for shapes in (tiled, take_first_look(config, StageClock()).tiled):
+    for shapes in (tiles, open_stages(config, StageClock()).tile_index):
         for one, other in zip(join(shapes).crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
         some = find(shapes).at(cells)

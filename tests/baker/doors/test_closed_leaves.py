@@ -10,7 +10,7 @@ import pytest
 import navbake
 from leaf_plans import box, draw_plan, leaf, room, world
 from navbake.baker.clock import StageClock
-from navbake.baker.stages import take_first_look
+from navbake.baker.stages import open_stages
 from navbake.config.settings import parse_config
 
 CELLS = (0.05, 0.08, 0.1)
@@ -40,7 +40,7 @@ def find_rooms(tmp_path: Path):
         path = tmp_path / "scene.xml"
         path.write_text(world(*parts), encoding="utf-8")
         settings = {"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}}
-        return take_first_look(parse_config(settings), StageClock())
+        return open_stages(parse_config(settings), StageClock())
 
     return call
 

@@ -42,13 +42,13 @@ def endings_at(tmp_path: Path):
         path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
         config = {"scene": {"path": str(path)}, "grid": {"bounds": [-3, -3, 3, 3]}}
         stages = bake_stages(config)
-        agent, tiled, columns = stages.config.agent, stages.tiled, stages.columns
+        agent, tiles, columns = stages.config.agent, stages.tile_index, stages.columns
         point = agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, stages.lattice.cell_size)
 
         def is_occupied(cells, floors, band: Band | None = None, /):
             volume = narrow if band is None else narrow.between(band)
-            return look_at_cells(columns, tiled, volume, cells, floors).occupied
+            return look_at_cells(columns, tiles, volume, cells, floors).occupied
 
         sheets, settings = sheets_of(stages), stages.config.floors
         is_large = find_large_sheets(sheets, sheets.size > 0, settings)

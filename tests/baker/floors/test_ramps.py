@@ -48,7 +48,11 @@ def stages_of(tmp_path: Path):
 
 @pytest.fixture
 def bake(stages_of):
-    return lambda *args, **kwargs: build_grid(stages_of(*args, **kwargs))
+    def run(*args, **kwargs):
+        stages = stages_of(*args, **kwargs)
+        return build_grid(stages.config, stages.standing, stages.moving)
+
+    return run
 
 
 @pytest.mark.parametrize(("cell", "run"), [(0.1, 3.7), (0.14, 3.7), (0.13, 3.7)])

@@ -39,6 +39,10 @@ def grounds(stages: Stages) -> list[float]:
     return [round(level.ground, 6) for level in stages.floors.levels]
 
 
+def warnings_of(stages: Stages) -> list[str]:
+    return collect_warnings(stages.config, stages.standing, stages.moving)
+
+
 @pytest.mark.parametrize("cell", [0.05, 0.08, 0.1, 0.11])
 def test_stair_that_fills_its_opening_is_no_storey(tmp_path: Path, cell):
     path = tmp_path / "scene.xml"
@@ -52,7 +56,7 @@ def test_stair_that_fills_its_opening_is_no_storey(tmp_path: Path, cell):
 def test_treads_without_room_in_their_columns_are_left_out(tmp_path: Path):
     stages = stages_of_xml(tmp_path, two_storeys(under=0.06))
     assert grounds(stages) == [0, 2.8]
-    [warning] = [text for text in collect_warnings(stages) if "more floors than there are" in text]
+    [warning] = [text for text in warnings_of(stages) if "more floors than there are" in text]
     count = sum(len(patch.cells) for patch in stages.floors.spare)
     assert 0 < count < 40
     assert f"{count} cells of 'tread" in warning
@@ -122,7 +126,7 @@ def cast(folder: Path, xml: str) -> Stages:
 
 
 def column(stages: Stages, x: float, y: float) -> list[tuple[float, int]]:
-    columns = stages.judged_columns.at(np.arange(stages.judged_columns.lattice.width))
+    columns = stages.floor_columns.at(np.arange(stages.floor_columns.lattice.width))
     lattice = columns.lattice
     row, col = (int(i[0]) for i in lattice.rows_cols([[x, y]]))
     first, end = columns.start[[row * lattice.width + col, row * lattice.width + col + 1]]
@@ -138,7 +142,7 @@ def test_line_in_a_common_face_belongs_to_the_eastern_and_northern_geom(tmp_path
     assert column(stages, 0.35, 0.95) == [(0.0, 0), (0.2, 0)]
     south, north = box("", 0, 0, 0, 1, 0.45, 0.2), box("", 0, 0.45, 0, 1, 1, 0.7)
     stages = stages_of_xml(tmp_path, world(south + north))
-    columns = stages.judged_columns.at(np.arange(100))
+    columns = stages.floor_columns.at(np.arange(100))
     cell = 5 * 10 + 3  # of the row whose centre is at y = 0.45
     first, end = columns.start[cell], columns.start[cell + 1]
     assert columns.geom[first:end].tolist() == [1, 1]
@@ -160,8 +164,8 @@ def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
     one, other = boxes, bake_stages({"scene": {"path": str(mesh), "up": "z"}})
     settled = []
     for stages in (one, other):
-        columns = stages.judged_columns.at(np.arange(3))
-        raw = cast_columns(stages.tiled)
+        columns = stages.floor_columns.at(np.arange(3))
+        raw = cast_columns(stages.floor_tile_index)
         settled.append(np.flatnonzero(np.diff(columns.start) != np.diff(raw.start)).tolist())
     assert settled[0] == settled[1] != []
     assert grounds(one) == grounds(other) == [0, 2.8]
@@ -195,7 +199,7 @@ def plenum(gap: float) -> str:
 def test_void_is_no_level(tmp_path: Path):
     stages = stages_of_xml(tmp_path, plenum(1.34))
     assert grounds(stages) == [0]
-    [warning] = collect_warnings(stages)
+    [warning] = warnings_of(stages)
     assert "the void over 'ceiling' (73.0 m² at 2.68 m); `floors.voids: true` keeps all" in warning
     assert grounds(stages_of_xml(tmp_path, plenum(1.34), floors={"voids": True})) == [0, 2.68]
     assert grounds(stages_of_xml(tmp_path, plenum(1.9))) == [0, 2.68]
@@ -215,7 +219,7 @@ def test_crawl_space_below_is_no_level_and_not_where_one_starts(tmp_path: Path):
 def test_floor_inside_an_endless_plane_is_told(tmp_path: Path):
     geoms = [GROUND, box("", 0, 0, -2.9, 8, 7, -2.7), box("", 0, 0, -0.2, 8, 7, 0.1)]
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
-    [warning] = [text for text in collect_warnings(stages) if "endless plane" in text]
+    [warning] = [text for text in warnings_of(stages) if "endless plane" in text]
     assert "56.0 m² at -2.70 m under 'ground'" in warning
     assert "scene.exclude.geoms" in warning
 
@@ -227,7 +231,7 @@ def test_of_equal_terraces_the_upper_ones_are_tops(tmp_path: Path, cell):
     [level] = stages.floors.levels
     assert np.nanmax(level.floor[level.standable]) == 0
     assert len(stages.floors.tops) == 4
-    assert any("and 3 more); `floors.from:" in text for text in collect_warnings(stages))
+    assert any("and 3 more); `floors.from:" in text for text in warnings_of(stages))
 
 
 @pytest.mark.parametrize(("wide", "num_tops"), [(2.0, 1), (3.4, 0)])

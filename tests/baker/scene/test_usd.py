@@ -122,9 +122,11 @@ def compare(one: Any, other: Any, heights: float = 1e-6) -> None:
 def test_samples(tmp_path, name):
     spec = mujoco.MjSpec.from_file(str(SCENES / f"{name}.xml"))
     stage = write_model(spec.compile(), tmp_path / f"{name}.usdc")
+    # names differ, so that geoms would mark rooms in the MJCF only
+    settings = {"rooms": "auto"}
     for state in ("modelled", "closed"):
         grids = [
-            navbake.bake({"scene": {"path": str(path)}, "doors": {"state": state}})
+            navbake.bake({"scene": {"path": str(path)}, "doors": {"state": state}, **settings})
             for path in (stage, SCENES / f"{name}.xml")
         ]
         compare(*grids)
