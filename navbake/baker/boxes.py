@@ -55,8 +55,9 @@ def find_level_boxes(
     to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below the next box above it,
     or to the scene's top. Doors change neither.
 
-    `levels` are the lowest first, `occupied` their cells without doors, `scene_box` is that of all
-    finite geoms, (2, 3) [m]. An agent on the highest floor is in the highest level's box.
+    `levels` are the lowest first, `occupied` their cells that what stands occupies, `scene_box`
+    is that of all finite geoms that stand, (2, 3) [m]. An agent on the highest floor is in the
+    highest level's box.
     """
     written = [level.floor.astype(np.float32) for level in levels]
     lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in written]

@@ -1,4 +1,4 @@
-"""The columns of a whole scene, which may be too many to keep: found block by block, again."""
+"""The columns of all that stands, which may be too many to keep: found block by block, again."""
 
 from __future__ import annotations
 

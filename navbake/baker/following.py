@@ -62,15 +62,13 @@ class Compared(NamedTuple):
         poses: of the geoms, (ngeom, 12).
         turning: what says how hinges and slides turn, and how far; users write there.
         positions: of the hinges and slides.
-        marking_geoms: the geoms that may mark rooms, (ngeom,) bool.
-        marking_sites: the poses and sizes of the sites that may.
+        marking_sites: the poses and sizes of the sites that mark rooms.
     """
 
     choices: list[bytes]
     poses: Float
     turning: list[bytes]
     positions: Float
-    marking_geoms: Bool
     marking_sites: Float
 
 
@@ -94,18 +92,20 @@ class FollowedScene:
         self._slide_geoms = _mark_moved_by(model, (SLIDE,))
         self._finds_lifts = any(rule.auto == "lift" for rule in config.links)
         self._turning_positions = model.jnt_qposadr[np.isin(model.jnt_type, (HINGE, SLIDE))]
+        self._marking_geoms, self._marking_sites = find_markers(model, config.rooms)
         self.keep(scene, self._read(scene.data))
 
     def _read(self, data: Any) -> Compared:
         model = self._model
-        geoms, sites = find_markers(model, data, self._config.rooms, self.scene.stands)
+        sites = self._marking_sites
+        stands = self.scene.stands[model.site_bodyid[sites]]
+        where = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
         return Compared(
             choices=[getattr(model, name).tobytes() for name in CHOOSING],
             poses=np.hstack([data.geom_xpos, data.geom_xmat]),
             turning=[getattr(model, name).tobytes() for name in TURNING],
             positions=data.qpos[self._turning_positions],
-            marking_geoms=geoms,
-            marking_sites=sites,
+            marking_sites=np.hstack([values[sites][stands] for values in where]),
         )
 
     def keep(self, scene: Scene, compared: Compared) -> None:
@@ -175,10 +175,10 @@ class FollowedScene:
             return f"{name!r}, which stands, has changed"
         if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
+        marking = self._marking_geoms
+        stands = scene.stands[scene.model.geom_bodyid[marking]]
         sites = self._compared.marking_sites
-        if (moved & compared.marking_geoms).any() or not np.array_equal(
-            compared.marking_sites, sites
-        ):
+        if moved[marking][stands].any() or not np.array_equal(compared.marking_sites, sites):
             return "what marks rooms has changed"
         return ""
 

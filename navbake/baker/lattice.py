@@ -112,7 +112,10 @@ def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
     cols = np.stack([first_col - 1, last_col + 2]).clip(0, lattice.width).T.tolist()
     for (row, past_row), (col, past_col) in zip(rows, cols, strict=True):
         mask[row:past_row, col:past_col] = True
-    return np.flatnonzero(mask)
+    first = min((row for row, _ in rows), default=0)
+    last = max((past_row for _, past_row in rows), default=0)
+    near: Int = np.flatnonzero(mask[first:last]) + first * lattice.width
+    return near
 
 
 def bounding_window(mask: Bool) -> Window:

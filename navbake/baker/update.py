@@ -325,6 +325,9 @@ def _follow_lost_floors(
 
 def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> Moving:
     """The doors as the grid has them: those that moved, and those where cells differ, again."""
+    placed_doors = [placed for placed in moving.doors if placed.is_door]
+    if not placed_doors:
+        return replace(moving, cut_doors=[])
     standing = before.standing
     was = before.moving
     differing = [
@@ -334,7 +337,6 @@ def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> 
     former = [placed for placed in was.doors if placed.is_door]
     cut_by = dict(zip(former, was.cut_doors, strict=True))
     cut_doors = list[CutDoor]()
-    placed_doors = [placed for placed in moving.doors if placed.is_door]
     for placed in placed_doors:
         cut = cut_by.get(placed)
         if cut is None or _blocks_any(placed, differing):

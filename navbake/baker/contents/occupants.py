@@ -172,12 +172,9 @@ def _replace_entries(bands: list[Entries], cells: Int, found: Entries, lattice: 
             is_removed = is_asked[before.cell - low]
             removed.append(Entries(*(array[is_removed] for array in before)))
             kept = Entries(*(array[~is_removed] for array in before))
-            place = np.searchsorted(kept.cell, new.cell)
-            new = Entries(
-                cell=np.insert(kept.cell, place, new.cell),
-                geom=np.insert(kept.geom, place, new.geom),
-                flags=np.insert(kept.flags, place, new.flags),
-            )
+            both = join_entries([kept, new])
+            order = np.argsort(both.cell, kind="stable")
+            new = Entries(both.cell[order], both.geom[order], both.flags[order])
         bands[band] = new
     return join_entries(removed)
 

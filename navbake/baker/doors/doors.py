@@ -1,6 +1,6 @@
 """Doors: what each leaf blocks in each state, and which leaves are doors.
 
-Floors, levels and rooms are found without the leaves; closed ones part rooms. Whether a leaf is a
+Floors and levels are found without the leaves; closed leaves part rooms. Whether a leaf is a
 door depends on floors and rooms alone, not on what moves. The cells of a door are laid over what
 everything else occupies, so that a grid with a door in another state equals a bake of it.
 """
@@ -195,7 +195,7 @@ def warn_doors(doors: Sequence[PlacedLeaf], stuck_ids: Collection[str], wanted: 
 
 @dataclass(frozen=True)
 class DoorContext:
-    """What was found in the scene without its leaves."""
+    """What leaves are placed in: what stands, its floors, and the rooms that closed leaves part."""
 
     columns: ColumnSource
     floors: Sequence[LevelFloor]

@@ -79,7 +79,7 @@ class LevelFlags(NamedTuple):
 
 
 class RoomFlags(NamedTuple):
-    """All that rooms depend on besides settings."""
+    """All that rooms depend on besides settings and closed leaves."""
 
     lattice: Lattice
     levels: list[LevelFlags]
@@ -116,7 +116,7 @@ def read_flags(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Read all that rooms depend on from a scene and its earlier stages.
+    """Read all that rooms depend on, but settings and closed leaves.
 
     `occupied` are the cells of each level, of the whole lattice, that have no floor, or whose
     squares are met by what stands in an agent's way.
@@ -180,21 +180,15 @@ def mark_rooms(
     return found
 
 
-def find_markers(model: Any, data: Any, settings: RoomSettings, stands: Bool) -> tuple[Bool, Float]:
-    """The geoms of a model that may mark rooms, (ngeom,) bool, and the poses of such sites.
-
-    They are parts of bodies that stand, by body id; what can move marks no room.
-    """
-    geoms = np.zeros(model.ngeom, dtype=np.bool_)
+def find_markers(model: Any, settings: RoomSettings) -> tuple[list[int], list[int]]:
+    """The geoms and the sites of a model that mark rooms by name, if their bodies stand."""
+    geoms = list[int]()
     if "geoms" in settings.sources:
-        matching, _ = _match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
-        geoms[matching] = stands[model.geom_bodyid[matching]]
+        geoms, _ = _match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
     sites = list[int]()
     if "sites" in settings.sources:
-        matching, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
-        sites = [site for site in matching if stands[model.site_bodyid[site]]]
-    placed = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
-    return geoms, np.hstack(placed)[sites]
+        sites, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
+    return geoms, sites
 
 
 def _mark_by_geoms(

@@ -72,7 +72,7 @@ class GeomReport:
     # with the number of triangles that were turned to face out
     shape: str
     reason: str  # why it is counted or left out
-    role: str = ""  # structure, movable or leaf; empty where it isn't counted
+    role: str = ""  # one of `divide.ROLES`; empty where it isn't counted
 
 
 @dataclass
