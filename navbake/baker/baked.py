@@ -14,7 +14,6 @@ from navbake.baker.contents.occupants import Occupants
 from navbake.baker.doors.doors import PlacedLeaf
 from navbake.baker.floors.levels import Floors
 from navbake.baker.lattice import Window
-from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.traffic.areas import PaintedAreas
@@ -22,7 +21,7 @@ from navbake.baker.traffic.ground import Space
 from navbake.baker.traffic.links import BakedLinks
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Door
-from navbake.types import Float, Json
+from navbake.types import Json
 
 
 class FloorLattice(NamedTuple):
@@ -52,14 +51,11 @@ class Standing:
 
     Attributes:
         lattice: the cells.
-        judged: where floors were judged.
         floors: the storeys.
         layers: the layers of each level that nothing which moves changes.
-        occupancy: the cells that what stands occupies.
         contents: what stands in the cells; None where neither names nor rooms need it.
         rooms: the room of each cell.
         boxes: the rectangle and the box of each level.
-        holes: see `Stages.holes`.
         space: what links are found in; None where there are none.
         stated_settings: the settings and their digest, as a file states them.
         steps: the steps of the floors, with cells counted on each level's own rectangle.
@@ -67,14 +63,11 @@ class Standing:
     """
 
     lattice: Lattice
-    judged: FloorLattice
     floors: Floors
     layers: list[StandingLayers]
-    occupancy: Occupancy
     contents: Contents | None
     rooms: Rooms
     boxes: LevelBoxes
-    holes: Float
     space: Space | None
     stated_settings: Json
     steps: list[list[int]]
@@ -97,7 +90,7 @@ class CutDoor(NamedTuple):
 
 @dataclass(frozen=True)
 class Moving:
-    """What follows from the pose of a scene, too.
+    """What depends on the pose of a scene: what can move, doors, areas, links.
 
     Attributes:
         scene: the scene in its pose.

@@ -62,6 +62,7 @@ class Compared(NamedTuple):
         poses: of the geoms, (ngeom, 12).
         turning: what says how hinges and slides turn, and how far; users write there.
         positions: of the hinges and slides.
+        marking_geoms: the shapes of the geoms that mark rooms by name.
         marking_sites: the poses and sizes of the sites that mark rooms.
     """
 
@@ -69,6 +70,7 @@ class Compared(NamedTuple):
     poses: Float
     turning: list[bytes]
     positions: Float
+    marking_geoms: list[bytes]
     marking_sites: Float
 
 
@@ -105,6 +107,10 @@ class FollowedScene:
             poses=np.hstack([data.geom_xpos, data.geom_xmat]),
             turning=[getattr(model, name).tobytes() for name in TURNING],
             positions=data.qpos[self._turning_positions],
+            marking_geoms=[
+                getattr(model, name)[self._marking_geoms].tobytes()
+                for name in ("geom_type", "geom_dataid", "geom_size")
+            ],
             marking_sites=np.hstack([values[sites][stands] for values in where]),
         )
 
@@ -143,7 +149,7 @@ class FollowedScene:
             scene = load_scene(self._config, opened=self._opened._replace(data=data))
             geoms = find_differing(was.shapes, scene.shapes)
             geoms |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
-            scene.leaves = self._keep_leaves(scene.leaves, moved | geoms, compared)
+            scene = replace(scene, leaves=self._keep_leaves(scene.leaves, moved | geoms, compared))
             digest: Callable[[], str] = lambda: scene.digest  # noqa: E731
         else:
             digest = start_digest(model, data, was.parts, self._names)
@@ -170,6 +176,7 @@ class FollowedScene:
         """Why what stands, or what marks rooms, is another than before; empty where it isn't."""
         was = self.scene
         differs = geoms & (was.is_structure | scene.is_structure)
+        differs |= was.is_structure != scene.is_structure
         if differs.any():
             name = scene.geoms[int(np.argmax(differs))].name
             return f"{name!r}, which stands, has changed"
@@ -177,8 +184,10 @@ class FollowedScene:
             return "other bodies than before look like leaves of doors"
         marking = self._marking_geoms
         stands = scene.stands[scene.model.geom_bodyid[marking]]
-        sites = self._compared.marking_sites
-        if moved[marking][stands].any() or not np.array_equal(compared.marking_sites, sites):
+        is_other = moved[marking][stands].any()
+        is_other |= compared.marking_geoms != self._compared.marking_geoms
+        is_other |= not np.array_equal(compared.marking_sites, self._compared.marking_sites)
+        if is_other:
             return "what marks rooms has changed"
         return ""
 
@@ -234,7 +243,8 @@ class FollowedScene:
         """
         if compared.choices != self._compared.choices:
             return True
-        if (moved & self._slide_geoms).any() and self._finds_lifts:
+        turn_otherwise = compared.turning != self._compared.turning
+        if self._finds_lifts and (turn_otherwise or (moved & self._slide_geoms).any()):
             return True
         if self._config.scene.exclude.movable and (moved & self._hinged_geoms).any():
             return True

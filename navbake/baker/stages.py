@@ -288,9 +288,14 @@ class Stages:
             return place_doors(leaf_cells, context)
 
     @cached_property
+    def in_the_way(self) -> Bool:
+        """By geom id, whether it is only ever in the way."""
+        return mark_in_the_way(self.scene, self.doors, self.config)
+
+    @cached_property
     def occupants(self) -> Occupants:
         """What can move, and leaves that are no doors; and what anything but doors occupies."""
-        in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
+        in_the_way = self.in_the_way
         over_floors = self.over_floors
         with self.clock.stage("occupants"):
             return find_occupants(over_floors, self.scene.shapes, in_the_way)
@@ -310,22 +315,30 @@ class Stages:
     @cached_property
     def areas(self) -> PaintedAreas:
         """The areas of the settings, painted on the levels."""
-        rooms = self.rooms
         if not self.config.areas:
             return PaintedAreas([], [], [])
+        rooms = self.rooms
         with self.clock.stage("areas"):
             return paint_areas(self.scene, self.lattice, self.floors.levels, rooms, self.config)
 
     @cached_property
     def links(self) -> BakedLinks:
         """The named links, those of the settings and those that are found."""
-        standing = self.standing
-        doors = self.doors
-        occupants = self.occupants
         if not self.config.links:
             return BakedLinks([], [])
+        standing = self.standing
+        doors = self.doors
+        in_the_way = self.in_the_way
+        occupants = self.occupants
         with self.clock.stage("links"):
-            return make_links(self.scene, standing, doors, occupants.occupied, self.config)
+            return make_links(
+                self.scene,
+                standing,
+                doors=doors,
+                in_the_way=in_the_way,
+                occupied=occupants.occupied,
+                config=self.config,
+            )
 
     @cached_property
     def holes(self) -> Float:
@@ -362,14 +375,11 @@ class Stages:
         )
         return Standing(
             lattice=self.lattice,
-            judged=self.judged,
             floors=self.floors,
             layers=_cut_layers(self.floors.levels, self.rooms, boxes.windows),
-            occupancy=self.occupancy,
             contents=self.contents,
             rooms=self.rooms,
             boxes=boxes,
-            holes=self.holes,
             space=space,
             stated_settings={
                 "settingsDigest": settings_digest(self.config),
@@ -394,7 +404,6 @@ class Stages:
         """What follows from the pose, too, for the grid and its updates."""
         standing = self.standing
         occupants = self.occupants
-        in_the_way = mark_in_the_way(self.scene, self.doors, self.config)
         placed_doors = [placed for placed in self.doors if placed.is_door]
         return Moving(
             scene=self.scene,
@@ -402,7 +411,7 @@ class Stages:
             occupants=occupants,
             lost_floors=find_lost_floors(
                 self.scene.shapes,
-                in_the_way,
+                self.in_the_way,
                 mover_of=self.scene.mover_of,
                 levels=self.floors.levels,
                 lattice=self.lattice,
@@ -472,12 +481,13 @@ def occupancy_test(columns: ColumnSource, tiles: ShapeSource, config: BakeConfig
 def mark_in_the_way(scene: Scene, doors: Sequence[PlacedLeaf], config: BakeConfig) -> Bool:
     """Mark the geoms that are only ever in the way: movables, and leaves that are no doors.
 
-    With `exclude.movable`, such leaves are left out, too.
+    With `exclude.movable`, such leaves that can move are left out, too.
     """
-    in_the_way: Bool = scene.roles == MOVABLE
-    if not config.scene.exclude.movable:
-        rejected = [placed.candidate for placed in doors if not placed.is_door]
-        in_the_way |= mark_geoms(len(in_the_way), rejected)
+    rejected = [placed.candidate for placed in doors if not placed.is_door]
+    is_rejected = mark_geoms(len(scene.roles), rejected)
+    if config.scene.exclude.movable:
+        is_rejected &= scene.stands[scene.model.geom_bodyid]
+    in_the_way: Bool = is_rejected | (scene.roles == MOVABLE)
     return in_the_way
 
 
@@ -550,12 +560,15 @@ def make_links(
     scene: Scene,
     standing: Standing,
     doors: Sequence[PlacedLeaf],
+    in_the_way: Bool,
     occupied: Sequence[Bool],
     config: BakeConfig,
 ) -> BakedLinks:
     """Find the named links: those of the settings, and those that their rules find.
 
-    `occupied` are the cells of each level that anything but doors occupies.
+    Args:
+        in_the_way: see `mark_in_the_way`.
+        occupied: the cells of each level that anything but doors occupies.
     """
     if standing.space is None:
         return BakedLinks([], [])
@@ -565,7 +578,6 @@ def make_links(
         for cells in placed.blocked.values() if placed.is_door else ():
             for level, blocked in zip(free, cells, strict=True):
                 level.ravel()[blocked] = False
-    in_the_way = mark_in_the_way(scene, doors, config)
     ground = Ground(
         scene=scene,
         shapes=scene.shapes.only(scene.is_structure | in_the_way),

@@ -59,7 +59,7 @@ if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
 
 LOG = logging.getLogger("navbake")
 
-# What moved of so few geoms is not worth a second thread
+# With fewer boxes than this, one thread is faster
 FEW_BOXES = 16
 
 
@@ -209,7 +209,8 @@ class Baker:
                 reason = str(why)
                 LOG.debug("the whole scene is baked again: %s", reason)
                 now = self._bake(self._opened._replace(data=moved.scene.data))
-            now.moving.scene.digest = moved.digest()  # found beside all of that
+            # found beside all of that
+            now = _with_digest(now, moved.digest())
             old = self._grid
             grid = build_grid(self._config, now.standing, now.moving)
             cells, is_new = _compare(old, grid)
@@ -263,15 +264,26 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
             )
         if doors is not was.doors or moving.occupants is not was.occupants:
             moving = _cut_doors_again(moving, before, config)
-        if config.areas:
-            areas = paint_areas(
-                scene, standing.lattice, standing.floors.levels, standing.rooms, config
-            )
-            moving = replace(moving, areas=areas)
-        if config.links:
-            links = make_links(scene, standing, doors, moving.occupants.occupied, config)
-            moving = replace(moving, links=links)
+    if config.areas:
+        areas = paint_areas(scene, standing.lattice, standing.floors.levels, standing.rooms, config)
+        moving = replace(moving, areas=areas)
+    if config.links:
+        links = make_links(
+            scene,
+            standing,
+            doors=doors,
+            in_the_way=in_the_way,
+            occupied=moving.occupants.occupied,
+            config=config,
+        )
+        moving = replace(moving, links=links)
     return before._replace(moving=moving)
+
+
+def _with_digest(baked: BakedScene, digest: str) -> BakedScene:
+    """The same with the digest of its scene."""
+    scene = replace(baked.moving.scene, digest=digest)
+    return baked._replace(moving=replace(baked.moving, scene=scene))
 
 
 def _boxes_of_some(scene: Scene, chosen: Bool) -> Float:

@@ -87,8 +87,6 @@ def warn_of_standing(
 ) -> list[str]:
     """The warnings of what stands, in the order of the stages; see `Standing` for the arguments."""
     warnings = [
-        *scene.warnings,
-        *scene.unused,
         *_warn_part_judged(config, judged, scene),
         *_warn_patches(floors, scene, DROPPED),
         *_warn_high_grounds(config, floors),
@@ -103,7 +101,7 @@ def warn_of_standing(
 
 
 def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> list[str]:
-    """The warnings of all stages: those of what stands, then those of the pose."""
+    """The warnings of all stages: of the scene, of what stands, then of the pose."""
     warnings = [
         *_warn_unreached(standing.floors, moving),
         *_warn_nothing_free(config, standing.floors, moving),
@@ -117,7 +115,12 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
         *moving.areas.warnings,
         *moving.links.warnings,
     ]
-    return [*standing.warnings, *(printable(warning) for warning in warnings)]
+    of_scene = [*moving.scene.warnings, *moving.scene.unused]
+    return [
+        *map(printable, of_scene),
+        *standing.warnings,
+        *map(printable, warnings),
+    ]
 
 
 def _warn_part_judged(config: BakeConfig, judged: FloorLattice, scene: Scene) -> Iterator[str]:
@@ -186,6 +189,8 @@ def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
 def _warn_lost_floors(moving: Moving) -> Iterator[str]:
     """Warn of what can move and would be floor where there is none."""
     for body, area in moving.lost_floors.items():
+        if moving.scene.stands[body]:  # a leaf without a joint
+            continue
         name = body_name(moving.scene.model, body)
         yield (
             f"{name!r} moves and carries no floor, though {area:.1f} m² of it lie over none: "

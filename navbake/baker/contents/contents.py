@@ -185,8 +185,6 @@ def find_standing(
     solid = [mask.copy() for mask in taken] if footprint.radius > 0.0 else None
     flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
     lists = [GrowingLists(lattice) for _ in floors.levels if probed is not None]
-    by_ray = 0
-    by_fcl = 0
     for block in columns.blocks():
         tiled = block.near or tiles.rows(block.known_rows)
         first, end = block.known_rows.cells(lattice)
@@ -205,8 +203,6 @@ def find_standing(
             taken[k].reshape(-1)[look.cells] = look.found.occupied
             if solid is not None:
                 solid[k].reshape(-1)[look.cells] = look.found.solid
-            by_ray += look.found.by_ray
-            by_fcl += look.found.by_fcl
             if probed is not None:
                 lists[k].append(look, end / num_cells)
         with clock.part("rooms"):
@@ -214,7 +210,7 @@ def find_standing(
             for k, level in enumerate(floors.levels):
                 flag_columns(crossings, level, slice(first, end), agent, flags[k])
     levels = [growing.listed for growing in lists]
-    return StandingCells(Occupancy(taken, by_ray, by_fcl, solid), levels, flags)
+    return StandingCells(Occupancy(taken, solid), levels, flags)
 
 
 class GrowingLists:

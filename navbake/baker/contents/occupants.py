@@ -189,11 +189,12 @@ def join_entries(parts: Sequence[Entries]) -> Entries:
 
 
 def _count_taken(entries: Entries, standing: Bool, mover_of: Int, num_bodies: int) -> Int:
-    """How many of the entries' cells each body takes that nothing that stands blocks."""
-    counts = (entries.flags & BLOCKS) > 0
-    counts &= ~standing.ravel()[entries.cell]
+    """How many cells each body blocks that nothing which stands blocks."""
+    blocks_alone = (entries.flags & BLOCKS) > 0
+    blocks_alone &= ~standing.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
-    pair = entries.cell[counts] * num_bodies + mover_of[entries.geom[counts]]
+    bodies = mover_of[entries.geom[blocks_alone]]
+    pair = entries.cell[blocks_alone] * num_bodies + bodies
     is_first = np.diff(pair, prepend=-1) != 0
     return np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
 

@@ -54,8 +54,6 @@ class Leaf:
     """The geometry of a candidate in each of its states, on the whole lattice."""
 
     candidate: DoorCandidate
-    box: Float | None  # round all of its states, shape (2, 3) [m]; None if it has no geometry
-    is_beside: bool  # the lattice, as modelled
     # by state, the window near it and what is in it, None for no cells; states at one position of
     # the joint share one
     near: dict[str, Near | None]
@@ -234,10 +232,6 @@ def _pose_leaf(
         if (bounds := shapes.bounds) is not None
     }
     windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
-    whole_box = None
-    if boxes:
-        corners = np.array([*boxes.values()])
-        whole_box = np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
     near = dict[str, Near | None]()
     state_at = dict[float | None, str]()  # the first state at each position of the joint
     for state, shapes in shapes_at.items():
@@ -260,8 +254,6 @@ def _pose_leaf(
         travel = f"{np.degrees(opened_by):.3g}°" if is_hinge else f"{opened_by:.3g} m"
     return Leaf(
         candidate,
-        box=whole_box,
-        is_beside="modelled" in windows and windows["modelled"] is None,
         near=near,
         lines=_lines_from(extents["closed"], candidate.geoms, lattice, reach),
         tops=tops,
@@ -348,7 +340,7 @@ def place_doors(leaves: Sequence[LeafCells], context: DoorContext) -> list[Place
     """Decide which leaves are doors.
 
     One that a pattern or the file names is a door always. Another is one where it stands between
-    two rooms, or between a room and the outside; one beside the lattice, as modelled, is none.
+    two rooms, or between a room and the outside.
     """
     # of each cell of a level, how many closed leaves block it
     counts = [np.zeros(level.floor.size, dtype=np.int32) for level in context.floors]

@@ -53,7 +53,7 @@ SHELF_DEPTH = 2.5
 
 
 class Rejected(NamedTuple):
-    """The large sheets that are no floors: masks, shape (sheets,), that exclude one another.
+    """The large sheets that are no floors: masks, shape (sheets,); roofs are neither of the others.
 
     Attributes:
         tops, shelves, roofs: which sheets are such.

@@ -26,8 +26,7 @@ class LevelContents(NamedTuple):
             floor and ceiling; BLOCKS where it meets the volume of the occupancy; PROBED where it
             stands there and meets the square in `WALL_BAND`, of `wall_candidates` alone.
         carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
-        gap: how far the next geom's floor lies below it, shape (cells,), float64, inf for none [m];
-            of the newest contents.
+        gap: how far the next geom's floor lies below it, shape (cells,), float64, inf for none [m].
     """
 
     lattice: Any

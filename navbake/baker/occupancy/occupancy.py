@@ -14,7 +14,6 @@ from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, S
 from navbake.baker.kernels.tiles import TILE
 from navbake.baker.kernels.walk import (
     BLOCKS,
-    BY_LINE,
     SOLID,
     UNPROVED,
     UNPROVED_SOLID,
@@ -89,15 +88,11 @@ class Occupancy(NamedTuple):
     Attributes:
         levels: of each storey, shape (height, width) of the whole lattice, bool: a geom meets
             the volume over the cell's floor, or there is no floor.
-        by_ray: how many cells a ray alone proved occupied.
-        by_fcl: how many cells FCL decided.
         solid: `levels` for the volume over the cell's square alone; None where the agent's disc
             doesn't reach beyond it.
     """
 
     levels: list[Bool]
-    by_ray: int
-    by_fcl: int
     solid: list[Bool] | None
 
 
@@ -107,14 +102,11 @@ class Found(NamedTuple):
     Attributes:
         occupied: which cells are occupied, shape (n,), bool.
         solid: the same for their squares alone.
-        by_ray, by_fcl: see `Occupancy`.
         geom, flags: the lists of what stands in the cells, see `look_near`.
     """
 
     occupied: Bool
     solid: Bool
-    by_ray: int
-    by_fcl: int
     geom: Int32
     flags: NDArray[np.uint8]
 
@@ -185,8 +177,7 @@ def look_at_cells(
                 flags[i] |= BLOCKS if flags[i] & UNPROVED else 0
                 i += 1
         flags &= ~np.uint8(UNPROVED)
-    by_ray = int(np.count_nonzero(state & BY_LINE))
-    return Found(occupied, solid, by_ray, len(unproved), geom, flags)
+    return Found(occupied, solid, geom, flags)
 
 
 def ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from fnmatch import translate
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -89,21 +89,6 @@ class RoomFlags(NamedTuple):
     has_ground: bool  # endless ground goes on beyond the lattice
     links: Int  # steps between cells, see `Floors`, shape (n, 4)
     marks: Mapping[str, MarkedRooms]  # the rooms that each source marks
-
-
-def are_equal(one: Any, other: Any) -> bool:
-    """Whether flags, rooms or doors, or parts of them, are the same."""
-    if one is other:
-        return True
-    if is_dataclass(one):
-        return all(are_equal(getattr(one, k.name), getattr(other, k.name)) for k in fields(one))
-    if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(are_equal(one[k], other[k]) for k in one)
-    if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(are_equal, one, other))
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
-    return bool(one == other)
 
 
 def read_flags(

@@ -30,12 +30,12 @@ WRAP_JOINT, WRAP_SITE = 1, 3
 
 
 class Division(NamedTuple):
-    """The roles of a scene's geoms.
+    """How a scene is divided into structure, movables and leaves.
 
     Attributes:
         roles: by geom id, LEFT_OUT, STANDING, CARRIER, MOVABLE or LEAF, shape (ngeom,), uint8.
         movable: by body id, whether it can move and carries no floor, shape (nbody,), bool.
-        stands: by body id, whether it makes floors, walls and rooms, shape (nbody,), bool.
+        stands: by body id, whether it is structure, shape (nbody,), bool.
         movers: by body id, the topmost body that moves it; itself if none does.
         leaves: the bodies that may be doors, by body id.
         cars: the bodies that are cars of lifts, by body id.
@@ -101,27 +101,34 @@ def divide(
     cars = find_cars(model, data, shapes, config.links, config.agent, config.grid.cell_size)
     for body in cars:
         movable[body : ends[body]] = False
-    stands = ~movable
-    if not (counted & stands[model.geom_bodyid]).any():
-        stands = np.ones_like(movable)
-        warnings.append(
-            "all bodies can move, so that nothing stands: floors, walls and rooms are made of all "
-            "of them in the baked pose; `floors.movable` names those that stand"
+
+    def find_leaves(stands: Bool) -> tuple[list[DoorCandidate], list[str]]:
+        return find_candidates(
+            model,
+            data,
+            shapes=shapes,
+            counted=counted,
+            movable=movable,
+            stands=stands,
+            named=named_leaves,
+            settings=config.doors,
         )
-    leaves, unused = find_candidates(
-        model,
-        data,
-        shapes=shapes,
-        counted=counted,
-        movable=movable,
-        stands=stands,
-        named=named_leaves,
-        settings=config.doors,
-    )
+
+    stands = ~movable
+    leaves, unused = find_leaves(stands)
     roles = give_roles(model, counted, movable, stands, leaves)
     if not mark_structure(roles).any():
+        warnings.append(
+            "all bodies can move or look like doors, so that nothing stands: floors, walls and "
+            "rooms are made of all of them in the baked pose; `floors.movable` names those that "
+            "stand"
+        )
+        stands = np.ones_like(movable)
+        leaves, unused = find_leaves(stands)
+        roles = give_roles(model, counted, movable, stands, leaves)
+    if not mark_structure(roles).any():
         leaves = []
-        roles = np.where(counted, STANDING, LEFT_OUT).astype(np.uint8)
+        roles = give_roles(model, counted, movable, stands, leaves)
     return Division(
         roles=roles,
         movable=movable,

@@ -95,7 +95,7 @@ class Scene:
     meshes: MeshTriangles  # what the model's meshes count by, for geoms in other poses
     roles: NDArray[np.uint8]  # by geom id, see `divide`
     movable: Bool  # by body id, whether it can move and carries no floor
-    stands: Bool  # by body id, whether it makes floors, walls and rooms
+    stands: Bool  # by body id, whether it is structure
     movers: Int  # by body id, the topmost body that moves it; itself if none does
     actuated: frozenset[int]  # of these, those that actuators move
     named_leaves: frozenset[str]  # the names of bodies that the file says are doors
@@ -182,7 +182,8 @@ def load_scene(
     warnings = [" ".join(warning.split()) for warning in [*opened.warnings, *warned]]
     warnings += warn_out_of_range(model, settings)
     hints = [text for text in warnings if parts and "`scene.up" in text]
-    size = _warn_size(settings, parts, shapes.bounds)
+    bounds = shapes.only(mark_structure(division.roles)).bounds
+    size = _warn_size(settings, parts, bounds)
     hints += size
     warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *division.warnings]
     types = model.geom_type.tolist()
@@ -203,7 +204,7 @@ def load_scene(
         id=settings.id or stem_of(settings.path),
         geoms=geoms,
         shapes=shapes,
-        bounds=shapes.only(mark_structure(division.roles)).bounds,
+        bounds=bounds,
         digest=digest(),
         warnings=warnings,
         hints=hints,

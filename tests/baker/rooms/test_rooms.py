@@ -14,7 +14,6 @@ from box_worlds import body, box, stages_of_xml, world
 from navbake.baker.clock import StageClock
 from navbake.baker.kernels.constants import WALL
 from navbake.baker.pipeline import run_bake
-from navbake.baker.rooms.flags import LevelFlags, are_equal
 from navbake.baker.rooms.rooms import Opening, find_openings, find_rooms, match_doors
 from navbake.baker.rooms.segmentation import share_rest
 from navbake.baker.stages import open_stages
@@ -278,17 +277,6 @@ def test_rooms_depend_on_their_flags_alone():
     again = find_rooms(copy.deepcopy(flags), config.rooms, step, leaves)
     assert again.table == stages.rooms.table and again.links == stages.rooms.links
     np.testing.assert_array_equal(again.index, stages.rooms.index)
-    assert are_equal(flags, copy.deepcopy(flags))
-    for name in LevelFlags._fields:
-        other = copy.deepcopy(flags)
-        array = getattr(other.levels[1], name)
-        array[5, 5] = 1.5 if name == "floor" else not array[5, 5]
-        assert not are_equal(flags, other)
-    other = copy.deepcopy(flags)
-    other.marks["geoms"].labels[0][5, 5] += 1
-    assert not are_equal(flags, other)
-    assert not are_equal(flags, flags._replace(has_ground=not flags.has_ground))
-    assert not are_equal(flags, flags._replace(levels=flags.levels[:1]))
 
 
 def test_storeys_are_linked_by_steps():
