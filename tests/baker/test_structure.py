@@ -16,6 +16,7 @@ import navbake
 from box_worlds import FLOOR, body, box, world
 from door_scenes import CUPBOARD, LEAF, ROOMS
 from door_scenes import world as door_world
+from navbake.baker.stages import bake_stages
 from navbake.navgrid.grid import NavGrid
 from random_scenes import make_scene
 
@@ -324,3 +325,18 @@ def test_exclude_movable_leaves_a_planar_base_out_of_the_grid():
     grid = navbake.bake(path, exclude={"movable": True})
     assert np.count_nonzero(grid.occupancy) == 0
     assert grid.warnings == ()
+
+
+@pytest.mark.parametrize("exclude", [{}, {"movable": True}])
+def test_a_board_between_posts_stands_though_it_looks_like_a_leaf(exclude):
+    """It has no joint, and is no door, as both of its sides are outside."""
+    posts = "".join(f'<geom type="box" pos="3 {y} 1.1" size="0.05 0.2 1.1"/>' for y in (2.35, 3.65))
+    board = '<body name="board" pos="3 3 1"><geom type="box" size="0.02 0.44 1"/></body>'
+    ground = '<geom type="box" pos="3 3 -0.1" size="3 3 0.1"/>'
+    xml = f"<mujoco><worldbody>{ground}{posts}{board}</worldbody></mujoco>"
+    model = mujoco.MjModel.from_xml_string(xml)
+    stages = bake_stages(model, scene={"exclude": exclude})
+    assert [leaf.id for leaf in stages.scene.leaves] == ["board"]
+    grid = navbake.bake(model, exclude=exclude)
+    assert grid.doors == ()
+    assert grid.occupancy[grid.lattice.rows_cols(np.array([3.0, 3.0]))] == 1

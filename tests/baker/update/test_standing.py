@@ -495,3 +495,43 @@ def test_an_endless_plane_that_moves_is_no_ground():
     assert not any("'sea' is endless" in warning for warning in baker.grid.warnings)
     for height in (-0.8, 0.5, -0.5):
         check_local(baker, {}, bodies={"sea": [2.0, 2.0, height]})
+
+
+def test_a_geom_that_marks_a_room_grows():
+    carpet = (
+        '<geom name="carpet" type="box" pos="1.5 3 0.001" size="0.7 2.9 0.001" contype="0" '
+        'conaffinity="0"/>'
+    )
+    settings = {"rooms": {"geoms": ["carpet"], "sources": ["geoms", "auto"]}}
+    baker = navbake.Baker(make(CHAIR + carpet), **settings)
+    rooms = baker.grid.room_index.copy()
+    baker.model.geom_size[baker.model.geom("carpet").id, 0] = 1.4
+    assert check(baker, settings).reason == "what marks rooms has changed"
+    assert (baker.grid.room_index != rooms).any()
+
+
+def test_a_car_of_a_lift_loses_its_limits():
+    upper = '<geom type="box" pos="5 3 1.9" size="1 3 0.1"/>'
+    car = (
+        '<body name="car" pos="3.3 3 0.05"><joint name="car" type="slide" axis="0 0 1" '
+        'range="0 1.95" limited="true"/><geom type="box" size="0.6 0.6 0.05"/></body>'
+    )
+    settings = {"links": [{"auto": "lift"}], "floors": {"roofs": True, "tops": True}}
+    baker = navbake.Baker(make(upper + car), **settings)
+    assert (baker.grid.levels[0].floor_height > 0.05).any()
+    baker.model.jnt_limited[0] = 0
+    assert check(baker, settings).reason
+    assert not (baker.grid.levels[0].floor_height > 0.05).any()
+
+
+@pytest.mark.parametrize("place", [[1.0, 1.0, 0.4], [9e4, 0.0, 0.4]])
+def test_the_size_of_a_scene_is_that_of_what_stands(place):
+    chair = CHAIR.replace("1 1 0.4", "0.005 0 0.4")
+    floor = '<geom type="box" size="0.02 0.02 0.01"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{floor}{chair}</worldbody></mujoco>"
+    )
+    settings = {"grid": {"cell_size": 0.01}, "floors": {"min_area": 0.0001, "shrink": 0.0}}
+    baker = navbake.Baker(model, **settings)
+    assert any("only 0.04 m large" in warning for warning in baker.grid.warnings)
+    check_local(baker, settings, bodies={"chair": place})
