@@ -23,9 +23,7 @@ from navbake.baker.clock import StageClock
 from navbake.baker.contents.lost_floors import find_lost_floors
 from navbake.baker.contents.occupants import (
     OverFloors,
-    boxes_of,
     find_occupants_again,
-    geoms_of,
 )
 from navbake.baker.doors.doors import (
     DoorContext,
@@ -288,7 +286,7 @@ def _with_digest(baked: BakedScene, digest: str) -> BakedScene:
 
 def _boxes_of_some(scene: Scene, chosen: Bool) -> Float:
     """The boxes of the chosen geoms of a scene, (n, 6) [m]."""
-    boxes: Float = boxes_of(scene.shapes)[chosen[geoms_of(scene.shapes)]]
+    boxes: Float = scene.shapes.boxes[chosen[scene.shapes.boxed_geoms]]
     return boxes
 
 

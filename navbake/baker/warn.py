@@ -21,9 +21,10 @@ from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
-from navbake.types import Float, Int
+from navbake.types import Bool, Float, Int
 
 SPARSE = 64  # a first look at floors reads one row of so many
+ROWS = 64  # of a level, looked at together for a cell that is free
 # How far below a given ground the floor that it means lies at most: the thickness of a slab [m]
 NEAR_GROUND = 0.5
 LEAST_HOLE = 0.05  # of the holes of a mesh that a warning names [m²]
@@ -140,7 +141,7 @@ def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> It
     full = [
         repr(level.name)
         for level, taken in zip(floors.levels, moving.occupants.occupied, strict=True)
-        if not (level.standable > taken).any()  # one pass: standable, and not taken
+        if not _has_free(level.standable, taken)
     ]
     if full:
         agent = config.agent
@@ -150,6 +151,12 @@ def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> It
             f"{agent.radius:g} m radius can stand nowhere there; `navbake why` names what blocks a "
             f"place{lying}"
         )
+
+
+def _has_free(standable: Bool, taken: Bool) -> bool:
+    """Whether any cell is standable, and not taken; most levels have one in their first rows."""
+    rows = range(0, len(taken), ROWS)
+    return any((standable[row : row + ROWS] > taken[row : row + ROWS]).any() for row in rows)
 
 
 def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:

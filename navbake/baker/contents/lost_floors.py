@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from navbake.baker.columns import cast_columns, tile_shapes
-from navbake.baker.contents.occupants import boxes_of, geoms_of
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
@@ -37,9 +36,9 @@ def find_lost_floors(
     Returns:
         The area of each body's top over no floor, `LEAST_FLOOR` or more, by body id [m²].
     """
-    geoms = geoms_of(shapes)
+    geoms = shapes.boxed_geoms
     is_chosen = chosen[geoms]
-    boxes = boxes_of(shapes)[is_chosen]
+    boxes = shapes.boxes[is_chosen]
     # what is endless is looked at on the lattice
     x_min, y_min, x_max, y_max = lattice.bounds
     boxes[:, 0:4:3] = np.clip(boxes[:, 0:4:3], x_min, x_max)

@@ -29,7 +29,7 @@ from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.types import Bool, Float, Int, Int32
 
 # Rows of cells whose entries lie together
-BAND_ROWS = 8
+BAND_ROWS = 16
 # Where more than this share of a block's cells are looked at, all of its columns are cast together,
 # which is faster by the column
 MOST_POINTS = 1 / 8
@@ -114,7 +114,7 @@ def find_occupants(over: OverFloors, shapes: Shapes, in_the_way: Bool) -> Occupa
         solid=over.standing.solid,
         taken=np.zeros(int(over.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
-    boxes = boxes_of(shapes)[in_the_way[geoms_of(shapes)]]
+    boxes = shapes.boxes[in_the_way[shapes.boxed_geoms]]
     return find_occupants_again(nothing, over, shapes, in_the_way, boxes)
 
 
@@ -238,27 +238,16 @@ def _look_at_cells(over: OverFloors, shapes: Shapes, rows: Rows, cells: Int) -> 
     return found
 
 
-def boxes_of(shapes: Shapes) -> Float:
-    """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
-    planes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(shapes.planes.geom), 1))
-    return np.concatenate([shapes.solids.bounds, shapes.meshes.boxes, planes])
-
-
-def geoms_of(shapes: Shapes) -> Int32:
-    """The geom of each of `boxes_of`."""
-    return np.concatenate([shapes.solids.geom, shapes.meshes.geom, shapes.planes.geom])
-
-
 def _mark_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bool:
     """Mark the geoms whose boxes are near the rectangle round some cells, ascending."""
     row, col = np.divmod(cells, lattice.width)
     far = reach + lattice.cell_size
     x, y = lattice.positions(row[[0, -1]], np.array([col.min(), col.max()])).T
-    boxes = boxes_of(shapes)
+    boxes = shapes.boxes
     is_near = (boxes[:, 0] <= x[1] + far) & (boxes[:, 3] >= x[0] - far)
     is_near &= (boxes[:, 1] <= y[0] + far) & (boxes[:, 4] >= y[1] - far)
     marked = np.zeros(len(shapes.endless), dtype=np.bool_)
-    marked[geoms_of(shapes)[is_near]] = True
+    marked[shapes.boxed_geoms[is_near]] = True
     return marked
 
 

@@ -152,6 +152,17 @@ class Shapes:
         low, high = boxes[:, :3], boxes[:, 3:]
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
+    @cached_property
+    def boxes(self) -> Float:
+        """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
+        planes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
+        return np.concatenate([self.solids.bounds, self.meshes.boxes, planes])
+
+    @cached_property
+    def boxed_geoms(self) -> Int32:
+        """The geom of each of `boxes`."""
+        return np.concatenate([self.solids.geom, self.meshes.geom, self.planes.geom])
+
     @property
     def triangles(self) -> Facets:
         """All triangles."""
