@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.divide import LEAF, LEFT_OUT, give_roles
+from navbake.baker.scene.divide import CARRIER, LEAF, LEFT_OUT, give_roles
 from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.scene.model import OpenScene, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
@@ -178,8 +178,10 @@ class FollowedScene:
         differs = geoms & (was.is_structure | scene.is_structure)
         differs |= was.is_structure != scene.is_structure
         if differs.any():
-            name = scene.geoms[int(np.argmax(differs))].name
-            return f"{name!r}, which stands, has changed"
+            geom = int(np.argmax(differs))
+            name = scene.geoms[geom].name
+            does = "carries floor" if CARRIER in (was.roles[geom], scene.roles[geom]) else "stands"
+            return f"{name!r}, which {does}, has changed"
         if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
         marking = self._marking_geoms

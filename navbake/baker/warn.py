@@ -182,8 +182,8 @@ def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
         pattern = body_name(scene.model, int(robots[0]))
         yield (
             f"bodies with actuators take floor, where they stand now: {name(robots)}; what is to "
-            f"drive through the grid is left out by `robot=` in Python, by "
-            f"`scene.exclude.bodies: [{pattern}]` in the settings"
+            f"drive through the grid is left out by `scene.exclude.bodies: [{pattern}]` in the "
+            f"settings, by `robot=` in Python"
         )
     if len(things):
         yield (
@@ -201,7 +201,8 @@ def _warn_lost_floors(moving: Moving) -> Iterator[str]:
         name = body_name(moving.scene.model, body)
         yield (
             f"{name!r} moves and carries no floor, though {area:.1f} m² of it lie over none: "
-            f"`floors.movable: [{name}]` makes floor of it in the baked pose"
+            f"`floors.movable: [{name}]` lets it carry floor in the baked pose; where its top is "
+            f"more than a step over the floor beside it, `floors.from` has to name it, too"
         )
 
 

@@ -333,7 +333,7 @@ def test_a_body_that_carries_floors_moves():
     row, col = baker.grid.lattice.rows_cols([6.5, 3.0])
     assert baker.grid.floor_height[row, col] == 0.0
     reason = check(baker, settings, bodies={"bridge": [20.0, 3.0, -0.1]}).reason
-    assert reason == "'boards', which stands, has changed"
+    assert reason == "'boards', which carries floor, has changed"
     assert np.isnan(baker.grid.floor_height[row, col])
     check_local(baker, settings, bodies={"chair": [3.0, 3.0, 0.4]})
     # without the setting it is in the way, and no floor
@@ -350,7 +350,7 @@ def test_a_car_of_a_lift_moves():
     settings = {"grid": {"bounds": [0, 0, 8, 6]}, "links": [{"auto": "lift"}]}
     baker = navbake.Baker(make(CHAIR + car), **settings)
     assert check(baker, settings, joints={"car": 1.0}).reason == (
-        "'plate', which stands, has changed"
+        "'plate', which carries floor, has changed"
     )
     check_local(baker, settings, bodies={"chair": [3.0, 3.0, 0.4]})
     # where no lifts are looked for, it is a thing
