@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navbake.baker.boxes import LevelBoxes
 from navbake.baker.contents.contents import Contents
 from navbake.baker.contents.occupants import Occupants
-from navbake.baker.doors.doors import PlacedLeaf
+from navbake.baker.doors.doors import PlacedLeaf, keep_doors
 from navbake.baker.floors.levels import Floors
 from navbake.baker.lattice import Window
 from navbake.baker.rooms.rooms import Rooms
@@ -21,7 +21,7 @@ from navbake.baker.traffic.ground import Space
 from navbake.baker.traffic.links import BakedLinks
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Door
-from navbake.types import Json
+from navbake.types import Bool, Json
 
 
 class FloorLattice(NamedTuple):
@@ -95,6 +95,7 @@ class Moving:
     Attributes:
         scene: the scene in its pose.
         doors: what each leaf is, and what it blocks in each state.
+        in_the_way: by geom id, whether it is only ever in the way, see `mark_in_the_way`.
         occupants: what can move, and leaves that are no doors; and all cells that are occupied,
             but by doors.
         lost_floors: by body id, how much floor there would be on what can move [m²].
@@ -106,9 +107,15 @@ class Moving:
 
     scene: Scene
     doors: list[PlacedLeaf]
+    in_the_way: Bool
     occupants: Occupants
     lost_floors: dict[int, float]
     cut_doors: list[CutDoor]
     room_table: list[Json]
     areas: PaintedAreas
     links: BakedLinks
+
+    @property
+    def placed_doors(self) -> list[PlacedLeaf]:
+        """The leaves that are doors."""
+        return keep_doors(self.doors)

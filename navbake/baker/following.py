@@ -193,12 +193,16 @@ class FollowedScene:
             return "what marks rooms has changed"
         return ""
 
+    def _turn_otherwise(self, compared: Compared) -> bool:
+        """Whether hinges and slides turn otherwise than before, as someone wrote to the model."""
+        return compared.turning != self._compared.turning
+
     def _follow_leaves(self, scene: Scene, moved: Bool, compared: Compared) -> Scene:
         """The scene with the leaves of now."""
-        turn_otherwise = compared.turning != self._compared.turning
         is_turned = not np.array_equal(compared.positions, self._compared.positions)
         may_be_leaf = self._hinged_geoms | mark_geoms(len(moved), scene.leaves)
-        if not turn_otherwise and not is_turned and not (moved & may_be_leaf).any():
+        is_turned |= self._turn_otherwise(compared)
+        if not is_turned and not (moved & may_be_leaf).any():
             return scene
         leaves, unused = find_candidates(
             scene.model,
@@ -220,7 +224,7 @@ class FollowedScene:
         self, leaves: list[DoorCandidate], moved: Bool, compared: Compared
     ) -> list[DoorCandidate]:
         """The leaves of now, of which those that don't differ are the objects that they were."""
-        turn_otherwise = compared.turning != self._compared.turning
+        turn_otherwise = self._turn_otherwise(compared)
         former = {leaf.id: leaf for leaf in self.scene.leaves}
 
         def is_same(leaf: DoorCandidate) -> bool:
@@ -245,8 +249,8 @@ class FollowedScene:
         """
         if compared.choices != self._compared.choices:
             return True
-        turn_otherwise = compared.turning != self._compared.turning
-        if self._finds_lifts and (turn_otherwise or (moved & self._slide_geoms).any()):
+        may_be_car = (moved & self._slide_geoms).any() or self._turn_otherwise(compared)
+        if self._finds_lifts and may_be_car:
             return True
         if self._config.scene.exclude.movable and (moved & self._hinged_geoms).any():
             return True

@@ -98,13 +98,21 @@ def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[L
     return extend(reach), (slice(row, row + lattice.height), slice(col, col + lattice.width))
 
 
+def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
+    """Boxes, (n, 6) [m], that reach beyond the lattice by at most `margin` [m], at any height."""
+    x_min, y_min, x_max, y_max = lattice.bounds
+    low = np.array([x_min - margin, y_min - margin, -np.inf])
+    high = np.array([x_max + margin, y_max + margin, np.inf])
+    clipped: Float = boxes.clip(np.tile(low, 2), np.tile(high, 2))
+    return clipped
+
+
 def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
     """The cells within `reach` [m] and one cell of boxes, (n, 6) [m]; ascending."""
-    x0, y0, x1, y1 = lattice.bounds
-    far = reach + 4 * lattice.cell_size  # boxes may be endless
-    low, high = (x0 - far, y0 - far), (x1 + far, y1 + far)
-    west, south = (boxes[:, :2].clip(low, high) - reach).T
-    east, north = (boxes[:, 3:5].clip(low, high) + reach).T
+    # boxes may be endless
+    near_boxes = clip_boxes(lattice, boxes, reach + 4 * lattice.cell_size)
+    west, south = (near_boxes[:, :2] - reach).T
+    east, north = (near_boxes[:, 3:5] + reach).T
     first_row, first_col = lattice.rows_cols(np.stack([west, north], axis=1))
     last_row, last_col = lattice.rows_cols(np.stack([east, south], axis=1))
     mask = np.zeros(lattice.shape, dtype=np.bool_)

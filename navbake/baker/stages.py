@@ -41,6 +41,7 @@ from navbake.baker.doors.doors import (
     block_cells,
     cut_door,
     is_stuck,
+    keep_doors,
     place_doors,
     pose_leaves,
 )
@@ -404,10 +405,11 @@ class Stages:
         """What follows from the pose, too, for the grid and its updates."""
         standing = self.standing
         occupants = self.occupants
-        placed_doors = [placed for placed in self.doors if placed.is_door]
+        placed_doors = keep_doors(self.doors)
         return Moving(
             scene=self.scene,
             doors=self.doors,
+            in_the_way=self.in_the_way,
             occupants=occupants,
             lost_floors=find_lost_floors(
                 self.scene.shapes,
@@ -574,8 +576,8 @@ def make_links(
         return BakedLinks([], [])
     floors = np.stack([level.floor for level in standing.floors.levels])
     free = ~(np.stack(occupied) | np.isnan(floors))
-    for placed in doors:  # as doors are, so are their links
-        for cells in placed.blocked.values() if placed.is_door else ():
+    for placed in keep_doors(doors):  # as doors are, so are their links
+        for cells in placed.blocked.values():
             for level, blocked in zip(free, cells, strict=True):
                 level.ravel()[blocked] = False
     ground = Ground(

@@ -236,17 +236,16 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
     if lay_lattice(scene, config) != standing.lattice:
         raise WholeBake("the grid is another one: the box round the scene has changed")
     doors = _follow_doors(before, scene)
-    in_the_way_before = mark_in_the_way(was.scene, was.doors, config)
     in_the_way = mark_in_the_way(scene, doors, config)
-    differs = moved.geoms & (in_the_way_before | in_the_way)
-    differs |= in_the_way_before ^ in_the_way
+    differs = moved.geoms & (was.in_the_way | in_the_way)
+    differs |= was.in_the_way ^ in_the_way
     boxes = np.concatenate(
         [
-            _boxes_of_some(was.scene, differs & in_the_way_before),
+            _boxes_of_some(was.scene, differs & was.in_the_way),
             _boxes_of_some(scene, differs & in_the_way),
         ]
     )
-    moving = replace(was, scene=scene, doors=doors)
+    moving = replace(was, scene=scene, doors=doors, in_the_way=in_the_way)
     with limit_threads(1 if len(boxes) < FEW_BOXES else None):
         if differs.any():
             moving = replace(
@@ -258,7 +257,7 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
                     in_the_way=in_the_way,
                     boxes=boxes,
                 ),
-                lost_floors=_follow_lost_floors(moving, standing, in_the_way, differs, config),
+                lost_floors=_follow_lost_floors(moving, standing, differs, config),
             )
         if doors is not was.doors or moving.occupants is not was.occupants:
             moving = _cut_doors_again(moving, before, config)
@@ -315,7 +314,7 @@ def _follow_doors(before: BakedScene, scene: Scene) -> list[PlacedLeaf]:
 
 
 def _follow_lost_floors(
-    moving: Moving, standing: Standing, in_the_way: Bool, differs: Bool, config: BakeConfig
+    moving: Moving, standing: Standing, differs: Bool, config: BakeConfig
 ) -> dict[int, float]:
     """How much floor there would be on what can move; looked at again where geoms differ."""
     mover_of = moving.scene.mover_of
@@ -323,7 +322,7 @@ def _follow_lost_floors(
     is_other[mover_of[differs]] = True
     found = find_lost_floors(
         moving.scene.shapes,
-        in_the_way & is_other[mover_of],
+        moving.in_the_way & is_other[mover_of],
         mover_of=mover_of,
         levels=standing.floors.levels,
         lattice=standing.lattice,
@@ -335,7 +334,7 @@ def _follow_lost_floors(
 
 def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> Moving:
     """The doors as the grid has them: those that moved, and those where cells differ, again."""
-    placed_doors = [placed for placed in moving.doors if placed.is_door]
+    placed_doors = moving.placed_doors
     if not placed_doors:
         return replace(moving, cut_doors=[])
     standing = before.standing
@@ -344,8 +343,7 @@ def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> 
         _differ(moving.occupants.occupied, was.occupants.occupied),
         _differ(moving.occupants.solid or [], was.occupants.solid or []),
     ]
-    former = [placed for placed in was.doors if placed.is_door]
-    cut_by = dict(zip(former, was.cut_doors, strict=True))
+    cut_by = dict(zip(was.placed_doors, was.cut_doors, strict=True))
     cut_doors = list[CutDoor]()
     for placed in placed_doors:
         cut = cut_by.get(placed)

@@ -86,7 +86,7 @@ def warn_of_standing(
     boxes: LevelBoxes,
     holes: Float,
 ) -> list[str]:
-    """The warnings of what stands, in the order of the stages; see `Standing` for the arguments."""
+    """The warnings of what stands, in the order of the stages, whose values the arguments are."""
     warnings = [
         *_warn_part_judged(config, judged, scene),
         *_warn_patches(floors, scene, DROPPED),
@@ -109,7 +109,7 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
         *_warn_movable(standing, moving),
         *_warn_lost_floors(moving),
         *warn_doors(
-            [placed for placed in moving.doors if placed.is_door],
+            moving.placed_doors,
             {cut.door.id for cut in moving.cut_doors if cut.is_stuck},
             config.doors.state,
         ),

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from navbake.baker.columns import cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.floors.surfaces import find_standable_tops
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.lattice import clip_boxes
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Int
 
 # The least floor on something that can move that is worth a warning [m²]
 LEAST_FLOOR = 1.0
@@ -38,11 +39,8 @@ def find_lost_floors(
     """
     geoms = shapes.boxed_geoms
     is_chosen = chosen[geoms]
-    boxes = shapes.boxes[is_chosen]
     # what is endless is looked at on the lattice
-    x_min, y_min, x_max, y_max = lattice.bounds
-    boxes[:, 0:4:3] = np.clip(boxes[:, 0:4:3], x_min, x_max)
-    boxes[:, 1:5:3] = np.clip(boxes[:, 1:5:3], y_min, y_max)
+    boxes = clip_boxes(lattice, shapes.boxes[is_chosen], 0.0)
     movers = mover_of[geoms[is_chosen]]
     size = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
     large = np.flatnonzero(np.bincount(movers, size) >= LEAST_FLOOR - SLACK)
@@ -59,7 +57,9 @@ def find_lost_floors(
             bare &= ~(level.floor[window] <= high[2])
         if np.count_nonzero(bare) * lattice.cell_size**2 < LEAST_FLOOR - SLACK:
             continue
-        top = _find_top(shapes.only(chosen & (mover_of == mover)), lattice.cut(*window), agent)
+        top = find_standable_tops(
+            shapes.only(chosen & (mover_of == mover)), lattice.cut(*window), agent
+        )
         bare = ~np.isnan(top)
         for level in levels:
             bare &= ~(level.floor[window] <= top)
@@ -67,14 +67,3 @@ def find_lost_floors(
         if area >= LEAST_FLOOR - SLACK:
             areas[mover] = area
     return areas
-
-
-def _find_top(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
-    """The height of the top of each column, NaN where it is none that one can stand on [m]."""
-    columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
-    has_any: Bool = np.diff(columns.start) > 0
-    last = columns.start[1:][has_any] - 1
-    is_flat = columns.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
-    top = np.full(len(has_any), np.nan)
-    top[has_any] = np.where(is_flat, columns.z[last], np.nan)
-    return top.reshape(lattice.shape)

@@ -16,11 +16,12 @@ import numpy as np
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.doors.poses import pose_doors
 from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.floors.surfaces import find_standable_tops
 from navbake.baker.kernels.constants import HINGE, SLACK
 from navbake.baker.kernels.overlap import lines_blocked
 from navbake.baker.lattice import EDGES, Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
-from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines
+from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, see_to_walls
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.leaves import DoorCandidate, largest_side
@@ -115,6 +116,11 @@ class PlacedLeaf:
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
+
+
+def keep_doors(leaves: Sequence[PlacedLeaf]) -> list[PlacedLeaf]:
+    """Those of the leaves that are doors."""
+    return [placed for placed in leaves if placed.is_door]
 
 
 def free_cells(blocked: CellsByState, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
@@ -420,10 +426,7 @@ def _rooms_beside(
     sight = leaf.lines.sight
     inside = sight >= 0
     cell = np.maximum(sight, 0)
-    floor = context.floors[level].floor.ravel()
-    is_open = context.rooms.open_cells[level].ravel()
-    is_wall = inside & ~is_open[cell] & ~np.isnan(floor[cell])
-    is_seen = ~np.logical_or.accumulate(is_wall, axis=-1)
+    is_seen = see_to_walls(sight, context.rooms.open_cells[level], context.floors[level].floor)
     if not is_seen.any(axis=(1, 2)).all():
         return None
     is_leaf = leaf_counts[level][cell] > np.isin(cell, closed[level])
@@ -461,12 +464,7 @@ def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
         return 0.0
     rows, cols = window
     cut = lattice.cut(rows, cols)
-    columns = cast_columns(tile_shapes(shapes, cut, 0.0))
-    has_any = np.flatnonzero(np.diff(columns.start))
-    last = columns.start[has_any + 1] - 1
-    is_flat = columns.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
-    top = np.full(cut.shape, np.nan)  # of each cell, if one can stand there
-    top.ravel()[has_any[is_flat]] = columns.z[last[is_flat]]
+    top = find_standable_tops(shapes, cut, agent)
     step = agent.traversable_floor_height + SLACK
     floors = [level.floor[window] for level in context.floors]
     for floor in floors:  # what lies on a floor is a mat

@@ -242,9 +242,8 @@ def _have_no_walls(site: Site, candidates: Bool) -> Bool:
     # from the innermost cells near an edge to those just beyond it
     cells_near = [beside(lattice, edges.cell, edges.way, k) for k in range(farthest_in, 2)]
     all_near = np.concatenate(cells_near)
-    site.columns.at(
-        all_near[all_near >= 0]
-    )  # of all at once, as parts of these are asked for below
+    # of all cells at once, as parts of them are asked for below
+    site.columns.at(all_near[all_near >= 0])
     kind = site.barriers(edges, agent)
     is_known = site.is_known(kind, edges.way)
     for cells in cells_near[-3::-1]:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.blocks import Blocks, join_parts, list_rows
-from navbake.baker.columns import ColumnSource, Rows
+from navbake.baker.columns import ColumnSource, Rows, cast_columns, tile_shapes
 from navbake.baker.floors.kernels.surfaces import Surfaces, list_surfaces
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.tiles import SIZE
-from navbake.baker.scene.shapes import Planes
+from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS
@@ -24,6 +24,17 @@ def agent_limits(agent: AgentSettings) -> AgentLimits:
     """What an agent can stand on, as kernels take it."""
     min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
     return AgentLimits(min_up, agent.height, agent.traversable_floor_height)
+
+
+def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
+    """The height of the top of each cell's column, NaN where it is too steep to stand on [m]."""
+    columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
+    has_any = np.flatnonzero(np.diff(columns.start))
+    last = columns.start[has_any + 1] - 1
+    is_flat = columns.normal[last, 2] >= agent_limits(agent).min_up
+    top = np.full(lattice.shape, np.nan)
+    top.ravel()[has_any[is_flat]] = columns.z[last[is_flat]]
+    return top
 
 
 def slopes_may_join(lattice: Lattice, agent: AgentSettings) -> bool:

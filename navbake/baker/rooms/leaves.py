@@ -11,7 +11,7 @@ import numpy as np
 
 from navbake.baker.connect import count_cells, label_parts
 from navbake.baker.rooms.flags import LevelFlags
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 # A space behind a leaf counts from so much of it on that is free of structure: a niche that a
 # fridge fills is none; smaller ones between two leaves belong to the leaves [m²]
@@ -145,12 +145,9 @@ class _Spaces:
         `sight`: those of `LeafLines`, shape (leaves, 2, lines, steps); returns (leaves, 2, lines).
         What is too small for a space becomes a part of the barrier, and lines go on behind it.
         """
-        floor = self._level.floor.ravel()
-        is_open = self._level.open.ravel()
-        is_inside = sight >= 0
         cell = np.maximum(sight, 0)
-        is_wall = is_inside & ~is_open[cell] & ~np.isnan(floor[cell])
-        is_seen = is_inside & is_open[cell] & ~np.logical_or.accumulate(is_wall, axis=-1)
+        is_seen = see_to_walls(sight, self._level.open, self._level.floor)
+        is_seen &= (sight >= 0) & self._level.open.ravel()[cell]
         while True:
             is_beyond = is_seen & ~self.barrier.ravel()[cell]
             first = is_beyond.argmax(axis=-1)
@@ -185,6 +182,16 @@ class _Spaces:
             near_sides = _commonest(np.where(is_near, part[row, col], 0)[None])[0]
             is_parting[leaf] = (near_sides > 0).all() and near_sides[0] != near_sides[1]
         return np.asarray(is_parting)
+
+
+def see_to_walls(sight: Int, is_open: Bool, floor: Float) -> Bool:
+    """Which steps of lines of sight, see `LeafLines`, lie before the first wall on their line.
+
+    A wall is a cell of a level that has a floor, and is not open.
+    """
+    cell = np.maximum(sight, 0)
+    is_wall = (sight >= 0) & ~is_open.ravel()[cell] & ~np.isnan(floor.ravel()[cell])
+    return ~np.logical_or.accumulate(is_wall, axis=-1)
 
 
 def _commonest(label: Int32) -> Int32:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.columns import cast_columns, tile_shapes
+from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.constants import SLACK, SLIDE
 from navbake.baker.scene.names import all_names, find_subtree_ends, mark_body
 from navbake.baker.scene.shapes import Shapes
@@ -71,7 +72,7 @@ def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFl
     # up to what is next above it in its column
     is_last = np.append(cell, -1)[1:] != cell
     headroom = np.where(is_last, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
-    flat = columns.normal[:, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
+    flat = columns.normal[:, 2] >= agent_limits(agent).min_up
     flat &= headroom >= agent.height - SLACK
     heights, counts = np.unique(np.round(columns.z[flat], 3), return_counts=True)
     # the lowest of those that are large: not the roof of the car
