@@ -33,6 +33,18 @@ UPPER = (
     'size="3 0.05 1"/><geom type="box" pos="0.05 3 4" size="0.05 3 1"/>'
     '<geom type="box" pos="5.95 3 4" size="0.05 3 1"/>'
 )
+UPPER_SLAB = '<geom type="box" pos="5 3 1.9" size="1 3 0.1"/>'
+# The car of a lift between the floor and that slab
+CAR = (
+    '<body name="car" pos="3.3 3 0.05"><joint name="car" type="slide" axis="0 0 1" '
+    'range="0 1.95" limited="true"/><geom type="box" size="0.6 0.6 0.05"/></body>'
+)
+# It only marks a room, as it can't collide; of a half width [m]
+CARPET = (
+    '<geom name="carpet" type="box" pos="1.5 3 0.001" size="{} 2.9 0.001" contype="0" '
+    'conaffinity="0"/>'
+)
+CARPET_ROOM = {"rooms": {"geoms": ["carpet"], "sources": ["geoms", "auto"]}}
 WIDER = {"grid": {"bounds": [-1, -1, 7, 7]}}
 
 
@@ -374,18 +386,13 @@ def test_a_site_that_marks_a_room_moves():
 
 def test_a_geom_that_marks_a_room_moves():
     """It only marks, as it can't collide."""
-    carpet = (
-        '<geom name="carpet" type="box" pos="1.5 3 0.001" size="1.4 2.9 0.001" contype="0" '
-        'conaffinity="0"/>'
-    )
-    settings = {"rooms": {"geoms": ["carpet"], "sources": ["geoms", "auto"]}}
-    baker = navbake.Baker(make(CHAIR + carpet), **settings)
+    baker = navbake.Baker(make(CHAIR + CARPET.format(1.4)), **CARPET_ROOM)
     rooms = baker.grid.room_index.copy()
     assert "carpet" in {room.name for room in baker.grid.rooms}
     baker.model.geom_pos[baker.model.geom("carpet").id, 0] = 4.0
-    assert check(baker, settings).reason == "what marks rooms has changed"
+    assert check(baker, CARPET_ROOM).reason == "what marks rooms has changed"
     assert (baker.grid.room_index != rooms).any()
-    check_local(baker, settings, bodies={"chair": [3.0, 3.0, 0.4]})
+    check_local(baker, CARPET_ROOM, bodies={"chair": [3.0, 3.0, 0.4]})
 
 
 def test_over_endless_ground_a_move_that_changes_the_box_is_a_whole_bake():
@@ -413,13 +420,8 @@ def test_where_nothing_stands_each_move_is_a_whole_bake():
 
 
 def test_links_follow_how_far_a_lift_goes():
-    upper = '<geom type="box" pos="5 3 1.9" size="1 3 0.1"/>'
-    car = (
-        '<body name="car" pos="3.3 3 0.05"><joint name="car" type="slide" axis="0 0 1" '
-        'range="0 1.95" limited="true"/><geom type="box" size="0.6 0.6 0.05"/></body>'
-    )
     settings = {"links": [{"auto": "lift"}], "floors": {"roofs": True}}
-    baker = navbake.Baker(make(upper + car), **settings)
+    baker = navbake.Baker(make(UPPER_SLAB + CAR), **settings)
     assert [link.name for link in baker.grid.links] == ["car"]
     baker.model.jnt_range[0] = [0.0, 0.5]
     check(baker, settings)
@@ -498,26 +500,16 @@ def test_an_endless_plane_that_moves_is_no_ground():
 
 
 def test_a_geom_that_marks_a_room_grows():
-    carpet = (
-        '<geom name="carpet" type="box" pos="1.5 3 0.001" size="0.7 2.9 0.001" contype="0" '
-        'conaffinity="0"/>'
-    )
-    settings = {"rooms": {"geoms": ["carpet"], "sources": ["geoms", "auto"]}}
-    baker = navbake.Baker(make(CHAIR + carpet), **settings)
+    baker = navbake.Baker(make(CHAIR + CARPET.format(0.7)), **CARPET_ROOM)
     rooms = baker.grid.room_index.copy()
     baker.model.geom_size[baker.model.geom("carpet").id, 0] = 1.4
-    assert check(baker, settings).reason == "what marks rooms has changed"
+    assert check(baker, CARPET_ROOM).reason == "what marks rooms has changed"
     assert (baker.grid.room_index != rooms).any()
 
 
 def test_a_car_of_a_lift_loses_its_limits():
-    upper = '<geom type="box" pos="5 3 1.9" size="1 3 0.1"/>'
-    car = (
-        '<body name="car" pos="3.3 3 0.05"><joint name="car" type="slide" axis="0 0 1" '
-        'range="0 1.95" limited="true"/><geom type="box" size="0.6 0.6 0.05"/></body>'
-    )
     settings = {"links": [{"auto": "lift"}], "floors": {"roofs": True, "tops": True}}
-    baker = navbake.Baker(make(upper + car), **settings)
+    baker = navbake.Baker(make(UPPER_SLAB + CAR), **settings)
     assert (baker.grid.levels[0].floor_height > 0.05).any()
     baker.model.jnt_limited[0] = 0
     assert check(baker, settings).reason
