@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from navbake import episodes, samples, scores, tensors
     from navbake.arena.map_descriptor import ExploredMap
     from navbake.auditor.audit import audit
-    from navbake.baker.pipeline import bake
-    from navbake.baker.update import Baker
-    from navbake.baker.voxelize import Voxelizer, create_voxel_grid
+    from navbake.baker.bake.pipeline import bake
+    from navbake.baker.live.update import Baker
+    from navbake.baker.voxels.voxelize import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
     from navbake.formats.nav2 import read_nav2 as from_nav2
     from navbake.formats.navgrid import read_navgrid as load
@@ -85,16 +85,16 @@ __all__ = [
 _LAZY = {
     "Agent": "navbake.navgrid.links:Agent",
     "audit": "navbake.auditor.audit:audit",
-    "bake": "navbake.baker.pipeline:bake",
+    "bake": "navbake.baker.bake.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
-    "Baker": "navbake.baker.update:Baker",
+    "Baker": "navbake.baker.live.update:Baker",
     "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
     "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
-    "Voxelizer": "navbake.baker.voxelize:Voxelizer",
-    "create_voxel_grid": "navbake.baker.voxelize:create_voxel_grid",
+    "Voxelizer": "navbake.baker.voxels.voxelize:Voxelizer",
+    "create_voxel_grid": "navbake.baker.voxels.voxelize:create_voxel_grid",
     "from_grscenes": "navbake.formats.simulators:read_grscenes",
     "from_nav2": "navbake.formats.nav2:read_nav2",
     "from_npz": "navbake.formats.npz:read_grid_npz",

@@ -1,7 +1,7 @@
 """Kernels: functions that numba compiles once for a machine, and keeps on disk.
 
-`kernel` makes what Python calls, `part` what only kernels call: it becomes code of theirs, and a
-call from Python would crash. Both are `numba.njit` with options.
+`kernel` makes what Python calls, `subkernel` what only kernels call: it becomes code of theirs, and
+a call from Python would crash. Both are `numba.njit` with options.
 
 Compiled code lies in a folder for each state of a module's source and of all that it imports from
 the package, so that no change leaves old code in use; see `cache_folder` for where. Where nothing
@@ -59,7 +59,7 @@ _OPTIONS = getattr(getattr(numba.core, "options", None), "DefaultOptions", None)
 UNCOUNTED: Any = {"_nrt": False} if hasattr(_OPTIONS, "_nrt") else {}
 # As in numpy, a division by zero raises nothing; no function is called by ctypes
 OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
-part: Any = partial(numba.njit, no_cpython_wrapper=True, **OPTIONS)
+subkernel: Any = partial(numba.njit, no_cpython_wrapper=True, **OPTIONS)
 
 _config_lock = threading.Lock()
 

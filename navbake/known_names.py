@@ -64,3 +64,13 @@ def _words(name: str) -> set[str]:
     """The words of a name, in the singular."""
     words = re.findall(r"[^\W_]+", name)
     return {f"{w[:-3]}y" if w.endswith("ies") else w.removesuffix("s") for w in words}
+
+
+def unique_name(name: str, taken: set[str]) -> str:
+    """The name, numbered from 2 where it is taken, as in ``wall#2``; taken from now on."""
+    candidate, count = name, 1
+    while candidate in taken:
+        count += 1
+        candidate = f"{name}#{count}"
+    taken.add(candidate)
+    return candidate

@@ -27,7 +27,7 @@ _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
 
 
-def run_in_bands(
+def run_in_chunks(
     kernel: Callable[..., Any], count: int, *args: Any, least: int = 1, begin: int = 0
 ) -> None:
     """Call a kernel for ``range(begin, begin + count)``, by ranges, on as many threads as allowed.

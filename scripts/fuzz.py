@@ -37,7 +37,7 @@ from hypothesis import strategies as st
 
 import navbake
 from navbake.arena import map_descriptor
-from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.baker.readers.mesh import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.batch.scenes import list_jobs
 from navbake.config.settings import BakeConfig, SceneSettings, load_config

@@ -21,7 +21,7 @@ from PIL import Image
 import navbake
 from baselines import WALKERS
 from make_house import make_house
-from navbake.baker.stages import bake_stages
+from navbake.baker.bake.stages import bake_stages
 from navbake.episodes import make_episodes, make_rules
 from navbake.navgrid.grid import NavGrid
 from navbake.views.plot import render_picture

@@ -43,7 +43,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the tests)
 from batch_scenes import draw_room, write_scenes, wrong_rows  # noqa: E402
-from navbake.baker.pipeline import run_bake  # noqa: E402
+from navbake.baker.bake.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import NAME, read_index  # noqa: E402
 from navbake.batch.job import CACHE, prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError

@@ -18,6 +18,6 @@ for version in "${@:-$oldest}"; do
     fi
     export PYTHONPATH=$PWD/$folder
     python -c "import mujoco; print('MuJoCo', mujoco.__version__)"
-    python -m pytest tests/baker/test_memory.py tests/baker/scene tests/test_golden.py \
-        tests/verifier/test_samples.py tests/baker/voxelize/test_voxelizer.py
+    python -m pytest tests/baker/bake/test_memory.py tests/baker/scene tests/test_golden.py \
+        tests/verifier/test_samples.py tests/baker/voxels/test_voxelizer.py
 done

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from navbake.baker.stages import Stages, bake_stages
+from navbake.baker.bake.stages import Stages, bake_stages
 
 
 def world(content: str, assets: str = "") -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from navbake.baker.clock import Progress
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
+from navbake.baker.core.clock import Progress
 from navbake.config.settings import parse_config
 
 SHELL = """

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from navbake.baker.stages import Stages, bake_stages
+from navbake.baker.bake.stages import Stages, bake_stages
 from navbake.navgrid.lattice import Lattice
 from offices import Plan
 

@@ -12,7 +12,7 @@ import pytest
 from buildings.kinds import KINDS, POSES, make_any
 from buildings.make import make_building
 from buildings.truth import check
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.config.settings import parse_config
 from original_client import look_up
 

@@ -21,10 +21,10 @@ INNER = """from navbake.compiled import kernel
 def inner():
     return 1
 """
-OUTER = """from navbake.compiled import kernel, part
+OUTER = """from navbake.compiled import kernel, subkernel
 from navbake.kernels.inner import inner
 
-@part
+@subkernel
 def half():
     return 1
 

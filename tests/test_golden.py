@@ -10,7 +10,7 @@ import pytest
 
 import navbake
 from differences import difference_map, first_difference
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake.pipeline import run_bake
 from navbake.config.settings import load_config
 from navbake.formats.navgrid import dumps_navgrid
 from project_paths import CONFIGS, GOLDEN

@@ -16,7 +16,7 @@ import pytest
 
 from box_truth import STEP, TINY, centers, occupied_by_boxes, within
 from hard_cases import CASES, SHARED, write_case
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.config.settings import parse_config
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.islands import find_islands

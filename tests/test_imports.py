@@ -22,12 +22,18 @@ ONLY = {
     "navgrid.lattice": ("numpy", "navbake.types"),
 }
 KERNELS_ONLY = ("numpy", "numba", "llvmlite", "navbake.compiled", "navbake.types")
+KERNELS_ONLY += ("navbake.baker.core.arrays", "navbake.baker.core.constants")
+KERNELS_ONLY += (
+    "navbake.baker.core.tolerances",
+    "navbake.baker.core.area_test",
+    "navbake.baker.core.limits",
+)
 # library -> the modules that may import it
 DOORS = {
-    "mujoco": ("baker.scene", "verifier"),
+    "mujoco": ("baker.scene", "baker.readers", "verifier"),
     "fcl": ("baker.occupancy", "verifier"),
-    "trimesh": ("baker.scene", "verifier", "views.viewer"),
-    "pxr": ("baker.scene.usd", "formats.scene_files"),
+    "trimesh": ("baker.readers", "verifier", "views.viewer"),
+    "pxr": ("baker.readers.usd", "formats.scene_files"),
     "matplotlib": ("views.plot",),
     "typer": ("cli",),
     "rich": ("cli",),
@@ -119,6 +125,15 @@ def belongs(name: str, prefixes: tuple[str, ...]) -> bool:
 MODULES = find_modules(PACKAGE)
 
 
+def is_kernel_module(name: str) -> bool:
+    """Whether a module has compiled code: `kernel` or `subkernel` is imported there."""
+    found = imports(MODULES[name])
+    return not found.isdisjoint({"navbake.compiled.kernel", "navbake.compiled.subkernel"})
+
+
+KERNELS = {name for name in MODULES if is_kernel_module(name)}
+
+
 def test_no_circle_of_files():
     circle = find_circle(import_graph(PACKAGE))
     assert circle is None, " -> ".join(circle or [])
@@ -153,7 +168,7 @@ def test_only_the_baker_and_the_command_line_import_the_baker(name):
 def test_checks_share_no_code_with_what_they_check(name):
     """No kernels, no Shapes of the scene; the run time is there to be swept along its paths."""
     for found in imports(MODULES[name]):
-        assert ".kernels" not in found, f"{name} imports {found}"
+        assert found.removeprefix("navbake.") not in KERNELS, f"{name} imports {found}"
         assert not belongs(found, ("numba", "navbake.navgrid.islands")), f"{name} imports {found}"
         is_run_time = belongs(found, ("navbake.runtime",))
         assert not is_run_time or name == "verifier.sweeps", f"{name} imports {found}"
@@ -181,25 +196,25 @@ def test_imports_nothing_else(area, allowed):
                 assert is_standard or belongs(found, allowed), f"{name} imports {found}"
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if ".kernels." in name])
+@pytest.mark.parametrize("name", sorted(KERNELS))
 def test_kernels_import_kernels_alone(name):
     for found in imports(MODULES[name]):
         is_standard = found.split(".")[0] in sys.stdlib_module_names
-        is_kernel = found.startswith("navbake.") and ".kernels." in found
+        is_kernel = belongs(found, tuple(f"navbake.{kernels}" for kernels in KERNELS))
         assert is_standard or is_kernel or belongs(found, KERNELS_ONLY), f"{name} imports {found}"
 
 
-def test_only_kernels_call_parts():
-    """A part has no wrapper that Python could call: the process would crash."""
+def test_only_kernels_call_subkernels():
+    """A subkernel has no wrapper that Python could call: the process would crash."""
     parts = set()
     for name, path in MODULES.items():
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef):
                 decorators = [ast.unparse(each).partition("(")[0] for each in node.decorator_list]
-                parts |= {f"navbake.{name}.{node.name}"} if "part" in decorators else set()
+                parts |= {f"navbake.{name}.{node.name}"} if "subkernel" in decorators else set()
     assert len(parts) > 50
     for name, path in MODULES.items():
-        assert ".kernels." in name or not imports(path) & parts, name
+        assert name in KERNELS or not imports(path) & parts, name
 
 
 @pytest.mark.parametrize("name", [name for name in MODULES if belongs(name, BELOW_VIEWS)])
@@ -305,7 +320,7 @@ def test_the_run_time_loads_no_baker():
     code += "\nnavbake.VoxelGrid, navbake.load_voxels, navbake.ExploredMap"
     loaded = loaded_after(code + "\nimport navbake.views.describe, navbake.views.plot")
     assert "navbake.navgrid.grid" in loaded
-    assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.baker.pipeline"])
+    assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.baker.bake.pipeline"])
 
 
 def test_the_run_time_starts_without_what_its_first_question_needs():

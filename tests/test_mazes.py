@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from floor_scenes import labyrinth, open_area
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
 

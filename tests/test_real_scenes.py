@@ -18,8 +18,8 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from navbake.baker.pipeline import BakeResult, run_bake
-from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.baker.bake.pipeline import BakeResult, run_bake
+from navbake.baker.readers.mesh import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.navgrid.grid import SceneGrid2D
@@ -368,7 +368,7 @@ def read_obj(path: Path) -> NDArray[np.float64]:
     return np.array(vertices)[np.array(faces)]
 
 
-def crossings(
+def hits(
     triangles: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Heights where the vertical line through a point crosses triangles, and their normals' z."""
@@ -403,7 +403,7 @@ def test_recast_floors_are_of_the_mesh(name):
         rows, cols = np.nonzero(level.free)
         chosen = rng.choice(len(rows), 150, replace=False)
         for row, col in zip(rows[chosen], cols[chosen], strict=True):
-            z, up = crossings(triangles, level.lattice.positions(row, col))
+            z, up = hits(triangles, level.lattice.positions(row, col))
             floor = level.floor_height[row, col]
             is_floor = np.abs(z - floor) < 1e-3
             assert (is_floor & (up > 0)).any()
@@ -421,7 +421,7 @@ def test_recast_floors_are_complete(name):
     standing = found = 0
     for xy in rng.uniform((x_min, y_min), (x_max, y_max), (1000, 2)):
         center = levels[0].lattice.positions(*levels[0].lattice.rows_cols(xy))
-        z, up = crossings(triangles, center)
+        z, up = hits(triangles, center)
         on_floor = (np.abs(z - flat) < 0.02) & (up > 0.99)
         if not on_floor.any():
             continue

@@ -11,7 +11,7 @@ from numba import njit
 
 import navbake
 from navbake.errors import ConfigError
-from navbake.threads import limit_threads, num_threads, run_beside, run_in_bands
+from navbake.threads import limit_threads, num_threads, run_beside, run_in_chunks
 
 
 @pytest.mark.parametrize("count", ["2", 1.5, True, 0, -1, [], "x"], ids=repr)
@@ -47,7 +47,7 @@ def _count(values, first, end):
 def test_each_part_of_the_work_is_done_once(monkeypatch, threads, count, least):
     monkeypatch.setattr("navbake.threads.num_threads", lambda: threads)
     values = np.zeros(1000, np.int64)
-    run_in_bands(_count, count, values, least=least)
+    run_in_chunks(_count, count, values, least=least)
     assert (values == (np.arange(1000) < count)).all()
 
 
@@ -59,7 +59,7 @@ def test_an_error_in_a_thread_is_raised(monkeypatch):
         raise ValueError(f"{first}")
 
     with pytest.raises(ValueError, match=r"\d"):
-        run_in_bands(fail, 100)
+        run_in_chunks(fail, 100)
 
 
 def test_a_limit_holds_in_its_thread_alone():

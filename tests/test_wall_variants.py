@@ -10,7 +10,7 @@ import pytest
 from box_truth import TINY, centers, occupied_by_boxes, within
 from box_worlds import box, world
 from hard_cases import GROUND, STONES, house_on_slab
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake.pipeline import run_bake
 from navbake.config.settings import parse_config
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.islands import find_islands

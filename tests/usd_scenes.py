@@ -175,7 +175,7 @@ def _write_geom(stage: Any, model: Any, data: Any, geom: int) -> None:
         prim = UsdGeom.Plane.Define(stage, path)
         prim.CreateAxisAttr("Z")
     else:
-        from navbake.baker.scene.shapes import height_field_triangles
+        from navbake.baker.geometry.shapes import height_field_triangles
 
         number = int(model.geom_dataid[geom])
         if kind == types.mjGEOM_HFIELD:

@@ -19,8 +19,8 @@ import numpy as np
 from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
-from navbake.baker.pipeline import run_bake
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch import store
 from navbake.batch.products import GRID, OWN, RECORD, THUMBNAIL, make_product

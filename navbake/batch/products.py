@@ -28,7 +28,7 @@ from navbake.types import Json
 from navbake.views.layers import LAYERS
 
 # loaded by the products that need them
-voxelizer = lazy("navbake.baker.voxelize")
+voxelizer = lazy("navbake.baker.voxels.voxelize")
 plot = lazy("navbake.views.plot")
 report = lazy("navbake.views.report")
 

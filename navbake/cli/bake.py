@@ -309,7 +309,7 @@ def _bake_one(
     with_timings: bool,
 ) -> None:
     """Bake and write a grid; `limits` are the stated ones of compiling in a process, or None."""
-    from navbake.baker.pipeline import run_bake
+    from navbake.baker.bake.pipeline import run_bake
     from navbake.baker.scene.model import CompileLimits
     from navbake.formats.navgrid import encode_files
     from navbake.views.describe import describe

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 compiled = lazy("navbake.compiled")  # numba loads slowly
 config = lazy("navbake.config.settings")
-pipeline = lazy("navbake.baker.pipeline")
+pipeline = lazy("navbake.baker.bake.pipeline")
 threads = lazy("navbake.threads")
 
 COLUMNS = {

@@ -158,7 +158,7 @@ def view(
             return find_files([source])
 
     def bake() -> Exhibit:
-        from navbake.baker.pipeline import run_bake
+        from navbake.baker.bake.pipeline import run_bake
         from navbake.baker.scene.scene import load_scene, open_file
 
         config = load_config(source, overrides or [])

@@ -51,7 +51,7 @@ from navbake.config.field_types import (
     section,
     setting,
 )
-from navbake.config.traffic import Areas, AreaSettings, Links, LinkSettings, NamedAgent
+from navbake.config.links import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.errors import ConfigError
 from navbake.files import readable_stem
 from navbake.formats.scene_files import BUILDING_SUFFIXES, suffix_of

@@ -17,7 +17,7 @@ from navbake.errors import QueryError
 from navbake.known_names import find_near, suggest
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.blocks import find_agent
+from navbake.runtime.blocking import find_agent
 from navbake.types import Vector3
 
 TASKS = ("point", "object", "room", "sequence", "explore")

@@ -24,7 +24,7 @@ from navbake.runtime.places import snap
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
-walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
+walks = lazy("navbake.runtime.walk_kernels")  # numba loads slowly
 
 SNAP = 0.5  # from a position in no free cell to the nearest one, at most [m]
 SPACING = 0.25  # between view points, and between points of a path [m]

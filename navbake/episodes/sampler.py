@@ -33,7 +33,7 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.blocks import fit_grid
+from navbake.runtime.blocking import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
 

@@ -154,7 +154,7 @@ def cover_quads(
         are larger by `margin` on each side [cells]; smaller if it is negative.
     """
     from navbake.compiled import ensure_compiled  # numba loads slowly
-    from navbake.formats.kernels.planes import cover_planes  # as above
+    from navbake.formats.plane_kernels import cover_planes  # as above
 
     ensure_compiled("formats.kernels.planes.")
     bounds, planes = cover_planes(labels, heights, tolerance, steepest)

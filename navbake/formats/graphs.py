@@ -33,7 +33,7 @@ csgraph = lazy("scipy.sparse.csgraph")
 
 OUTSIDE = "(outside)"  # the node that doors without a second room lead to
 # a cell's neighbours by their place in a row of the matrix: row and column steps, bit of its moves
-# (see `navbake.runtime.kernels.arrays`)
+# (see `navbake.runtime.grid_arrays`)
 WAYS = (
     (-1, -1, 5), (-1, 0, 1), (-1, 1, 4), (0, -1, 2), (0, 1, 0), (1, -1, 6), (1, 0, 3), (1, 1, 7),
 )  # fmt: skip
@@ -287,7 +287,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
 def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
     """Find the openings between two rooms: over sides of cells, level by level, and over links."""
-    from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
+    from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
     flat, moves = search.flat, search.graph.moves
     # the cells at both ends, (2, n), and corners of cells there as row, col, (k, 2, n)

@@ -134,7 +134,7 @@ def read_octomap(
     occupied. Raises a FormatError for a file that is no octree, broken, or needs too much memory.
     """
     from navbake.compiled import ensure_compiled  # numba loads slowly
-    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # as above
+    from navbake.formats.octree_kernels import TOO_DEEP, fill_leaves, read_leaves  # as above
 
     ensure_compiled("formats.kernels.octree.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")

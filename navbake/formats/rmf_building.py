@@ -6,7 +6,7 @@ known. A level is flat, at the height of most of its floor; what is up to 1 m of
 Stairs, furniture, rooms and other links have no place in the format and are left out.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``. Its scenes are read by
-`navbake.baker.scene.building`.
+`navbake.baker.readers.building`.
 """
 
 from __future__ import annotations

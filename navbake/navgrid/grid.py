@@ -248,7 +248,7 @@ class GridBase:
     find_path = Method[Any]("navbake.runtime.path_finder:plan_path")
     inflate = Method[Any]("navbake.runtime.inflation:inflate")
     inflate_footprint = Method[list[Bool]]("navbake.runtime.inflation:inflate_footprint")
-    block = Method[Any]("navbake.runtime.blocks:block")
+    block = Method[Any]("navbake.runtime.blocking:block")
     routes = Method[Any]("navbake.routes.build:make_routes")
     tensors = Method[Any]("navbake.tensors.build:make_tensors")
     describe_cell = Method[Json]("navbake.views.describe:describe_cell")

@@ -23,7 +23,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import SPEED, Agent
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
-from navbake.runtime.blocks import find_agent, fit_grid
+from navbake.runtime.blocking import find_agent, fit_grid
 from navbake.runtime.flat_grid import find_leaf, find_stairs
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
@@ -206,7 +206,7 @@ class _Builder:
 
         It may where `Search.can_pass` allows it, or over steps along a row, column or diagonal.
         """
-        from navbake.runtime.kernels.arrays import COL_STEP, ROW_STEP  # numba loads slowly
+        from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
         level, (a, b) = int(self.flat.level_of(one)), self.flat.positions(np.array([one, other]))
         a, b = np.round(a[:2], DIGITS), np.round(b[:2], DIGITS)
@@ -345,7 +345,7 @@ class _Builder:
 
     def _touching(self) -> Int:
         """The pairs of nodes whose regions touch on a level, shape (n, 2)."""
-        from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
+        from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
         cells = np.array(self.cells)
         _, onward = self.search.onward(cells)

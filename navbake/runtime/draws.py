@@ -23,7 +23,7 @@ from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
 from navbake.runtime.surroundings import free_for
 from navbake.types import Bool, Float, Int
 
-walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
+walks = lazy("navbake.runtime.walk_kernels")  # numba loads slowly
 
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
 STRATA = ("area", "room", "island")

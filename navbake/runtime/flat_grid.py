@@ -21,11 +21,11 @@ from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.kernels.arrays import FloorHeights, Layout, Links
+    from navbake.runtime.grid_arrays import FloorHeights, Layout, Links
 
-arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
-places = lazy("navbake.runtime.kernels.places")
+places = lazy("navbake.runtime.place_kernels")
 
 RISE = 0.05  # [m]: ways between levels that rise by more are called stairs
 REAL = int | float | np.integer | np.floating
@@ -49,7 +49,7 @@ class FlatGrid:
     price: Float  # by which areas multiply weights, inf where they bar; by flat id, or one for all
     pace: Float  # [s/m] of the agent; by flat id, or one for all
     # by flat id, to which neighbours a link leads on the same level: bits EAST and SOUTH of
-    # `navbake.runtime.kernels.arrays`; empty where none does
+    # `navbake.runtime.grid_arrays`; empty where none does
     slopes: NDArray[np.uint8]
 
     @property

@@ -12,8 +12,8 @@ from navbake.lazy import resolve
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
 from navbake.runtime.draws import DrawQuestions
-from navbake.runtime.following import Follower
 from navbake.runtime.passage import Passage, find_passage, why_not
+from navbake.runtime.path_following import Follower
 from navbake.runtime.paths import Goal, Path, find_field, find_path
 from navbake.runtime.search import Search
 from navbake.types import Float

@@ -18,7 +18,7 @@ from navbake.runtime.inflation import check_word
 from navbake.runtime.search import Search
 from navbake.types import Float, Int
 
-lines = lazy("navbake.runtime.kernels.lines")  # numba loads slowly
+lines = lazy("navbake.runtime.line_kernels")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 
 Goal: TypeAlias = ArrayLike | str

@@ -17,10 +17,10 @@ from navbake.runtime.paths import cells_named
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
-places = lazy("navbake.runtime.kernels.places")  # numba loads slowly
-walks = lazy("navbake.runtime.kernels.walks")
+places = lazy("navbake.runtime.place_kernels")  # numba loads slowly
+walks = lazy("navbake.runtime.walk_kernels")
 
-MAX_DROP = 0.5  # [m], see `navbake.runtime.kernels.places`, which loads numba
+MAX_DROP = 0.5  # [m], see `navbake.runtime.place_kernels`, which loads numba
 FIRST_LOOK = 1.0  # [m], first radius of the search in sight
 SLACK = 1e-9  # metres
 NO_ROOMS = np.empty(0, dtype=np.int32)

@@ -17,17 +17,17 @@ from navbake.navgrid.cells import Cells, check_level
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
 from navbake.runtime import flat_grid
-from navbake.runtime.blocks import find_agent, fit_grid
+from navbake.runtime.blocking import find_agent, fit_grid
 from navbake.runtime.flat_grid import octile
 from navbake.runtime.inflation import find_room
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
-    from navbake.runtime.kernels.arrays import Graph
+    from navbake.runtime.grid_arrays import Graph
 
-arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
-lines = lazy("navbake.runtime.kernels.lines")
-routes = lazy("navbake.runtime.kernels.routes")
+arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
+lines = lazy("navbake.runtime.line_kernels")
+routes = lazy("navbake.runtime.search_kernels")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
@@ -47,7 +47,7 @@ class Route(NamedTuple):
 class Search:
     """Searches over the cells of all levels of a grid, and cached results.
 
-    Not thread-safe. `grid` is fitted to the agent, see `navbake.runtime.blocks`; `flat` are its
+    Not thread-safe. `grid` is fitted to the agent, see `navbake.runtime.blocking`; `flat` are its
     cells, `graph` the steps between them; `free_diagonally` marks free cells with room for a
     diagonal step, `off_center` those where a line may leave the centres. `update` takes over the
     grid's blocks; each change increments `version`.
@@ -328,7 +328,7 @@ class Search:
         return np.where(mark >= self._number * routes.SEARCH, cost, np.inf), mark & routes.WAY
 
     def _find(self, graph: Any, sources: Int, goals: Int) -> Int:
-        """`navbake.runtime.kernels.routes.find_route`, with a queue that grows as needed."""
+        """`navbake.runtime.search_kernels.find_route`, with a queue that grows as needed."""
         while True:
             # marks of earlier searches stay, as each search has its own number
             self._number += 1

@@ -38,11 +38,11 @@ from navbake.navgrid.islands import step_limit
 from navbake.types import Bool, Int, Int32
 
 if TYPE_CHECKING:
-    from navbake.runtime.kernels.inflation import LevelStack
+    from navbake.runtime.inflation_kernels import LevelStack
 
-arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
-kernels = lazy("navbake.runtime.kernels.inflation")
+kernels = lazy("navbake.runtime.inflation_kernels")
 ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor

@@ -244,7 +244,7 @@ def answer_all(
     count = math.prod(shape)
     if t.xp.__name__ not in NUMPY or count < 2 * PIECE:
         return answer(positions, *further)
-    from navbake.threads import run_in_bands  # saves numba for small batches
+    from navbake.threads import run_in_chunks  # saves numba for small batches
 
     whole = [
         a if a is None or isinstance(a, int) else np.reshape(a, (count, *a.shape[len(shape) :]))
@@ -257,6 +257,6 @@ def answer_all(
             piece = slice(begin, min(begin + PIECE, last))
             parts[begin] = answer(*(a[piece] if isinstance(a, np.ndarray) else a for a in whole))
 
-    run_in_bands(fill, count, least=PIECE)
+    run_in_chunks(fill, count, least=PIECE)
     found = np.concatenate([parts[begin] for begin in sorted(parts)])
     return found.reshape(*shape, *found.shape[1:])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.measure import Job, Row, beside, here
 from benchmarks.scenes import APARTMENT
 from navbake.baker.scene.scene import load_scene
-from navbake.baker.voxelize import Voxelizer
+from navbake.baker.voxels.voxelize import Voxelizer
 from navbake.config.settings import parse_config
 from navbake.formats.octomap import encode_octomap
 from navbake.formats.voxels import encode_binvox

@@ -30,7 +30,7 @@ SHORT = 0.5  # a bake is repeated for at least this long [s]
 
 def bake(settings: dict[str, Any], warm_up: dict[str, Any], threads: int | None) -> dict[str, Any]:
     """Bake by the clock, after a bake that warms up; short bakes several times, their median."""
-    from navbake.baker.pipeline import run_bake
+    from navbake.baker.bake.pipeline import run_bake
     from navbake.config.settings import parse_config
 
     warnings.simplefilter("ignore")
@@ -62,7 +62,7 @@ def read_mesh(path: str, *, by_trimesh: bool = False) -> dict[str, Any]:
     """Read a mesh file by the clock, as a warm bake does, or as trimesh."""
     import trimesh
 
-    from navbake.baker.scene.mesh_scene import read_mesh_parts
+    from navbake.baker.readers.mesh import read_mesh_parts
 
     read: Callable[[], Any] = partial(read_mesh_parts, Path(path))
     if by_trimesh:
@@ -80,7 +80,7 @@ def _is_long(settings: dict[str, Any]) -> bool:
 
 def reach_first_ray(settings: dict[str, Any]) -> None:
     """Run the command `navbake bake`, and end the process where the first ray would be cast."""
-    import navbake.baker.column_blocks as column_blocks
+    import navbake.baker.columns.column_blocks as column_blocks
     from navbake.cli.main import main
 
     def end(*_: Any, **__: Any) -> None:

@@ -19,7 +19,7 @@ import navbake
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
 from navbake import bake, files, samples
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake.pipeline import run_bake
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
 from navbake.batch import products, store

@@ -10,7 +10,7 @@ import pytest
 
 import navbake
 from box_worlds import world
-from navbake.baker import pipeline
+from navbake.baker.bake import pipeline
 from navbake.navgrid.colors import MARKS
 from verified_scenes import copy_of, stairs_house, write
 

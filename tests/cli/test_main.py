@@ -36,12 +36,12 @@ def test_a_full_stdout_is_one_line(folder, arguments):
 
 
 def test_bugs_keep_their_traceback(folder, monkeypatch):
-    import navbake.baker.pipeline
+    import navbake.baker.bake.pipeline
 
     def fail(*args, **kwargs):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(navbake.baker.pipeline, "run_bake", fail)
+    monkeypatch.setattr(navbake.baker.bake.pipeline, "run_bake", fail)
     with pytest.raises(ZeroDivisionError, match="a bug"):
         main(["bake", "room.yaml"])
 

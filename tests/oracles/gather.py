@@ -6,18 +6,19 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes
-from navbake.baker.kernels.arrays import Band, Prism
-from navbake.baker.kernels.constants import APART, MEETS, OPEN_SURFACE, TOUCH, UNDECIDED
-from navbake.baker.kernels.gjk import make_simplex
-from navbake.baker.kernels.overlap import (
+from navbake.baker.columns.columns import Columns, TiledShapes
+from navbake.baker.core.arrays import Band, Prism
+from navbake.baker.core.constants import APART, MEETS, OPEN_SURFACE, UNDECIDED
+from navbake.baker.core.tolerances import TOUCH_DEPTH
+from navbake.baker.geometry.gjk_kernels import make_simplex
+from navbake.baker.geometry.overlap_kernels import (
     ANY_GEOM,
     line_is_blocked,
     make_polygons,
     plane_meets_prism,
     triangle_meets_prism,
 )
-from navbake.baker.kernels.solids import solid_meets
+from navbake.baker.geometry.solid_kernels import solid_meets
 
 # parts of kernels as functions that Python can call
 make_simplex = numba.njit(make_simplex.py_func)
@@ -45,7 +46,7 @@ def prisms_over(
 
 def line_meets(columns: Columns, cell: int, prism: Prism, geom: int = ANY_GEOM) -> bool:
     band = Band(prism.low, prism.high)
-    return line_is_blocked(columns.crossings, cell, band, np.int32(geom))
+    return line_is_blocked(columns.hits, cell, band, np.int32(geom))
 
 
 def geoms_that_meet(tiled: TiledShapes, prisms: list[Prism]) -> dict[int, int]:
@@ -63,8 +64,8 @@ def _geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
     for p, geom in enumerate(shapes.planes.geom.tolist()):
         if plane_meets_prism(shapes.planes, p, prism):
             found[geom] = MEETS
-    for t in _boxes_near(tiled.facets.bounds, prism, 2.0 * TOUCH):
-        edge = 2.0 * TOUCH if tiled.facets.closed[t] == OPEN_SURFACE else 0.0
+    for t in _boxes_near(tiled.facets.bounds, prism, 2.0 * TOUCH_DEPTH):
+        edge = 2.0 * TOUCH_DEPTH if tiled.facets.closed[t] == OPEN_SURFACE else 0.0
         if t not in _boxes_near(tiled.facets.bounds, prism, edge):
             continue
         asked = prism._replace(half=prism.half + edge)

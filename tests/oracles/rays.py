@@ -4,7 +4,7 @@ import numpy as np
 
 
 def first_hit(triangles, point, direction):
-    """The nearest crossing of a ray with triangles, by Möller and Trumbore; -1 for none."""
+    """The nearest hit of a ray with triangles, by Möller and Trumbore; -1 for none."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     across = np.cross(direction, c - a)
     det = ((b - a) * across).sum(axis=1)

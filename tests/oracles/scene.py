@@ -106,7 +106,7 @@ def widen(thing: Thing, margin: float) -> Thing:
 
 @dataclass(frozen=True)
 class PartColumns:
-    """One part's crossings of n vertical lines.
+    """One part's hits of n vertical lines.
 
     Attributes:
         z: heights, shape (m, n), NaN for none [m].

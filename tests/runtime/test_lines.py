@@ -6,9 +6,9 @@ import numba
 import numpy as np
 import pytest
 
-from navbake.runtime.kernels import lines
-from navbake.runtime.kernels.arrays import EAST, SOUTH, FloorHeights, Graph, Layout, Links
-from navbake.runtime.kernels.routes import find_moves
+from navbake.runtime import line_kernels as lines
+from navbake.runtime.grid_arrays import EAST, SOUTH, FloorHeights, Graph, Layout, Links
+from navbake.runtime.search_kernels import find_moves
 
 # parts of kernels as functions that Python can call
 crossed_cells, disc_passes, is_walkable, line_cost = (

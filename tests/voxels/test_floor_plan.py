@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from navbake.baker.pipeline import run_bake
-from navbake.baker.voxelize import Voxelizer
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.voxels.voxelize import Voxelizer
 from navbake.config.settings import load_config
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D

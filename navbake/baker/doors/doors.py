@@ -13,20 +13,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbake.baker.columns import Columns, ColumnSource, TiledShapes, cast_columns, tile_shapes
+from navbake.baker.columns.columns import (
+    Columns,
+    ColumnSource,
+    TiledShapes,
+    cast_columns,
+    tile_shapes,
+)
+from navbake.baker.core.constants import HINGE
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.core.windows import EDGES, Window, cut_cells
 from navbake.baker.doors.poses import pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.surfaces import find_standable_tops
-from navbake.baker.kernels.constants import HINGE, SLACK
-from navbake.baker.kernels.overlap import lines_blocked
-from navbake.baker.lattice import EDGES, Window, cut_cells
+from navbake.baker.geometry.extents import Extents, measure_geoms
+from navbake.baker.geometry.overlap_kernels import lines_blocked
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, see_to_walls
 from navbake.baker.rooms.rooms import RoomIds, Rooms
-from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.leaves import DoorCandidate, largest_side
 from navbake.baker.scene.scene import Scene
-from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import STATES, Door, Runs, to_runs
@@ -251,7 +258,7 @@ def _pose_leaf(
     # seen from above, most doors are too small, which is quickly found
     tops = dict[str, Shapes]()
     for state, measured in extents.items():
-        if np.nansum((measured.thin * measured.long)[candidate.geoms]) >= MIN_AREA - SLACK:
+        if np.nansum((measured.thin * measured.long)[candidate.geoms]) >= MIN_AREA - LIMIT_SLACK:
             tops[state] = shapes_at[state]
     travel = ""
     if candidate.positions:
@@ -401,7 +408,7 @@ def _warn_carried(leaf: Leaf, context: DoorContext) -> str:
     """The warning of the floor that a door carries, empty for none."""
     for state, shapes in leaf.tops.items():
         area = _walkable_area(shapes, context)
-        if area >= MIN_AREA - SLACK:
+        if area >= MIN_AREA - LIMIT_SLACK:
             return (
                 f"door {leaf.candidate.id!r} carries {area:.1f} m² of floor {WHEN[state]}, which "
                 "is missing in the grid, because doors carry no floor: exclude it from `doors` if "
@@ -465,7 +472,7 @@ def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
     rows, cols = window
     cut = lattice.cut(rows, cols)
     top = find_standable_tops(shapes, cut, agent)
-    step = agent.traversable_floor_height + SLACK
+    step = agent.traversable_floor_height + LIMIT_SLACK
     floors = [level.floor[window] for level in context.floors]
     for floor in floors:  # what lies on a floor is a mat
         top[np.abs(top - floor) <= step] = np.nan
@@ -475,9 +482,9 @@ def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
     is_under = np.zeros(len(cells), dtype=np.bool_)  # something an agent would not fit below
     lines_blocked(
         cells,
-        heights + SLACK,
-        heights + agent.height - SLACK,
-        context.columns.at(cells).crossings,
+        heights + LIMIT_SLACK,
+        heights + agent.height - LIMIT_SLACK,
+        context.columns.at(cells).hits,
         is_under,
         0,
         len(cells),

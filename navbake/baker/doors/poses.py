@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.leaves import DoorCandidate, mark_geoms
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
-from navbake.baker.scene.shapes import Shapes
 
 
 def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.blocks import Blocks, list_rows
-from navbake.baker.floors.kernels import growth as kernels
-from navbake.baker.floors.kernels.growth import Growing
-from navbake.baker.floors.kernels.members import Labelled
-from navbake.baker.floors.sheets import Sheets
+from navbake.baker.core.blocks import Blocks, list_rows
+from navbake.baker.floors import growth_kernels as kernels
+from navbake.baker.floors.growth_kernels import Growing
+from navbake.baker.floors.member_kernels import Labelled
+from navbake.baker.floors.regions import Regions
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
 from navbake.config.settings import AgentSettings
@@ -34,15 +34,15 @@ class GrownFloor(NamedTuple):
 
 
 def grow_floors(
-    sheets: Sheets, placed: Placed, bars: Bool, agent: AgentSettings
+    regions: Regions, placed: Placed, bars: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
     """Find the floor of each level, lowest first.
 
     Args:
         placed: the surfaces on their levels.
-        bars: the sheets at whose surfaces no floor grows, shape (sheets,), bool.
+        bars: the regions at whose surfaces no floor grows, shape (regions,), bool.
     """
-    barred = sheets.labelled(bars)
+    barred = regions.labelled(bars)
     numbers = range(len(placed.grounds))
     return [grow_level(barred, placed.level, placed.number, n, agent) for n in numbers]
 
@@ -53,7 +53,7 @@ def grow_level(
     """Find the floor of a level: where one can stand, and what grows from there.
 
     Args:
-        barred: all surfaces, and the sheets at whose surfaces no floor grows.
+        barred: all surfaces, and the regions at whose surfaces no floor grows.
         level, number: see `Placed`.
         grown_level: the number of the level.
     """
@@ -85,19 +85,19 @@ def grow_level(
     return GrownFloor(growing.floor, growing.ring)
 
 
-def find_links(sheets: Sheets, placed: Placed, agent: AgentSettings) -> Int:
+def find_links(regions: Regions, placed: Placed, agent: AgentSettings) -> Int:
     """Find where levels meet, and the neighbours that slopes join but no step does.
 
     Returns:
         `links` of `navbake.baker.floors.levels.Floors`.
     """
-    by_slopes = slopes_may_join(sheets.lattice, agent)
+    by_slopes = slopes_may_join(regions.lattice, agent)
     if len(placed.grounds) == 1 and not by_slopes:
         return NO_LINKS
-    _, (links,) = sheets.blocks.list_rows(
+    _, (links,) = regions.blocks.list_rows(
         kernels.list_links,
         (NO_LINKS,),
-        sheets.surfaces,
+        regions.surfaces,
         (placed.level, placed.number),
         agent.traversable_floor_height,
         by_slopes,

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import ColumnSource
+from navbake.baker.columns.columns import ColumnSource
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.core.windows import Window, cut_cells
 from navbake.baker.floors.growth import GrownFloor, find_links, grow_floors
-from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped, look_at_site
 from navbake.baker.floors.reach import (
     Reached,
@@ -21,13 +22,12 @@ from navbake.baker.floors.reach import (
     find_voids,
     largest_of_lowest,
 )
+from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
 from navbake.baker.floors.rejected import are_told, find_rejected
-from navbake.baker.floors.sheets import Patch, describe_sheets, find_large_sheets, find_sheets
 from navbake.baker.floors.storeys import Placed, given_spans, place_on_levels
+from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
-from navbake.baker.kernels.constants import SLACK
-from navbake.baker.lattice import Window, cut_cells
-from navbake.baker.scene.shapes import Shapes
+from navbake.baker.geometry.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
@@ -96,8 +96,8 @@ def find_floors(
 ) -> Floors:
     """Find the storeys in columns, the floor of each, and the steps between them.
 
-    Standable surfaces → sheets → large ones → without tops, shelves and roofs → levels → those that
-    are reached → floors that grow under things → links.
+    Standable surfaces → regions → large ones → without tops, shelves and roofs → levels → those
+    that are reached → floors that grow under things → links.
 
     Args:
         shapes: what the columns were cast at.
@@ -109,12 +109,12 @@ def find_floors(
     """
     lattice = columns.lattice
     surfaces = find_surfaces(columns, shapes.planes, agent)
-    sheets = find_sheets(surfaces, agent)
-    if not sheets.num:
+    regions = find_regions(surfaces, agent)
+    if not regions.num:
         raise SceneError(_no_floor(columns, surfaces, agent))
-    is_large = find_large_sheets(sheets, np.ones(sheets.num, dtype=np.bool_), settings)
+    is_large = find_large_regions(regions, np.ones(regions.num, dtype=np.bool_), settings)
     site = look_at_site(
-        sheets=sheets,
+        regions=regions,
         is_large=is_large,
         columns=columns,
         cropped=find_cropped(lattice, shapes.bounds),
@@ -127,20 +127,20 @@ def find_floors(
     is_floor = is_large & ~(rejected.tops | rejected.shelves | rejected.roofs) | starts
     if not is_floor.any():
         raise SceneError(
-            f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
+            f"no floor: the largest standable region keeps less than {settings.min_area:g} m² "
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
     reached = find_reached_levels(site, is_floor, starts, given)
-    grown = grow_floors(sheets, reached.placed, is_large | starts, agent)
+    grown = grow_floors(regions, reached.placed, is_large | starts, agent)
     enclosed = find_enclosed(surfaces, agent, settings)
     return Floors(
         levels=_name_levels(reached.placed, grown, lattice, settings, is_occupied),
-        links=find_links(sheets, reached.placed, agent),
-        tops=describe_sheets(sheets, (rejected.tops | rejected.shelves) & ~starts),
-        roofs=describe_sheets(sheets, are_told(site, rejected.roofs & ~starts, is_floor)),
-        small_starts=describe_sheets(sheets, starts & ~is_large),
-        unreached=find_unreached(sheets, reached.placed, reached.sheets),
+        links=find_links(regions, reached.placed, agent),
+        tops=describe_regions(regions, (rejected.tops | rejected.shelves) & ~starts),
+        roofs=describe_regions(regions, are_told(site, rejected.roofs & ~starts, is_floor)),
+        small_starts=describe_regions(regions, starts & ~is_large),
+        unreached=find_unreached(regions, reached.placed, reached.regions),
         left_out=reached.left_out,
         enclosed=[patch for patch in enclosed if patch.geom not in shapes.planes.geom],
         in_planes=[patch for patch in enclosed if patch.geom in shapes.planes.geom],
@@ -150,16 +150,16 @@ def find_floors(
 
 
 class ReachedLevels(NamedTuple):
-    """The sheets on their levels, as far as they are reached or stay without that.
+    """The regions on their levels, as far as they are reached or stay without that.
 
     Attributes:
         placed: their surfaces on levels.
-        sheets: which sheets are reached, shape (sheets,), bool.
+        regions: which regions are reached, shape (regions,), bool.
         left_out, voids: see `Floors`.
     """
 
     placed: Placed
-    sheets: Bool
+    regions: Bool
     left_out: list[Patch]
     voids: list[Patch]
 
@@ -167,35 +167,35 @@ class ReachedLevels(NamedTuple):
 def find_reached_levels(
     site: Site, is_floor: Bool, starts: Bool, given: Sequence[LevelSettings] | None
 ) -> ReachedLevels:
-    """Place the sheets that are floors on levels, but for voids; or those that steps lead to.
+    """Place the regions that are floors on levels, but for voids; or those that steps lead to.
 
     Args:
-        is_floor: which sheets are floors, shape (sheets,), bool.
+        is_floor: which regions are floors, shape (regions,), bool.
         starts: those on which agents start, where `floors.from` names any.
         given: see `find_floors`.
 
     Raises:
         SceneError: there is no floor on a given level.
     """
-    sheets = site.sheets
+    regions = site.regions
     settings = site.settings
     by_steps = settings.reach == "steps"
     is_given = bool(starts.any())
     reached = Reached(starts, np.zeros_like(is_floor))
     placed = None
     if not is_given or (given is None and not by_steps):
-        placed = place_on_levels(sheets, is_floor, (), site.agent, settings)
+        placed = place_on_levels(regions, is_floor, (), site.agent, settings)
         if not is_given:
-            reached = reached._replace(reached=largest_of_lowest(placed.counts, sheets.num))
+            reached = reached._replace(reached=largest_of_lowest(placed.counts, regions.num))
         if given is None and not settings.voids:
             reached = find_voids(site, placed.counts, reached.reached, is_given)
     spans = given_spans(given or ())
     for number, (low, high) in enumerate(spans):
-        if not sheets.between(is_floor, low, high).any():
+        if not regions.between(is_floor, low, high).any():
             raise SceneError(_no_floor_on(given or (), number, site.columns))
     stays = is_floor & (reached.reached if by_steps else ~reached.voids)
     if placed is None or given is not None or not np.array_equal(stays, is_floor):
-        placed = place_on_levels(sheets, stays, given or (), site.agent, settings)
+        placed = place_on_levels(regions, stays, given or (), site.agent, settings)
         if not len(placed.counts):
             start = "what `floors.from` names"
             if not is_given:
@@ -204,9 +204,9 @@ def find_reached_levels(
     left_out: list[Patch] = []
     voids: list[Patch] = []
     if by_steps:
-        left_out = describe_sheets(sheets, is_floor & ~reached.reached, spans)
+        left_out = describe_regions(regions, is_floor & ~reached.reached, spans)
     else:
-        voids = describe_sheets(sheets, reached.voids)
+        voids = describe_regions(regions, reached.voids)
     return ReachedLevels(placed, reached.reached, left_out, voids)
 
 
@@ -242,7 +242,7 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
     for edge in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
         size[edge] = holes.size + 1
     size[0] = holes.size + 1
-    unseen: Bool = (size <= largest + SLACK)[holes]
+    unseen: Bool = (size <= largest + LIMIT_SLACK)[holes]
     if not unseen.any():
         return replace(level, unseen=unseen)
     near = binary_dilation(unseen, np.ones((3, 3)))

@@ -1,4 +1,4 @@
-"""How sheets end: at walls, at drops, at the lattice's border, or otherwise."""
+"""How regions end: at walls, at drops, at the lattice's border, or otherwise."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import ColumnSource
-from navbake.baker.floors.kernels.members import (
+from navbake.baker.columns.columns import ColumnSource
+from navbake.baker.core.arrays import Band
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.floors.member_kernels import (
     ITSELF,
     Edges,
     Labelled,
@@ -17,16 +19,14 @@ from navbake.baker.floors.kernels.members import (
     look_below,
     mark_holes,
 )
-from navbake.baker.floors.sheets import Sheets
+from navbake.baker.floors.regions import Regions
 from navbake.baker.floors.surfaces import find_near
-from navbake.baker.kernels.arrays import Band
-from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# How an edge of a sheet ends, see `Site.endings`
+# How an edge of a region ends, see `Site.endings`
 WALL, BARRIER, DROP, BORDER, OPEN = range(5)
 # The thickness of the bands at an agent's feet and head that both meet a wall [m]
 PROBE = 0.01
@@ -42,14 +42,14 @@ step and the agent's height.
 
 
 class Endings(NamedTuple):
-    """How a sheet ends at each of its edges, see `Site.endings`.
+    """How a region ends at each of its edges, see `Site.endings`.
 
     Attributes:
         kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
         landing: the height of the floor that a drop leads to, NaN for the others [m].
-        floor: the sheet of that floor, -1 for the others, int32.
+        floor: the region of that floor, -1 for the others, int32.
         is_known: False at borders where the lattice crops the scene; at the others nothing stands
-            beside the sheet, nor is a floor.
+            beside the region, nor is a floor.
     """
 
     kind: NDArray[np.uint8]
@@ -59,14 +59,14 @@ class Endings(NamedTuple):
 
 
 class ListedEdges(NamedTuple):
-    """Edges of sheets, as `list_edges` has them.
+    """Edges of regions, as `list_edges` has them.
 
     Attributes:
-        sheet: that ends there, int32.
+        region: that ends there, int32.
         rows: see `list_edges`, shape (edges, 5), int64.
     """
 
-    sheet: Int32
+    region: Int32
     rows: Int
 
 
@@ -74,15 +74,15 @@ class Site(NamedTuple):
     """The input of the rules for tops, roofs and shelves.
 
     Attributes:
-        sheets: all sheets, furniture included.
-        is_large: which of them are large enough for floors, shape (sheets,), bool.
+        regions: all regions, furniture included.
+        is_large: which of them are large enough for floors, shape (regions,), bool.
         columns: all surfaces.
         cropped: see `find_cropped`.
-        edges: of the large sheets.
-        reach: how many cells beyond a sheet's edge floors are looked for.
+        edges: of the large regions.
+        reach: how many cells beyond a region's edge floors are looked for.
     """
 
-    sheets: Sheets
+    regions: Regions
     is_large: Bool
     columns: ColumnSource
     agent: AgentSettings
@@ -93,34 +93,34 @@ class Site(NamedTuple):
     reach: int
 
     def edges_of(self, mask: Bool, reach: int) -> Edges:
-        """The edges of some large sheets, and the floors below them.
+        """The edges of some large regions, and the floors below them.
 
         Args:
             reach: how many cells to look out for floors below.
         """
-        sheets = self.sheets
+        regions = self.regions
         step = self.agent.traversable_floor_height
         listed = self.edges
-        is_in_mask = mask[listed.sheet]
+        is_in_mask = mask[listed.region]
         _, cell, place, way, _ = listed.rows[is_in_mask].T
         edges = Edges(
-            sheet=listed.sheet[is_in_mask],
+            region=listed.region[is_in_mask],
             cell=cell.copy(),
-            z=sheets.surfaces.z[place],
+            z=regions.surfaces.z[place],
             way=way.copy(),
             cells=np.full((len(cell), reach), -1),
             floors=np.full((len(cell), reach), np.nan),
             landing=np.full((len(cell), reach), -1, dtype=np.int32),
         )
-        labelled = sheets.labelled(self.is_large)
+        labelled = regions.labelled(self.is_large)
         looking = np.arange(len(cell))
         for k in range(reach):
-            cells = beside(sheets.lattice, edges.cell[looking], edges.way[looking], k + 1)
+            cells = beside(regions.lattice, edges.cell[looking], edges.way[looking], k + 1)
             is_inside = cells >= 0
             looking = looking[is_inside]
             cells = cells[is_inside]
-            limits = edges.z[looking] - step - SLACK
-            places, below = find_below(labelled, cells, limits, edges.sheet[looking])
+            limits = edges.z[looking] - step - LIMIT_SLACK
+            places, below = find_below(labelled, cells, limits, edges.region[looking])
             goes_out = places != ITSELF
             looking = looking[goes_out]
             places = places[goes_out]
@@ -132,7 +132,7 @@ class Site(NamedTuple):
 
     def barriers(self, edges: Edges, agent: AgentSettings) -> NDArray[np.uint8]:
         """`kind` of `endings`, but OPEN in place of DROP; for the agent or another one."""
-        outer = beside(self.sheets.lattice, edges.cell, edges.way)
+        outer = beside(self.regions.lattice, edges.cell, edges.way)
         kind = np.full(len(outer), OPEN, dtype=np.uint8)
         kind[outer < 0] = BORDER
         looking = np.arange(len(outer))
@@ -147,14 +147,14 @@ class Site(NamedTuple):
         return kind
 
     def endings(self, edges: Edges) -> Endings:
-        """Classify how a sheet ends at each of its edges.
+        """Classify how a region ends at each of its edges.
 
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
           agent's feet (just above a step) and at its head (just below its height).
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
         - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand;
           in any of `edges.cells` up to a barrier, past a bed's frame. There is no drop where a
-          surface continues from the sheet over that floor, as in an attic.
+          surface continues from the region over that floor, as in an attic.
         - BORDER: the lattice ends.
         - OPEN: an abyss, a steep slope, a floor on which nobody can stand.
         """
@@ -183,7 +183,7 @@ class Site(NamedTuple):
             )
             below = looking[~np.isnan(edges.floors[looking, k])]
             floors = edges.floors[below, k]
-            goes_on = ground[below] > floors + agent.height + SLACK
+            goes_on = ground[below] > floors + agent.height + LIMIT_SLACK
             lands = below[~goes_on & ~self.is_occupied(edges.cells[below, k], floors, None)]
             kind[lands] = DROP
             landing[lands] = edges.floors[lands, k]
@@ -197,16 +197,16 @@ class Site(NamedTuple):
         return known
 
     def share(self, edges: Edges, which: Bool, known: Bool) -> Float:
-        """The share of each sheet's known edges that are of some kind, NaN where none is known."""
-        num_of_kind = np.bincount(edges.sheet, which & known, len(self.is_large))
-        num_known = np.bincount(edges.sheet, known, len(self.is_large))
+        """The share of each region's known edges that are of some kind, NaN where none is known."""
+        num_of_kind = np.bincount(edges.region, which & known, len(self.is_large))
+        num_known = np.bincount(edges.region, known, len(self.is_large))
         share = np.full(len(num_known), np.nan)
         np.divide(num_of_kind, num_known, out=share, where=num_known > 0)
         return share
 
 
 def look_at_site(
-    sheets: Sheets,
+    regions: Regions,
     is_large: Bool,
     columns: ColumnSource,
     cropped: Bool,
@@ -214,39 +214,41 @@ def look_at_site(
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> Site:
-    """List the edges of large sheets; for the arguments, see `Site`."""
-    reach = int(np.ceil(settings.shrink / sheets.lattice.cell_size)) + 1
-    lowest = sheets.low[is_large].min(initial=np.inf)
-    _, (rows,) = sheets.blocks.list_rows(
+    """List the edges of large regions; for the arguments, see `Site`."""
+    reach = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
+    lowest = regions.low[is_large].min(initial=np.inf)
+    _, (rows,) = regions.blocks.list_rows(
         list_edges,
         (NO_EDGES,),
-        sheets.labelled(is_large),
+        regions.labelled(is_large),
         lowest,
         agent.traversable_floor_height,
         reach,
     )
     return Site(
-        sheets=sheets,
+        regions=regions,
         is_large=is_large,
         columns=columns,
         agent=agent,
         settings=settings,
         is_occupied=is_occupied,
         cropped=cropped,
-        edges=ListedEdges(sheets.of_part[rows[:, 0]], rows),
+        edges=ListedEdges(regions.of_part[rows[:, 0]], rows),
         reach=reach,
     )
 
 
 def find_below(
-    labelled: Labelled, cells: Int, limits: Float, sheets: Int32 | None = None
+    labelled: Labelled, cells: Int, limits: Float, regions: Int32 | None = None
 ) -> tuple[Int, Int32]:
-    """The highest surfaces of other sheets, or of any, below limits, see `look_below`."""
-    if sheets is None:
-        sheets = np.full(len(cells), -2, dtype=np.int32)
+    """The highest surfaces of other regions, or of any, below limits, see `look_below`."""
+    if regions is None:
+        regions = np.full(len(cells), -2, dtype=np.int32)
     places = np.empty(len(cells), dtype=np.int64)
     below = np.empty(len(cells), dtype=np.int32)
-    run_in_bands(look_below, len(cells), labelled, cells, sheets, limits, places, below, least=1000)
+    run_in_chunks(
+        look_below, len(cells), labelled, cells, regions, limits, places, below, least=1000
+    )
     return places, below
 
 
@@ -259,13 +261,15 @@ def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
         return np.ones(4, dtype=np.bool_)
     x_min, y_min, x_max, y_max = lattice.bounds
     low, high = bounds
-    return np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > SLACK
+    return (
+        np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > LIMIT_SLACK
+    )
 
 
 def find_holes(edges: Edges, lattice: Lattice) -> Bool:
-    """Which edges are at rims of holes, shape (edges,); `edges` are all those of some sheets."""
-    order = np.argsort(edges.sheet, kind="stable")
-    start = np.append(np.flatnonzero(np.diff(edges.sheet[order], prepend=-1)), len(order))
+    """Which edges are at rims of holes, shape (edges,); `edges` are all those of some regions."""
+    order = np.argsort(edges.region, kind="stable")
+    start = np.append(np.flatnonzero(np.diff(edges.region[order], prepend=-1)), len(order))
     marked = np.empty(len(order), dtype=np.bool_)
     in_hole = np.empty(len(order), dtype=np.bool_)
     mark_holes(edges.cell[order], edges.way[order], start, lattice, marked)

@@ -7,30 +7,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.connect import ranges
-from navbake.baker.floors.kernels.surfaces import HELD, Surfaces
+from navbake.baker.core.components import ranges
+from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.floors.outline import DROP, Site, beside, look_at_site
-from navbake.baker.floors.rejected import LARGE_TOP, Rejected
-from navbake.baker.floors.sheets import (
+from navbake.baker.floors.regions import (
     Patch,
-    Sheets,
+    Regions,
     describe_members,
-    find_large_sheets,
-    find_sheets,
+    find_large_regions,
+    find_regions,
     place_near,
 )
+from navbake.baker.floors.rejected import LARGE_TOP, Rejected
 from navbake.baker.floors.storeys import Placed
+from navbake.baker.floors.surface_kernels import HELD, Surfaces
 from navbake.baker.floors.surfaces import find_near
-from navbake.baker.kernels.constants import SLACK, TOUCH
-from navbake.baker.kernels.overlap import lines_blocked
+from navbake.baker.geometry.overlap_kernels import lines_blocked
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
-from navbake.threads import run_in_bands
+from navbake.threads import run_in_chunks
 from navbake.types import Bool, Int
 
 # A position that is at most this far from a surface lies on it, furniture or not [m]
 ON_SURFACE = 0.02
-# The least sheet that is reported as unreached on a level that is reached: shafts and niches are
+# The least region that is reported as unreached on a level that is reached: shafts and niches are
 # smaller [m²]
 TOLD_AREA = 6.0
 # A level is a void where this share of it, or more, has less headroom than an adult needs [m]
@@ -58,7 +58,7 @@ class Unreached:
 
 
 def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) -> Bool:
-    """Find the sheets on which agents start, at some positions.
+    """Find the regions on which agents start, at some positions.
 
     A position within 2 cm of a surface lies on it. Any other is on the highest floor of its column
     that is at most a step higher. Roofs, and tops of at least 6 m², are floors here. Above
@@ -66,32 +66,32 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
     if there is none.
 
     Args:
-        rejected: the sheets that are floors only where an agent starts.
+        rejected: the regions that are floors only where an agent starts.
         positions: `floors.from`, x, y, z of each [m].
 
     Returns:
-        Which sheets they are, shape (sheets,), bool.
+        Which regions they are, shape (regions,), bool.
 
     Raises:
         SceneError: there is no floor at a position.
     """
-    sheets = site.sheets
-    lattice = sheets.lattice
-    surfaces = sheets.surfaces
+    regions = site.regions
+    lattice = regions.lattice
+    surfaces = regions.surfaces
     step = site.agent.traversable_floor_height
-    is_small = sheets.size * lattice.cell_size**2 < LARGE_TOP
+    is_small = regions.size * lattice.cell_size**2 < LARGE_TOP
     may_start = site.is_large & ~rejected.shelves & ~(rejected.tops & is_small)
-    starts = np.zeros(sheets.num, dtype=np.bool_)
+    starts = np.zeros(regions.num, dtype=np.bool_)
     for number, (x, y, z) in enumerate(positions):
         row, col = lattice.rows_cols([x, y])
         places = np.empty(0, dtype=np.int64)
         cell = int(row) * lattice.width + int(col)
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
             places = np.arange(surfaces.first[cell], surfaces.end[cell])
-            places = places[sheets.sheet_of(places) >= 0]
+            places = places[regions.region_of(places) >= 0]
         heights = surfaces.z[places]
-        in_column = sheets.sheet_of(places)
-        below = in_column[heights <= z + step + SLACK]
+        in_column = regions.region_of(places)
+        below = in_column[heights <= z + step + LIMIT_SLACK]
         if not len(below):
             in_cell = "there is none in that cell"
             if len(heights):
@@ -100,7 +100,7 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
                 f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
                 f"an agent can stand on, at most a step higher; {in_cell}"
             )
-        exactly = in_column[abs(heights - z) <= ON_SURFACE + SLACK]
+        exactly = in_column[abs(heights - z) <= ON_SURFACE + LIMIT_SLACK]
         floors = below[may_start[below]]
         if len(exactly):
             starts[exactly[-1]] = True
@@ -112,10 +112,10 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
 
 
 def _floor_beside(site: Site, may_start: Bool, furniture: int) -> int:
-    """The floor that a sheet of furniture drops to along most of its outline, else itself."""
+    """The floor that a region of furniture drops to along most of its outline, else itself."""
     is_furniture = np.arange(len(may_start)) == furniture
     site_with_furniture = look_at_site(
-        sheets=site.sheets,
+        regions=site.regions,
         is_large=may_start | is_furniture,
         columns=site.columns,
         cropped=site.cropped,
@@ -130,46 +130,46 @@ def _floor_beside(site: Site, may_start: Bool, furniture: int) -> int:
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
 
-def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
-    """The sheet with the largest floor on the lowest level, as a mask, shape (sheets,).
+def largest_of_lowest(counts: Int, num_regions: int) -> Bool:
+    """The region with the largest floor on the lowest level, as a mask, shape (regions,).
 
     Args:
-        counts: rows of sheet, level and how many surfaces it has there; they may repeat.
+        counts: rows of region, level and how many surfaces it has there; they may repeat.
     """
-    sheet, _, count = counts[counts[:, 1] == counts[:, 1].min()].T
-    largest: Bool = np.arange(num_sheets) == np.bincount(sheet, count).argmax()
+    region, _, count = counts[counts[:, 1] == counts[:, 1].min()].T
+    largest: Bool = np.arange(num_regions) == np.bincount(region, count).argmax()
     return largest
 
 
 def count_low(site: Site) -> Int:
-    """How many surfaces of each sheet something hangs over, lower than an adult needs."""
-    sheets = site.sheets
-    surfaces = sheets.surfaces
-    cells = sheets.blocks.cells(np.arange(sheets.blocks.num))
+    """How many surfaces of each region something hangs over, lower than an adult needs."""
+    regions = site.regions
+    surfaces = regions.surfaces
+    cells = regions.blocks.cells(np.arange(regions.blocks.num))
     which, place = ranges(surfaces.first[cells], surfaces.end[cells])
-    sheet = sheets.sheet_of(place)
-    stands = sheet >= 0
+    region = regions.region_of(place)
+    stands = region >= 0
     cell = cells[which[stands]]
     place = place[stands]
     is_low = np.zeros(len(cell), dtype=np.bool_)
-    run_in_bands(
+    run_in_chunks(
         lines_blocked,
         len(cell),
         cell,
-        surfaces.z[place] + site.agent.height - TOUCH,
+        surfaces.z[place] + site.agent.height - TOUCH_DEPTH,
         surfaces.z[place] + UPRIGHT,
-        site.columns.at(cell).crossings,
+        site.columns.at(cell).hits,
         is_low,
         least=1000,
     )
-    return np.bincount(sheet[stands][is_low], minlength=sheets.num)
+    return np.bincount(region[stands][is_low], minlength=regions.num)
 
 
 class Reached(NamedTuple):
-    """What steps lead to: masks of sheets, shape (sheets,).
+    """What steps lead to: masks of regions, shape (regions,).
 
     Attributes:
-        reached: which sheets are reached.
+        reached: which regions are reached.
         voids: those of levels that no step reaches and in which nobody can stand upright.
     """
 
@@ -181,72 +181,72 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> Reache
     """Find the levels that no step reaches and in which nobody can stand upright.
 
     Args:
-        counts: rows of sheet, level and how many surfaces it has there; they may repeat.
-        reached: which sheets are reached, shape (sheets,), bool.
+        counts: rows of region, level and how many surfaces it has there; they may repeat.
+        reached: which regions are reached, shape (regions,), bool.
         is_given: whether `floors.from` gives the starts; else that is the lowest level that is no
             void.
     """
-    sheet, level, _ = counts.T
+    region, level, _ = counts.T
     voids = np.zeros_like(reached)
     levels = np.unique(level)
-    if np.isin(levels, level[reached[sheet]]).all():
+    if np.isin(levels, level[reached[region]]).all():
         return Reached(reached, voids)
     num_low = count_low(site)
     low_levels = []
     for number in levels.tolist():
-        on_level = np.unique(sheet[level == number])
-        if num_low[on_level].sum() / site.sheets.size[on_level].sum() >= NEARLY_ALL:
+        on_level = np.unique(region[level == number])
+        if num_low[on_level].sum() / site.regions.size[on_level].sum() >= NEARLY_ALL:
             low_levels.append(number)
     if not is_given and len(low_levels) < len(levels):
         reached = largest_of_lowest(counts[~np.isin(level, low_levels)], len(reached))
-    is_void = np.isin(level, low_levels) & ~np.isin(level, level[reached[sheet]])
-    voids[sheet[is_void]] = True
-    voids[sheet[~is_void]] = False
+    is_void = np.isin(level, low_levels) & ~np.isin(level, level[reached[region]])
+    voids[region[is_void]] = True
+    voids[region[~is_void]] = False
     return Reached(reached, voids)
 
 
-def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
+def find_unreached(regions: Regions, placed: Placed, reached: Bool) -> list[Unreached]:
     """Find the floors that no step leads to, one entry a level, lowest first.
 
-    On levels that are reached in part, only sheets of at least 6 m² there count.
+    On levels that are reached in part, only regions of at least 6 m² there count.
 
     Args:
-        reached: which sheets are reached, shape (sheets,), bool.
+        reached: which regions are reached, shape (regions,), bool.
     """
-    sheet, level, count = placed.counts.T
-    is_reached = reached[sheet]
+    region, level, count = placed.counts.T
+    is_reached = reached[region]
     unreached = []
     for number in np.unique(level[~is_reached]).tolist():
         on_level = level == number
         is_unreached = on_level & ~is_reached
-        size = np.bincount(sheet[is_unreached], count[is_unreached], minlength=sheets.num)
+        size = np.bincount(region[is_unreached], count[is_unreached], minlength=regions.num)
         is_told = size > 0
         whole = not (is_reached & on_level).any()
         if not whole:
-            is_told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
+            is_told &= size * regions.lattice.cell_size**2 >= TOLD_AREA - LIMIT_SLACK
         if is_told.any():
-            patch = _describe_on_level(sheets, placed, number, is_told, int(size.argmax()))
+            patch = _describe_on_level(regions, placed, number, is_told, int(size.argmax()))
             unreached.append(Unreached(number, patch, whole))
     return unreached
 
 
 def _describe_on_level(
-    sheets: Sheets, placed: Placed, number: int, mask: Bool, largest: int
+    regions: Regions, placed: Placed, number: int, mask: Bool, largest: int
 ) -> Patch:
-    """Describe the surfaces of some sheets on a level, at a place on the largest sheet there."""
+    """Describe the surfaces of some regions on a level, at a place on the largest region there."""
     on_level = {}
-    for sheet in np.flatnonzero(mask).tolist():
-        members = sheets.members(sheet)
+    for region in np.flatnonzero(mask).tolist():
+        members = regions.members(region)
         level = placed.level[members.place]
         is_on_level = (level >= 0) & (placed.number[np.maximum(level, 0)] == number)
-        on_level[sheet] = members.only(is_on_level)
-    row, col = np.divmod(on_level[largest].cell, sheets.lattice.width)
+        on_level[region] = members.only(is_on_level)
+    row, col = np.divmod(on_level[largest].cell, regions.lattice.width)
     geoms = np.concatenate([members.geom for members in on_level.values()])
     cells = np.concatenate([members.cell for members in on_level.values()])
     return Patch(
         geom=int(np.bincount(geoms).argmax()),
-        area=len(cells) * sheets.lattice.cell_size**2,
-        place=place_near(sheets.lattice, on_level[largest], row.mean(), col.mean()),
+        area=len(cells) * regions.lattice.cell_size**2,
+        place=place_near(regions.lattice, on_level[largest], row.mean(), col.mean()),
         cells=cells.astype(np.int32),
     )
 
@@ -260,15 +260,15 @@ def find_enclosed(surfaces: Surfaces, agent: AgentSettings, settings: FloorSetti
     is_held = surfaces.marks & HELD != 0
     if not is_held.any():
         return []
-    # each sheet is of one mesh or plane
-    sheets = find_sheets(surfaces, agent, np.where(is_held, surfaces.geom, np.int32(-1)))
+    # each region is of one mesh or plane
+    regions = find_regions(surfaces, agent, np.where(is_held, surfaces.geom, np.int32(-1)))
     patches = []
-    for sheet in np.flatnonzero(find_large_sheets(sheets, sheets.size > 0, settings)).tolist():
-        members = sheets.members(sheet)
+    for region in np.flatnonzero(find_large_regions(regions, regions.size > 0, settings)).tolist():
+        members = regions.members(region)
         num_edges = 0
         num_going_on = 0
         for way in range(4):
-            cells = beside(sheets.lattice, members.cell, way)
+            cells = beside(regions.lattice, members.cell, way)
             at_edge = ~np.isin(cells, members.cell)
             num_edges += int(np.count_nonzero(at_edge))
             is_inside = at_edge & (cells >= 0)
@@ -281,7 +281,7 @@ def find_enclosed(surfaces: Surfaces, agent: AgentSettings, settings: FloorSetti
                 agent.traversable_floor_height,
             )
             num_going_on += int(np.count_nonzero(~np.isnan(near)))
-        patch = describe_members(sheets.lattice, members)
+        patch = describe_members(regions.lattice, members)
         if patch.area >= BUILDING or num_going_on < GOES_ON * num_edges:
             patches.append(patch)
     return sorted(patches, key=lambda patch: -patch.area)

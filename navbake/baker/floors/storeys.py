@@ -8,31 +8,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.floors.kernels import levels as kernels
-from navbake.baker.floors.kernels.labels import PLATEAU, Joining, tally
-from navbake.baker.floors.kernels.levels import EVERY, LOST, LOWEST, Candidates, HeightWindow
-from navbake.baker.floors.kernels.members import AreaTest, Members
-from navbake.baker.floors.sheets import (
+from navbake.baker.core.area_test import AreaTest, area_test, is_large
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.floors import level_kernels as kernels
+from navbake.baker.floors.label_kernels import PLATEAU, Joining, tally
+from navbake.baker.floors.level_kernels import EVERY, LOST, LOWEST, Candidates, HeightWindow
+from navbake.baker.floors.member_kernels import Members
+from navbake.baker.floors.regions import (
     NO_HEIGHTS,
     NO_KEY,
     NO_ROWS,
     Labels,
     Patch,
-    Sheets,
-    area_test,
+    Regions,
     describe_members,
-    is_large,
     label_surfaces,
-    sheet_joining,
+    region_joining,
 )
-from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
-from navbake.threads import run_in_bands
+from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 # A given ground takes in floors down to this much below it [m]
 GIVEN_TOLERANCE = 0.02
-# A level opened for treads takes in what lies so little below them on their sheet: noise [m]
+# A level opened for treads takes in what lies so little below them on their region: noise [m]
 FLAT = 0.005
 # A storey rarely begins higher over another one [m]; a scene with more storeys is a tower
 HIGH_STOREY, FEW = 8.0, 4
@@ -56,7 +55,7 @@ def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
     for number, level in enumerate(given):
         above = given[number + 1].ground - GIVEN_TOLERANCE if given[number + 1 :] else np.inf
         top = above if level.top is None else min(above, level.top)
-        spans.append((level.ground - GIVEN_TOLERANCE, top - SLACK))
+        spans.append((level.ground - GIVEN_TOLERANCE, top - LIMIT_SLACK))
     return spans
 
 
@@ -67,7 +66,7 @@ class Placed(NamedTuple):
         grounds, labels: heights and names of the levels that have surfaces, lowest first.
         level: of each surface, less than 0 for none, int32.
         number: the final number of each `level`, as levels without surfaces are left out.
-        counts: rows of sheet, level and how many surfaces it has there; they may repeat.
+        counts: rows of region, level and how many surfaces it has there; they may repeat.
         spare: see `Floors`.
     """
 
@@ -86,7 +85,7 @@ class Placing(NamedTuple):
         grounds: of the levels [m].
         leave_floors: whether floors made way for treads where a column has too few levels.
         level: of each surface, int32; LOST, LOST_GROUND or -1 for none.
-        part, row_level, num_surfaces, low: of each row a part of a sheet, a level, how many of the
+        part, row_level, num_surfaces, low: of each row a part of a region, a level, how many of the
             part's surfaces are on it, and the lowest of their heights [m].
     """
 
@@ -129,13 +128,13 @@ class Placeable(NamedTuple):
     """The surfaces that are placed on levels, and what decides how.
 
     Attributes:
-        sheets: all sheets.
+        regions: all regions.
         candidates: those of their surfaces that levels are made of.
         is_stacked: whether any of them lies over another one.
         tolerance: how far below a ground its floors may lie [m].
     """
 
-    sheets: Sheets
+    regions: Regions
     candidates: Candidates
     is_stacked: bool
     tolerance: float
@@ -144,31 +143,31 @@ class Placeable(NamedTuple):
 
 
 def place_on_levels(
-    sheets: Sheets,
+    regions: Regions,
     mask: Bool,
     given: Sequence[LevelSettings],
     agent: AgentSettings,
     settings: FloorSettings,
 ) -> Placed:
-    """Place the surfaces of some sheets, shape (sheets,), on levels.
+    """Place the surfaces of some regions, shape (regions,), on levels.
 
     Args:
         given: the levels of the configuration, whose surfaces lie in `given_spans`; levels are
             found if there are none.
     """
-    key = np.empty(len(sheets.surfaces.z), dtype=np.int8)
-    stacked = np.empty(sheets.blocks.num, dtype=np.bool_)
+    key = np.empty(len(regions.surfaces.z), dtype=np.int8)
+    stacked = np.empty(regions.blocks.num, dtype=np.bool_)
     spans = np.array(given_spans(given), dtype=np.float64).reshape(-1, 2)
-    run_in_bands(
-        kernels.mark_candidates, sheets.blocks.num, sheets.labelled(mask), spans, key, stacked
+    run_in_chunks(
+        kernels.mark_candidates, regions.blocks.num, regions.labelled(mask), spans, key, stacked
     )
     # stairs matter only where surfaces lie over each other
     candidates = Candidates(key, NO_KEY, np.empty(0, np.bool_))
     is_stacked = bool(stacked.any())
     if is_stacked:
-        candidates = _find_stairs(sheets, key, agent.traversable_floor_height)
-    tolerance = GIVEN_TOLERANCE if given else SLACK
-    placeable = Placeable(sheets, candidates, is_stacked, tolerance, agent, settings)
+        candidates = _find_stairs(regions, key, agent.traversable_floor_height)
+    tolerance = GIVEN_TOLERANCE if given else LIMIT_SLACK
+    placeable = Placeable(regions, candidates, is_stacked, tolerance, agent, settings)
     if given:
         placing = _place(placeable, sorted(level.ground for level in given))
     else:
@@ -177,31 +176,31 @@ def place_on_levels(
     if (placing.row_level <= LOST).any():
         placing, spare = _make_room(placeable, placing)
     names = {level.ground: level.name for level in given}
-    return _number_levels(sheets, placing, names, spare)
+    return _number_levels(regions, placing, names, spare)
 
 
-def _find_stairs(sheets: Sheets, key: NDArray[np.int8], step: float) -> Candidates:
+def _find_stairs(regions: Regions, key: NDArray[np.int8], step: float) -> Candidates:
     """Tell which candidates, by their keys, are parts of stairs and ramps.
 
     A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if going only up from
     it, and also only down, leads to a floor more than four times as large. A floor is all of a
-    sheet within half a step of its height, since walls and thresholds divide it.
+    region within half a step of its height, since walls and thresholds divide it.
     """
     joining = Joining(min(step, PLATEAU), step)
-    labels = label_surfaces(sheets.surfaces, joining, key.astype(np.int32))
-    # neighbours at about one height are a plateau; each lies in one part of a sheet
-    _, (rows, low) = sheets.blocks.list_rows(
-        tally, ROWS_AND_HEIGHTS, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
+    labels = label_surfaces(regions.surfaces, joining, key.astype(np.int32))
+    # neighbours at about one height are a plateau; each lies in one part of a region
+    _, (rows, low) = regions.blocks.list_rows(
+        tally, ROWS_AND_HEIGHTS, regions.surfaces, labels.part, regions.labels.part, NO_KEY
     )
     whole_of_part = labels.wholes()
     num = int(whole_of_part.max(initial=-1)) + 1
     plateau = whole_of_part[rows[:, 0]]
-    sheet = sheets.of_part[rows[:, 1]].astype(np.int64)
+    region = regions.of_part[rows[:, 1]].astype(np.int64)
     half_step = max(step, PLATEAU) / 2
     height = np.full(num, np.inf)
     np.minimum.at(height, plateau, low)
     area = np.zeros(num, dtype=np.int64)
-    np.maximum.at(area, plateau, _areas_about(sheet, rows[:, 2], rows[:, 3], half_step))
+    np.maximum.at(area, plateau, _areas_about(region, rows[:, 2], rows[:, 3], half_step))
     one_end, other_end = labels.links(whole_of_part)
     is_lower = height[one_end] < height[other_end]
     lower = np.where(is_lower, one_end, other_end)
@@ -250,7 +249,7 @@ def _lowest_plateau(
 
     Windows of heights are one step high, half a step apart, below each of `tops` in turn.
     """
-    test = area_test(placeable.sheets.lattice, placeable.settings)
+    test = area_test(placeable.regions.lattice, placeable.settings)
     for top in tops:
         every = _list_heights(placeable, HeightWindow(ground, EVERY, half_step, top), UNSHRUNK)
         numbers, where = np.unique(every.window, return_inverse=True)
@@ -272,9 +271,9 @@ def _lowest_plateau(
 
 def _list_heights(placeable: Placeable, window: HeightWindow, test: AreaTest) -> Heights:
     """Count the heights in a window, see `list_heights`."""
-    sheets = placeable.sheets
-    _, (rows, low) = sheets.blocks.list_rows(
-        kernels.list_heights, ROWS_AND_HEIGHTS, sheets.surfaces, placeable.candidates, window, test
+    regions = placeable.regions
+    _, (rows, low) = regions.blocks.list_rows(
+        kernels.list_heights, ROWS_AND_HEIGHTS, regions.surfaces, placeable.candidates, window, test
     )
     return Heights(window=rows[:, 0], plateau=rows[:, 1], num_surfaces=rows[:, 3], low=low)
 
@@ -297,13 +296,13 @@ def _lower_grounds(placeable: Placeable, grounds: list[float]) -> Placing:
 
 def _lower_once(placeable: Placeable, placing: Placing) -> list[float]:
     """The grounds, each lowered to parts of the level below as these are placed."""
-    sheets = placeable.sheets
+    regions = placeable.regions
     candidates = placeable.candidates
     step = placeable.agent.traversable_floor_height
     grounds = placing.grounds
-    labels = label_surfaces(sheets.surfaces, Joining(step, step), placing.level)
-    _, (rows, heights) = sheets.blocks.list_rows(
-        tally, ROWS_AND_HEIGHTS, sheets.surfaces, labels.part, candidates.plateau, placing.level
+    labels = label_surfaces(regions.surfaces, Joining(step, step), placing.level)
+    _, (rows, heights) = regions.blocks.list_rows(
+        tally, ROWS_AND_HEIGHTS, regions.surfaces, labels.part, candidates.plateau, placing.level
     )
     whole_of_part = labels.wholes()
     num = int(whole_of_part.max(initial=-1)) + 1
@@ -323,7 +322,7 @@ def _lower_once(placeable: Placeable, placing: Placing) -> list[float]:
         is_above = level[to_part] == k
         leads_above = np.bincount(from_part[is_below & is_above], minlength=num) > 0
         leads_elsewhere = np.bincount(from_part[is_below & ~is_above], minlength=num) > 0
-        is_near = low >= grounds[k] - step - SLACK
+        is_near = low >= grounds[k] - step - LIMIT_SLACK
         belongs = has_floor & leads_above & ~leads_elsewhere & is_near
         if belongs.any():
             lowered[k] = min(grounds[k], round(float(low[belongs].min()), DECIMALS))
@@ -337,15 +336,15 @@ def _place(placeable: Placeable, grounds: list[float], leave_floors: bool = Fals
         grounds: of the levels, ascending [m].
         leave_floors: whether floors make way for treads where a column has too few levels.
     """
-    sheets = placeable.sheets
-    level = np.empty(len(sheets.surfaces.z), dtype=np.int32)
-    _, (rows, low) = sheets.blocks.list_rows(
+    regions = placeable.regions
+    level = np.empty(len(regions.surfaces.z), dtype=np.int32)
+    _, (rows, low) = regions.blocks.list_rows(
         kernels.place_blocks,
         ROWS_AND_HEIGHTS,
-        sheets.surfaces,
+        regions.surfaces,
         placeable.candidates,
         (np.array(grounds), placeable.tolerance, leave_floors),
-        (sheets.labels.part, level),
+        (regions.labels.part, level),
     )
     return Placing(
         grounds=grounds,
@@ -362,55 +361,55 @@ def _make_room(placeable: Placeable, placing: Placing) -> tuple[Placing, list[Pa
     """Place surfaces again where columns have more of them than there are levels.
 
     Treads or else the floors under them are left out, if they are spare, see `_are_spare`. Else a
-    level is opened at the lowest one without a place, or a little below it on its sheet, so that an
-    uneven floor stays whole.
+    level is opened at the lowest one without a place, or a little below it on its region, so that
+    an uneven floor stays whole.
 
     Returns:
         The surfaces on their levels, and the spare ones that are left out.
     """
-    sheets = placeable.sheets
+    regions = placeable.regions
     walks = _label_walks(placeable, placeable.candidates.key)
     while True:
-        lost_sheets = _list_lost_sheets(sheets, placing)
-        if _are_spare(placeable, placing, lost_sheets, walks):
+        lost_regions = _list_lost_regions(regions, placing)
+        if _are_spare(placeable, placing, lost_regions, walks):
             break
         without_floors = _place(placeable, placing.grounds, leave_floors=True)
-        lost_floors = _list_lost_sheets(sheets, without_floors)
+        lost_floors = _list_lost_regions(regions, without_floors)
         if _are_spare(placeable, without_floors, lost_floors, walks):
             placing = without_floors
-            lost_sheets = lost_floors
+            lost_regions = lost_floors
             break
-        ground = _next_ground(placeable.candidates, placing, lost_sheets)
+        ground = _next_ground(placeable.candidates, placing, lost_regions)
         placing = _place(placeable, sorted([*placing.grounds, ground]))
     spare = []
-    for members in lost_sheets:
+    for members in lost_regions:
         is_lost = placing.level[members.place] <= LOST
-        spare.append(describe_members(sheets.lattice, members.only(is_lost)))
+        spare.append(describe_members(regions.lattice, members.only(is_lost)))
     return placing, spare
 
 
-def _list_lost_sheets(sheets: Sheets, placing: Placing) -> list[Members]:
-    """All surfaces of each sheet of which any is without a place."""
+def _list_lost_regions(regions: Regions, placing: Placing) -> list[Members]:
+    """All surfaces of each region of which any is without a place."""
     is_lost = placing.row_level <= LOST
-    lost_sheets = np.unique(sheets.of_part[placing.part[is_lost]])
-    return [sheets.members(sheet) for sheet in lost_sheets.tolist()]
+    lost_regions = np.unique(regions.of_part[placing.part[is_lost]])
+    return [regions.members(region) for region in lost_regions.tolist()]
 
 
-def _next_ground(candidates: Candidates, placing: Placing, lost_sheets: list[Members]) -> float:
+def _next_ground(candidates: Candidates, placing: Placing, lost_regions: list[Members]) -> float:
     """Where a level is opened for surfaces without a place."""
     grounds = placing.grounds
     lost = float(placing.low[placing.row_level == LOST].min(initial=np.inf))
     if lost == np.inf:
         # all are grounds, so their columns are taken on every level: open one above all
         return max(grounds) + 1.0
-    heights = [members.z[candidates.key[members.place] >= 0] for members in lost_sheets]
+    heights = [members.z[candidates.key[members.place] >= 0] for members in lost_regions]
     z = np.concatenate(heights)
-    lowest = max([lost - FLAT, *(ground + SLACK for ground in grounds if ground <= lost)])
+    lowest = max([lost - FLAT, *(ground + LIMIT_SLACK for ground in grounds if ground <= lost)])
     return round(float(z[(z >= lowest) & (z <= lost)].min(initial=lost)), DECIMALS)
 
 
 def _are_spare(
-    placeable: Placeable, placing: Placing, lost_sheets: list[Members], walks: Labels
+    placeable: Placeable, placing: Placing, lost_regions: list[Members], walks: Labels
 ) -> bool:
     """Whether surfaces without a place can be left out.
 
@@ -419,18 +418,18 @@ def _are_spare(
     connected parts that are large enough for floors.
 
     Args:
-        lost_sheets: the surfaces of the sheets with such surfaces.
+        lost_regions: the surfaces of the regions with such surfaces.
         walks: all candidates, see `_label_walks`.
     """
-    if not lost_sheets:
+    if not lost_regions:
         return True
-    lattice = placeable.sheets.lattice
+    lattice = placeable.regions.lattice
     settings = placeable.settings
     limits = settings
     if not placing.leave_floors:
         rim = {"min_area": lattice.cell_size**2, "shrink": settings.shrink / 2}
         limits = settings.model_copy(update=rim)
-    for members in lost_sheets:
+    for members in lost_regions:
         is_lost = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         is_lost[members.cell[placing.level[members.place] <= LOST]] = True
         if is_large(lattice, limits, is_lost):
@@ -438,22 +437,22 @@ def _are_spare(
     remaining_key = np.where(placing.level <= LOST, np.int8(-1), placeable.candidates.key)
     remaining = _label_walks(placeable, remaining_key)
     needed = area_test(lattice, settings).needed
-    num_remaining = _count_walks(remaining, lost_sheets, needed)
-    return num_remaining <= _count_walks(walks, lost_sheets, needed)
+    num_remaining = _count_walks(remaining, lost_regions, needed)
+    return num_remaining <= _count_walks(walks, lost_regions, needed)
 
 
 def _label_walks(placeable: Placeable, key: NDArray[np.int8]) -> Labels:
     """The parts that steps join; for the key, see `label_blocks`."""
-    surfaces = placeable.sheets.surfaces
-    joining = sheet_joining(surfaces.lattice, placeable.agent)
+    surfaces = placeable.regions.surfaces
+    joining = region_joining(surfaces.lattice, placeable.agent)
     return label_surfaces(surfaces, joining, key.astype(np.int32))
 
 
-def _count_walks(walks: Labels, sheets: list[Members], needed: int) -> int:
-    """How many walks have so many surfaces of a sheet, or more."""
+def _count_walks(walks: Labels, regions: list[Members], needed: int) -> int:
+    """How many walks have so many surfaces of a region, or more."""
     whole_of_part = walks.wholes()
     num_walks = 0
-    for members in sheets:
+    for members in regions:
         part = walks.part[members.place]
         walk = whole_of_part[part[part >= 0]]
         num_walks += int(np.count_nonzero(np.bincount(walk) >= needed))
@@ -461,7 +460,7 @@ def _count_walks(walks: Labels, sheets: list[Members], needed: int) -> int:
 
 
 def _number_levels(
-    sheets: Sheets, placing: Placing, names: dict[float, str | None], spare: list[Patch]
+    regions: Regions, placing: Placing, names: dict[float, str | None], spare: list[Patch]
 ) -> Placed:
     """Leave out the levels without surfaces.
 
@@ -474,26 +473,26 @@ def _number_levels(
     used = np.bincount(level, minlength=len(placing.grounds)) > 0
     number = np.cumsum(used, dtype=np.int64) - 1
     grounds = [placing.grounds[k] for k in np.flatnonzero(used).tolist()]
-    sheet = sheets.of_part[placing.part[has_level]]
+    region = regions.of_part[placing.part[has_level]]
     return Placed(
         grounds=grounds,
         labels=_label([names.get(ground) for ground in grounds]),
         level=placing.level,
         number=number,
-        counts=np.stack([sheet, number[level], placing.num_surfaces[has_level]], axis=1),
+        counts=np.stack([region, number[level], placing.num_surfaces[has_level]], axis=1),
         spare=spare,
     )
 
 
-def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:
-    """By row, how many surfaces of the sheet lie within half a step of the height.
+def _areas_about(region: Int, number: Int, count: Int, half_step: float) -> Int:
+    """By row, how many surfaces of the region lie within half a step of the height.
 
     `number` is the height in multiples of PLATEAU; rows may repeat.
     """
-    near = int(half_step / PLATEAU + SLACK)
-    # one sheet after the other on one axis, so far apart that no window reaches the next
+    near = int(half_step / PLATEAU + LIMIT_SLACK)
+    # one region after the other on one axis, so far apart that no window reaches the next
     lowest = number.min(initial=0)
-    place = sheet * int(number.max(initial=0) - lowest + 2 * near + 1) + number - lowest
+    place = region * int(number.max(initial=0) - lowest + 2 * near + 1) + number - lowest
     places, where = np.unique(place, return_inverse=True)
     total = np.append(0, np.bincount(where, count).astype(np.int64).cumsum())
     first = np.searchsorted(places, places - near, side="left")

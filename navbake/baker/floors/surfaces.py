@@ -7,23 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import Blocks, join_parts, list_rows
-from navbake.baker.columns import ColumnSource, Rows, cast_columns, tile_shapes
-from navbake.baker.floors.kernels.surfaces import Surfaces, list_surfaces
-from navbake.baker.kernels.arrays import AgentLimits
-from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.tiles import SIZE
-from navbake.baker.scene.shapes import Planes, Shapes
+from navbake.baker.columns.columns import ColumnSource, Rows, cast_columns, tile_shapes
+from navbake.baker.core.blocks import Blocks, join_parts, list_rows
+from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.tiles import SIZE
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.floors.surface_kernels import Surfaces, list_surfaces
+from navbake.baker.geometry.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS
 from navbake.types import Float, Int, Int32
-
-
-def agent_limits(agent: AgentSettings) -> AgentLimits:
-    """What an agent can stand on, as kernels take it."""
-    min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
-    return AgentLimits(min_up, agent.height, agent.traversable_floor_height)
 
 
 def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
@@ -70,7 +64,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             cells,
             no_rows,
             lattice,
-            band.crossings,
+            band.hits,
             planes,
             agent_limits(agent),
             least=LEAST_CELLS,
@@ -98,6 +92,6 @@ def find_near(first: Int | Int32, end: Int | Int32, heights: Float, z: Float, st
     nearest = np.full(len(z), np.nan)
     for k in range(int((end - first).max(initial=0))):
         height = heights[np.minimum(first + k, end - 1)]
-        is_near = (first + k < end) & (abs(height - z) <= step + SLACK)
+        is_near = (first + k < end) & (abs(height - z) <= step + LIMIT_SLACK)
         nearest[is_near] = height[is_near]
     return nearest

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes, tile_of
-from navbake.baker.kernels.arrays import Band
-from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, TOUCH
-from navbake.baker.kernels.tiles import TILE
-from navbake.baker.kernels.walk import (
+from navbake.baker.columns.columns import Columns, TiledShapes, tile_of
+from navbake.baker.core.arrays import Band
+from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.core.tiles import TILE
+from navbake.baker.core.tolerances import TOUCH_DEPTH
+from navbake.baker.occupancy.occupancy_kernels import (
     BLOCKS,
     SOLID,
     UNPROVED,
@@ -23,7 +24,7 @@ from navbake.baker.kernels.walk import (
 )
 from navbake.config.settings import AgentSettings
 from navbake.lazy import lazy
-from navbake.threads import run_in_bands
+from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 fcl = lazy("fcl")  # few scenes have a cell that nothing else decides
@@ -51,9 +52,9 @@ class Footprint(NamedTuple):
     """The volume over a cell's floor: its square joined with the agent's disc, in a band.
 
     Attributes:
-        square: half of the square's edge less TOUCH, 0 where the disc covers the square [m].
-        radius: the disc's radius less TOUCH, 0 where the square covers the disc [m].
-        low, high: the band above the floor, narrowed by TOUCH [m].
+        square: half of the square's edge less TOUCH_DEPTH, 0 where the disc covers the square [m].
+        radius: the disc's radius less TOUCH_DEPTH, 0 where the square covers the disc [m].
+        low, high: the band above the floor, narrowed by TOUCH_DEPTH [m].
     """
 
     square: float
@@ -64,22 +65,22 @@ class Footprint(NamedTuple):
     @property
     def reach(self) -> float:
         """How far the footprint reaches from the cell's centre along an axis [m]."""
-        return max(self.square, self.radius) + TOUCH
+        return max(self.square, self.radius) + TOUCH_DEPTH
 
     @classmethod
     def of(cls, agent: AgentSettings, cell_size: float) -> Footprint:
         """The footprint of an agent on cells of a size [m]."""
         half, radius = cell_size / 2, agent.radius
         return cls(
-            square=half - TOUCH if radius < half * np.sqrt(2.0) else 0.0,
-            radius=radius - TOUCH if radius > half else 0.0,
-            low=agent.traversable_floor_height + TOUCH,
-            high=agent.height - TOUCH,
+            square=half - TOUCH_DEPTH if radius < half * np.sqrt(2.0) else 0.0,
+            radius=radius - TOUCH_DEPTH if radius > half else 0.0,
+            low=agent.traversable_floor_height + TOUCH_DEPTH,
+            high=agent.height - TOUCH_DEPTH,
         )
 
     def between(self, band: Band) -> Footprint:
         """The same over another band above the floor [m]."""
-        return self._replace(low=band.low + TOUCH, high=band.high - TOUCH)
+        return self._replace(low=band.low + TOUCH_DEPTH, high=band.high - TOUCH_DEPTH)
 
 
 class Occupancy(NamedTuple):
@@ -123,7 +124,7 @@ def look_at_cells(
 
     A ray of the cell's column that crosses a geom there, or runs inside of one, proves it occupied.
     Otherwise each geom nearby is proved apart or overlapping; where rounding leaves no proof, FCL
-    decides. Geoms that reach in by less than TOUCH only touch.
+    decides. Geoms that reach in by less than TOUCH_DEPTH only touch.
 
     Args:
         listing: receives what stands there; then cells have to ascend.
@@ -141,13 +142,13 @@ def look_at_cells(
 
     def look(first: int, end: int) -> None:
         geometry = shapes.solids, tiled.facets, shapes.planes
-        asked = lattice, columns.crossings, geometry, tiled.tiles, footprint, queries, listing
+        asked = lattice, columns.hits, geometry, tiled.tiles, footprint, queries, listing
         geom, flags, used = look_near(*asked, first, end)
         parts[first] = geom[:used], flags[:used]
 
     if len(cells):
         rows = cells[[0, -1]] // lattice.width // TILE
-        run_in_bands(look, int(rows[1] - rows[0]) + 1, begin=int(rows[0]))
+        run_in_chunks(look, int(rows[1] - rows[0]) + 1, begin=int(rows[0]))
     firsts, used = sorted(parts), 0
     if len(listing.first):  # places are counted in each part
         ends = np.searchsorted(cells, [row * TILE * lattice.width for row in firsts[1:]])
@@ -166,7 +167,7 @@ def look_at_cells(
     solid = occupied
     if footprint.radius > 0:
         solid = (state & SOLID) > 0
-        square = footprint._replace(square=lattice.cell_size / 2 - TOUCH, radius=0.0)
+        square = footprint._replace(square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0)
         for n in np.flatnonzero(occupied & ~solid & ((state & UNPROVED_SOLID) > 0)):
             solid[n] = ask_fcl(tiled, square, int(cells[n]), float(floors[n]))
         solid &= occupied

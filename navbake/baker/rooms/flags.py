@@ -12,18 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
-from navbake.baker.connect import label_parts
-from navbake.baker.contents.contents import Contents
+from navbake.baker.columns.columns import ColumnSource, cast_columns, tile_shapes
+from navbake.baker.core.components import label_parts
+from navbake.baker.core.constants import BUILDING, WALL
+from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.kernels import gaps as kernels
-from navbake.baker.kernels.constants import BUILDING, SAME, WALL
+from navbake.baker.geometry.shapes import Shapes, Solids, solid_bounds
+from navbake.baker.occupants.list_kernels import COLUMN_FLAGS
+from navbake.baker.occupants.standing import Contents
 from navbake.baker.rooms.gaps import WIDEST
 from navbake.baker.rooms.walls import find_windows
 from navbake.baker.scene.collect import Choice, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
-from navbake.baker.scene.shapes import Shapes, Solids, solid_bounds
 from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
 from navbake.errors import ConfigError
 from navbake.navgrid.lattice import Lattice, cover_cells
@@ -112,7 +113,7 @@ def read_flags(
         if contents is not None:
             wall, low = contents.mark_walls(number)
         marked = column_flags[number].reshape(lattice.shape)
-        empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
+        empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
         edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells
         edge &= ~tall
@@ -201,18 +202,18 @@ def _mark_by_geoms(
     number = np.zeros(num + 1, dtype=np.int32)
     number[chosen] = np.arange(1, len(chosen) + 1)
     cell, z, geom = _upward_surfaces(scene, columns, set(chosen))
-    lowest = -agent.traversable_floor_height - SAME
+    lowest = -agent.traversable_floor_height - SAME_HEIGHT
     # NaN where there is no floor, which compares as False
     heights = [z - level.floor.ravel()[cell] for level in levels]
-    at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
+    at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME_HEIGHT) for h in heights], axis=0)
     sides = np.bincount(geom, minlength=num)
     is_floor = np.bincount(geom[at_floor], minlength=num) >= FLOOR_SHARE * sides
-    for found, reach in ((labels, -BELOW - SAME), (covered, lowest)):
+    for found, reach in ((labels, -BELOW - SAME_HEIGHT), (covered, lowest)):
         for label, height in zip(found, heights, strict=True):
-            here = (height >= reach) & (height <= ABOVE + SAME) & is_floor[geom]
+            here = (height >= reach) & (height <= ABOVE + SAME_HEIGHT) & is_floor[geom]
             highest = np.full(label.size, -np.inf)
             np.maximum.at(highest, cell[here], z[here])
-            here &= z >= highest[cell] - SAME
+            here &= z >= highest[cell] - SAME_HEIGHT
             first = np.full(label.size, num, dtype=np.int32)
             np.minimum.at(first, cell[here], geom[here])
             label[:] = number[first].reshape(label.shape)
@@ -282,7 +283,7 @@ def _stand_in(
         floor = level.floor[window]
         inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - OFF_FLOOR)
         enough = STANDING_SHARE * np.minimum(high - low, agent.height)
-        mask[window] = inside >= enough - SAME
+        mask[window] = inside >= enough - SAME_HEIGHT
     return masks
 
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.connect import connect, count_cells, label_parts, list_runs
-from navbake.baker.kernels import gaps as kernels
-from navbake.baker.kernels.gaps import BOTH, FAR, NARROWER, WIDER, Gaps, Scan
+from navbake.baker.core.components import connect, count_cells, label_parts, list_runs
+from navbake.baker.rooms import gap_kernels as kernels
+from navbake.baker.rooms.gap_kernels import BOTH, FAR, NARROWER, WIDER, Gaps, Scan
 from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
@@ -122,7 +122,7 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
     col, top, bottom, above, below, mark = (
         array[crosses].astype(np.int64) for array in (col, top, bottom, above, below, mark)
     )
-    # the first crossing of the column before, between the same spaces, whose line is near
+    # the first hit of the column before, between the same spaces, whose line is near
     key = (above * (label.max(initial=0) + 1) + below) * (label.shape[1] + 1) + col
     order = np.argsort(key, kind="stable")
     begin, end = (np.searchsorted(key[order], key - 1, side) for side in ("left", "right"))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.connect import count_cells, label_parts
+from navbake.baker.core.components import count_cells, label_parts
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.types import Bool, Float, Int, Int32
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.connect import connect, count_cells, list_runs, touching
-from navbake.baker.kernels.constants import SLACK
-from navbake.baker.lattice import list_differing
+from navbake.baker.core.components import connect, count_cells, list_runs, touching
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.core.windows import list_differing
 from navbake.baker.rooms.flags import MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafMarks, mark_leaves
@@ -309,7 +309,7 @@ def find_openings(
     for number, (rooms, floor, taken) in enumerate(zip(index, floors, occupied, strict=True)):
         on_level = (links[:, [0, 2]] == number).all(axis=1)
         beside = list_differing(rooms).T  # few: only their heights are compared
-        is_step = np.abs(np.subtract(*floor.ravel()[beside.T])) <= max_step + SLACK
+        is_step = np.abs(np.subtract(*floor.ravel()[beside.T])) <= max_step + LIMIT_SLACK
         cells = np.concatenate([links[on_level][:, [1, 3]], beside[is_step]])
         ends = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
         meet = (ends[:, 0] > 0) & (ends[:, 0] != ends[:, 1])
@@ -345,7 +345,7 @@ def match_doors(
     Of the openings between the two rooms that it joins, a door is in the one with most cells within
     `DOOR_REACH` of cells that it blocks when closed; of two as good, the nearer. It may be in none.
     """
-    reach = DOOR_REACH / lattice.cell_size + SLACK
+    reach = DOOR_REACH / lattice.cell_size + LIMIT_SLACK
     found: dict[int, list[str]] = {}
     for door, (rooms, levels) in sorted(doors.items()):
         scores: list[tuple[int, float, int]] = []

@@ -4,15 +4,15 @@ import heapq
 
 import numpy as np
 
-from navbake.baker.connect import connect, count_cells, label_parts, list_runs, touching
-from navbake.baker.lattice import bounding_window, list_differing
+from navbake.baker.core.components import connect, count_cells, label_parts, list_runs, touching
+from navbake.baker.core.windows import bounding_window, list_differing
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.leaves import LeafMarks
 from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
-from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 # The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
@@ -184,7 +184,7 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
         inner = slice(first - around.start, end - around.start)
         steep[first:end] = (squares[inner] >= rise**2) & (label[first:end] > 0)
 
-    run_in_bands(mark, len(label), least=2 * steps)
+    run_in_chunks(mark, len(label), least=2 * steps)
     return steep
 
 

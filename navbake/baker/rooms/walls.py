@@ -9,14 +9,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
-from navbake.baker.connect import list_runs
-from navbake.baker.kernels import gaps as kernels
-from navbake.baker.kernels.arrays import Facets
-from navbake.baker.kernels.gaps import FAR
-from navbake.baker.scene.shapes import Shapes
+from navbake.baker.columns.columns import TiledShapes, cast_points, tile_shapes
+from navbake.baker.core.arrays import Facets
+from navbake.baker.core.components import list_runs
+from navbake.baker.geometry.shapes import Shapes
+from navbake.baker.rooms import gap_kernels as kernels
+from navbake.baker.rooms.gap_kernels import FAR
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_beside, run_in_bands
+from navbake.threads import run_beside, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
@@ -63,9 +63,9 @@ HAIR = 1e-6
 def squared_distances(target: Bool, reach: int) -> Int32:
     """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`."""
     target, along = np.ascontiguousarray(target), np.empty(target.shape, dtype=np.int16)
-    run_in_bands(kernels.sweep, target.shape[1], target, reach, along, NO_ROWS, least=STRIP)
+    run_in_chunks(kernels.sweep, target.shape[1], target, reach, along, NO_ROWS, least=STRIP)
     squared = np.empty(target.shape, dtype=np.int32)
-    run_in_bands(kernels.sweep, len(target), target, reach, along, squared)
+    run_in_chunks(kernels.sweep, len(target), target, reach, along, squared)
     return squared
 
 
@@ -73,7 +73,7 @@ def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
     """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
     closed = np.pad(~open_cells, 1, constant_values=True)
     along, far = np.empty(closed.shape, dtype=np.int16), reach // 2 + 1
-    run_in_bands(kernels.sweep, closed.shape[1], closed, far, along, NO_ROWS, least=STRIP)
+    run_in_chunks(kernels.sweep, closed.shape[1], closed, far, along, NO_ROWS, least=STRIP)
     nearest = np.full(len(row), (reach + 1) ** 2)
     over, under, last = (row + 1) // 2, (row + 2) // 2, closed.shape[1] - 1
     for shift in range(-(reach // 2) - 1, reach // 2 + 3):
@@ -271,7 +271,7 @@ class WallRays:
                 one, other = (ends / HEIGHT_BIN).astype(np.int64).clip(0, len(bins) - 1)
                 parts[begin] = begin + some[before[other + 1] > before[one]]
 
-        run_in_bands(choose, -(-len(bounds) // CHUNK))
+        run_in_chunks(choose, -(-len(bounds) // CHUNK))
         chosen = np.concatenate([np.empty(0, np.int64), *(parts[k] for k in sorted(parts))])
         triangles = Facets._make(array.take(chosen, axis=0) for array in walls.triangles)
         self._heights[np.isnan(floor)] = NOWHERE
@@ -352,13 +352,13 @@ class WallRays:
             ends[..., 0] = places[:, ray] + aside[:, None] * offset
             ends[..., 1] = ends[..., 0] + along[:, None] * (way[ray] * reach)
             rows, cols = ends.astype(np.int64)
-            crossings = cast_points(tiled, rows * tiled.lattice.width + cols, points, axes)
-            line = np.repeat(ray, np.diff(crossings.start))
-            ahead = way[line] * (crossings.z - centers[line, 2])
+            hits = cast_points(tiled, rows * tiled.lattice.width + cols, points, axes)
+            line = np.repeat(ray, np.diff(hits.start))
+            ahead = way[line] * (hits.z - centers[line, 2])
             ahead[~(ahead >= 0.0)] = np.inf
             np.minimum.at(away, line, ahead)
             is_first = np.isfinite(ahead) & (ahead == away[line])
-            normal[line[is_first]] = crossings.normal[is_first]
+            normal[line[is_first]] = hits.normal[is_first]
             left = left[away[left] > reach * lattice.cell_size]
             if not len(left):
                 break

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import cast_columns, tile_shapes
-from navbake.baker.floors.surfaces import agent_limits
-from navbake.baker.kernels.constants import SLACK, SLIDE
+from navbake.baker.columns.columns import cast_columns, tile_shapes
+from navbake.baker.core.constants import SLIDE
+from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.names import all_names, find_subtree_ends, mark_body
-from navbake.baker.scene.shapes import Shapes
+from navbake.config.links import LinkSettings
 from navbake.config.settings import AgentSettings
-from navbake.config.traffic import LinkSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Int
 
@@ -73,7 +74,7 @@ def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFl
     is_last = np.append(cell, -1)[1:] != cell
     headroom = np.where(is_last, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
     flat = columns.normal[:, 2] >= agent_limits(agent).min_up
-    flat &= headroom >= agent.height - SLACK
+    flat &= headroom >= agent.height - LIMIT_SLACK
     heights, counts = np.unique(np.round(columns.z[flat], 3), return_counts=True)
     # the lowest of those that are large: not the roof of the car
     height = heights[2 * counts >= counts.max(initial=0)].min(initial=np.inf)

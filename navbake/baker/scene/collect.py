@@ -11,11 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.kernels import constants
-from navbake.baker.scene.mesh_scene import MeshPart
-from navbake.baker.scene.names import GeomNames, all_names, name_at, warn_unmatched
-from navbake.baker.scene.parts import split_mesh
-from navbake.baker.scene.shapes import (
+from navbake.baker.core import constants
+from navbake.baker.geometry.mesh_parts import split_mesh
+from navbake.baker.geometry.shapes import (
     FAR,
     GeomTriangles,
     Planes,
@@ -27,6 +25,8 @@ from navbake.baker.scene.shapes import (
     solid_bounds,
     tessellate,
 )
+from navbake.baker.readers.mesh import MeshPart
+from navbake.baker.scene.names import GeomNames, all_names, name_at, warn_unmatched
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int, Int32

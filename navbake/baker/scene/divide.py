@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.cars import find_cars
 from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.scene.names import all_names, find_subtree_ends, warn_unmatched
-from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Int
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from navbake.baker.kernels.constants import HINGE, SLIDE
-from navbake.baker.scene.extents import Extents, measure_geoms
+from navbake.baker.core.constants import HINGE, SLIDE
+from navbake.baker.geometry.extents import Extents, measure_geoms
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.names import (
     all_names,
     find_subtree_ends,
@@ -17,7 +18,6 @@ from navbake.baker.scene.names import (
     joint_name,
     warn_unmatched,
 )
-from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import DoorSettings
 from navbake.types import Bool, Int
 

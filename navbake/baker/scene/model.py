@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.mesh_scene import (
+from navbake.baker.readers.mesh import (
     MESH_SUFFIXES,
     MeshPart,
     is_mesh_scene,
@@ -27,8 +27,7 @@ from navbake.baker.scene.mesh_scene import (
     read_mesh_parts,
     take_mesh_parts,
 )
-from navbake.baker.scene.names import name_at, unique_name
-from navbake.baker.scene.pieces import (
+from navbake.baker.readers.pieces import (
     build_model,
     catch_warnings,
     compile_geometry,
@@ -38,8 +37,9 @@ from navbake.baker.scene.pieces import (
     model_of_parts,
     reading,
 )
+from navbake.baker.readers.upright import stand_up
+from navbake.baker.scene.names import name_at
 from navbake.baker.scene.pose import data_with_joints
-from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from navbake.files import scratch_folder
@@ -52,16 +52,16 @@ from navbake.formats.scene_files import (
     mesh_places,
     suffix_of,
 )
-from navbake.known_names import list_first
+from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
 from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
 
 MJB_SUFFIX = ".mjb"
-# Readers of scenes that become pieces, see `navbake.baker.scene.pieces`; and of what has none, what
+# Readers of scenes that become pieces, see `pieces`; and of what has none, what
 # is to be done with it
-READERS = dict.fromkeys(STAGE_SUFFIXES, "navbake.baker.scene.usd:read_stage")
-READERS |= dict.fromkeys(SDF_SUFFIXES, "navbake.baker.scene.sdf:read_world")
-READERS |= dict.fromkeys(BUILDING_SUFFIXES, "navbake.baker.scene.building:read_building")
+READERS = dict.fromkeys(STAGE_SUFFIXES, "navbake.baker.readers.usd:read_stage")
+READERS |= dict.fromkeys(SDF_SUFFIXES, "navbake.baker.readers.sdf:read_world")
+READERS |= dict.fromkeys(BUILDING_SUFFIXES, "navbake.baker.readers.building:read_building")
 REFUSED = {
     ".fbx": "convert it first, by `assimp export SCENE.fbx SCENE.glb` (Debian's assimp-utils)",
     ".ifc": "convert it first, by ifcopenshell (pip install ifcopenshell), as docs/scenes.md shows",

@@ -6,7 +6,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from navbake.baker.kernels.constants import MESH, SDF
+from navbake.baker.core.constants import MESH, SDF
 from navbake.known_names import find_near
 from navbake.types import Bool, Int
 
@@ -72,16 +72,6 @@ def body_name(model: Any, body: int) -> str:
 def joint_name(model: Any, joint: int) -> str:
     """A joint's name; ``joint <id>`` where it has none."""
     return name_at(model, model.name_jntadr[joint]) or f"joint {joint}"
-
-
-def unique_name(name: str, taken: set[str]) -> str:
-    """The name, numbered from 2 where it is taken, as in ``wall#2``; taken from now on."""
-    candidate, count = name, 1
-    while candidate in taken:
-        count += 1
-        candidate = f"{name}#{count}"
-    taken.add(candidate)
-    return candidate
 
 
 def warn_unmatched(setting: str, pattern: str, known: Iterable[str], found: str = "nothing") -> str:

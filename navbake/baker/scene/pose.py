@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.baker.kernels.constants import BALL, FREE, HINGE, SLIDE
+from navbake.baker.core.constants import BALL, FREE, HINGE, SLIDE
 from navbake.baker.scene.names import names_at
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError

@@ -9,8 +9,8 @@ import pytest
 
 import navbake
 from leaf_plans import box, draw_plan, leaf, room, world
-from navbake.baker.clock import StageClock
-from navbake.baker.stages import open_stages
+from navbake.baker.bake.stages import open_stages
+from navbake.baker.core.clock import StageClock
 from navbake.config.settings import parse_config
 
 CELLS = (0.05, 0.08, 0.1)

@@ -10,8 +10,8 @@ import pytest
 import navbake
 from differences import first_difference
 from door_scenes import CUPBOARD, FIXED_LEAF, LEAF, ROOMS, SHELL, bake_world
-from navbake.baker import stages
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake import stages
+from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import load_config
 from navbake.errors import QueryError

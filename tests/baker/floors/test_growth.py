@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import growth
 from navbake.baker.floors.growth import grow_level
-from navbake.baker.floors.kernels.members import Labelled
-from navbake.baker.floors.kernels.surfaces import Surfaces
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.floors.member_kernels import Labelled
+from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, limit_threads
@@ -50,7 +50,7 @@ def grow_plainly(floor, options):
         for cell in np.flatnonzero(np.isnan(floor)).tolist():
             beside = [floor[other] for other in neighbours(cell) if not np.isnan(floor[other])]
             gaps = [(abs(z - near), z) for near in beside for z in options[cell]]
-            gaps = [pair for pair in gaps if pair[0] <= STEP + SLACK]
+            gaps = [pair for pair in gaps if pair[0] <= STEP + LIMIT_SLACK]
             if gaps:
                 new[cell] = min(gaps)[1]
         if not new:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navbake.baker.pipeline import run_bake
-from navbake.baker.warn import SPARSE
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.bake.warnings import SPARSE
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -347,7 +347,7 @@ def test_table_is_furniture_and_the_floor_goes_on_under_it(bake):
     assert grid.occupancy[row, col] == 1 and not grid.free[row, col]
 
 
-def test_sheet_counts_when_it_is_large_enough(bake):
+def test_region_counts_when_it_is_large_enough(bake):
     """1.6 m square shrinks by 0.3 m to 1 m²."""
     tops = {"tops": True}
     large = bake([FLOOR, box(3, 4.6, 3, 4.6, 0, 0.8)], floors=tops)

@@ -1,18 +1,19 @@
-"""Surfaces and sheets, found by threads and block by block, are those of plain loops."""
+"""Surfaces and regions, found by threads and block by block, are those of plain loops."""
 
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from navbake.baker.columns import Columns, Rows
-from navbake.baker.connect import connect
-from navbake.baker.floors.kernels.surfaces import STANDS, TOP
-from navbake.baker.floors.sheets import find_sheets
-from navbake.baker.floors.surfaces import agent_limits, find_surfaces
-from navbake.baker.kernels.constants import SAME, SLACK
-from navbake.baker.lattice import EDGES
-from navbake.baker.stages import bake_stages
+from navbake.baker.bake.stages import bake_stages
+from navbake.baker.columns.columns import Columns, Rows
+from navbake.baker.core.components import connect
+from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
+from navbake.baker.core.windows import EDGES
+from navbake.baker.floors.regions import find_regions
+from navbake.baker.floors.surface_kernels import STANDS, TOP
+from navbake.baker.floors.surfaces import find_surfaces
 from navbake.threads import limit_threads
 
 BOXES = 40
@@ -38,12 +39,12 @@ def list_plainly(columns, agent):
         here = slice(columns.start[cell], columns.start[cell + 1])
         z, up, last = columns.z[here], columns.normal[here, 2], -np.inf
         for i in np.flatnonzero(up >= limits.min_up):
-            inside = np.where(up > 0, 1, -1)[z - z[i] > SAME].sum()
-            above = z[z - z[i] > SAME].min(initial=np.inf)
-            stands = inside <= 0 and above - z[i] >= limits.headroom - SLACK
-            stands &= z[i] - last > SAME  # of several at one height, the lowest
+            inside = np.where(up > 0, 1, -1)[z - z[i] > SAME_HEIGHT].sum()
+            above = z[z - z[i] > SAME_HEIGHT].min(initial=np.inf)
+            stands = inside <= 0 and above - z[i] >= limits.headroom - LIMIT_SLACK
+            stands &= z[i] - last > SAME_HEIGHT  # of several at one height, the lowest
             last = z[i] if stands else last
-            is_top = stands and z[-1] - z[i] <= SLACK
+            is_top = stands and z[-1] - z[i] <= LIMIT_SLACK
             found.append((cell, z[i], bool(stands), bool(is_top)))
     return found
 
@@ -97,37 +98,39 @@ def test_surfaces_are_those_of_a_plain_loop(tmp_path, threads):
             assert listed(surfaces_in(stages, blocks)) == expected
 
 
-def check_sheets(sheets, step):
-    """Hold the sheets against parts of one graph of all surfaces."""
-    lattice = sheets.lattice
-    rows = [row for row in listed(sheets.surfaces) if row[2]]
+def check_regions(regions, step):
+    """Hold the regions against parts of one graph of all surfaces."""
+    lattice = regions.lattice
+    rows = [row for row in listed(regions.surfaces) if row[2]]
     cell, z = (np.array(part) for part in list(zip(*rows, strict=True))[:2])
     at = [np.flatnonzero(cell == k) for k in range(lattice.width * lattice.height)]
     ids, pairs = np.arange(len(at)).reshape(lattice.shape), [(0, 0)]
     for one, other in EDGES:
         for a, b in zip(ids[one].ravel(), ids[other].ravel(), strict=True):
-            pairs += [(i, j) for i in at[a] for j in at[b] if abs(z[i] - z[j]) <= step + SLACK]
+            pairs += [
+                (i, j) for i in at[a] for j in at[b] if abs(z[i] - z[j]) <= step + LIMIT_SLACK
+            ]
     number = connect(np.array(pairs).T, len(cell))
-    assert np.array_equal(sheets.size, np.bincount(number))
+    assert np.array_equal(regions.size, np.bincount(number))
     top = np.array([row[3] for row in rows])
-    assert np.array_equal(sheets.tops, np.bincount(number, top).astype(int))
-    for sheet in range(sheets.num):
-        members = sheets.members(sheet)
-        assert np.array_equal(members.cell, cell[number == sheet])
-        assert np.array_equal(members.z, z[number == sheet])
+    assert np.array_equal(regions.tops, np.bincount(number, top).astype(int))
+    for region in range(regions.num):
+        members = regions.members(region)
+        assert np.array_equal(members.cell, cell[number == region])
+        assert np.array_equal(members.z, z[number == region])
         row, col = np.divmod(members.cell, lattice.width)
         box = [row.min(), col.min(), row.max() + 1, col.max() + 1]
-        assert sheets.box[sheet].tolist() == box
-    over = np.zeros(sheets.num, dtype=np.int64)
+        assert regions.box[region].tolist() == box
+    over = np.zeros(regions.num, dtype=np.int64)
     for i in range(1, len(cell)):
         over[number[i]] += cell[i - 1] == cell[i] and number[i - 1] != number[i]
-    above, below, count = sheets.stacks()
+    above, below, count = regions.stacks()
     assert np.array_equal(np.bincount(above, count * (above != below), len(over)), over)
 
 
 @pytest.mark.parametrize("seed", [5, 6])
-def test_sheets_are_the_parts_of_one_graph(tmp_path, seed):
+def test_regions_are_the_parts_of_one_graph(tmp_path, seed):
     stages = bake(tmp_path, seed)
     surfaces = surfaces_in(stages, [stages.columns.known_rows])
-    sheets = find_sheets(surfaces, stages.config.agent)
-    check_sheets(sheets, stages.config.agent.traversable_floor_height)
+    regions = find_regions(surfaces, stages.config.agent)
+    check_regions(regions, stages.config.agent.traversable_floor_height)

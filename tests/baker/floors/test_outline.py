@@ -1,4 +1,4 @@
-"""How sheets end: edge by edge, on scenes of a few boxes."""
+"""How regions end: edge by edge, on scenes of a few boxes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from navbake.baker.bake.stages import bake_stages
+from navbake.baker.core.arrays import Band
 from navbake.baker.floors.outline import (
     BARRIER,
     BORDER,
@@ -15,11 +17,9 @@ from navbake.baker.floors.outline import (
     WALL,
     look_at_site,
 )
-from navbake.baker.floors.sheets import find_large_sheets
-from navbake.baker.kernels.arrays import Band
+from navbake.baker.floors.regions import find_large_regions
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
-from navbake.baker.stages import bake_stages
-from standable import sheets_of
+from standable import regions_of
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'
 # a block of 2 x 2 m, 0.6 m high, on the ground
@@ -35,7 +35,7 @@ def wall(x0: float, x1: float, z0: float, z1: float) -> str:
 
 @pytest.fixture
 def endings_at(tmp_path: Path):
-    """Return a function that tells how the sheet at a height ends in the east, and in the west."""
+    """Return a function that tells how the region at a height ends in the east, and in the west."""
 
     def find(geoms: str, z: float) -> tuple[set[int], set[int]]:
         path = tmp_path / "scene.xml"
@@ -50,12 +50,12 @@ def endings_at(tmp_path: Path):
             volume = narrow if band is None else narrow.between(band)
             return look_at_cells(columns, tiles, volume, cells, floors).occupied
 
-        sheets, settings = sheets_of(stages), stages.config.floors
-        is_large = find_large_sheets(sheets, sheets.size > 0, settings)
-        members = [sheets.members(sheet) for sheet in range(sheets.num)]
+        regions, settings = regions_of(stages), stages.config.floors
+        is_large = find_large_regions(regions, regions.size > 0, settings)
+        members = [regions.members(region) for region in range(regions.num)]
         chosen = is_large & [np.isclose(own.z, z).any() for own in members]
         site = look_at_site(
-            sheets=sheets,
+            regions=regions,
             is_large=is_large,
             columns=columns,
             cropped=np.zeros(4, dtype=np.bool_),
@@ -97,8 +97,8 @@ def test_wall_however_it_ends_at_the_ceiling(endings_at, top, x0, x1):
 
 
 def test_wall_without_thickness(endings_at):
-    sheet = '<geom type="plane" size="1 1 .1" pos="1.02 0 1.6" euler="0 90 0"/>'
-    assert endings_at(GROUND + BLOCK + sheet, 0.6) == ({WALL}, {DROP})
+    region = '<geom type="plane" size="1 1 .1" pos="1.02 0 1.6" euler="0 90 0"/>'
+    assert endings_at(GROUND + BLOCK + region, 0.6) == ({WALL}, {DROP})
 
 
 @pytest.mark.parametrize("height", [0.3, 0.9, 1.1])

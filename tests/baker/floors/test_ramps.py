@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.baker.floors.kernels.labels import Joining
-from navbake.baker.floors.kernels.surfaces import FLOOR_LIKE, STANDS, Surfaces
-from navbake.baker.floors.sheets import label_surfaces
-from navbake.baker.pipeline import build_grid
-from navbake.baker.stages import bake_stages
+from navbake.baker.bake.pipeline import build_grid
+from navbake.baker.bake.stages import bake_stages
+from navbake.baker.floors.label_kernels import Joining
+from navbake.baker.floors.regions import label_surfaces
+from navbake.baker.floors.surface_kernels import FLOOR_LIKE, STANDS, Surfaces
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.path_finder import PathFinder
-from standable import sheets_of
+from standable import regions_of
 
 # a floor at 0, a ramp that rises 1 m over x 0 to RUN, and a floor at 1, each 4 m wide
 STEP = 0.02
@@ -66,9 +66,9 @@ def test_ramp_is_one_walk_when_it_rises_more_than_a_step_over_a_cell(bake, cell,
 
 @pytest.mark.parametrize("cell", [0.1, 0.25, 0.5, 1.0])
 @pytest.mark.parametrize("run", [3.7, 1.0])
-def test_ramp_is_one_sheet_at_any_cell_size(stages_of, cell, run):
+def test_ramp_is_one_region_at_any_cell_size(stages_of, cell, run):
     stages = stages_of(scene(run), cell)
-    assert sheets_of(stages).num == 1
+    assert regions_of(stages).num == 1
 
 
 def test_ramp_steeper_than_the_slope_is_none(bake):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.config.settings import load_config, parse_config
 from navbake.errors import ConfigError, SceneError
 

@@ -1,4 +1,4 @@
-"""Which edges of a sheet are at the rims of holes, next to pairs of cells on a lattice."""
+"""Which edges of a region are at the rims of holes, next to pairs of cells on a lattice."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from navbake.baker.connect import connect, touching
-from navbake.baker.floors.kernels.members import Edges
+from navbake.baker.core.components import connect, touching
+from navbake.baker.floors.member_kernels import Edges
 from navbake.baker.floors.outline import beside, find_holes
 from navbake.navgrid.lattice import Lattice
 
@@ -16,7 +16,7 @@ MASKS = arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=9))
 
 
 def edges_of(mask: np.ndarray, number: int) -> tuple[Lattice, list[np.ndarray]]:
-    """The edges of a sheet with the cells of a mask: its number, their cells and ways."""
+    """The edges of a region with the cells of a mask: its number, their cells and ways."""
     lattice = Lattice(0.0, float(mask.shape[0]), 1.0, mask.shape[1], mask.shape[0])
     cell, way = (part.ravel() for part in np.meshgrid(np.flatnonzero(mask), np.arange(4)))
     other = beside(lattice, cell, way)
@@ -41,7 +41,7 @@ def slow_holes(mask: np.ndarray, cell: np.ndarray, way: np.ndarray) -> np.ndarra
 @given(mask=MASKS, twice=st.booleans())
 def test_edges_of_holes_are_those_that_no_cells_beyond_join_to_the_first(mask, twice) -> None:
     lattice, (number, cell, way) = edges_of(mask, 3)
-    if twice:  # two sheets
+    if twice:  # two regions
         number, cell, way = np.append(number, number + 2), np.tile(cell, 2), np.tile(way, 2)
     order = np.random.default_rng(0).permutation(len(cell))
     nothing = np.empty(0)

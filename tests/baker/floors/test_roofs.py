@@ -1,4 +1,4 @@
-"""Which sheets over a floor are storeys, which are roofs, and which are shelves."""
+"""Which regions over a floor are storeys, which are roofs, and which are shelves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.config.settings import parse_config
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.floors.kernels import members
-from navbake.baker.floors.kernels.members import AreaTest, disc_rows
-from navbake.baker.floors.sheets import is_large
+from navbake.baker.core.area_test import AreaTest, disc_rows, is_large
+from navbake.baker.floors import member_kernels as members
 from navbake.config.settings import FloorSettings
 from navbake.navgrid.lattice import Lattice
 

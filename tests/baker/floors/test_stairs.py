@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.blocks import Blocks
-from navbake.baker.floors.kernels.levels import (
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.core.blocks import Blocks
+from navbake.baker.floors.level_kernels import (
     MOVE_FLOOR,
     MOVE_STAIR,
     SKIP_FLOOR,
@@ -21,9 +22,8 @@ from navbake.baker.floors.kernels.levels import (
     climb,
     place_blocks,
 )
-from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.floors.storeys import ROWS_AND_HEIGHTS
-from navbake.baker.pipeline import run_bake
+from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D

@@ -9,11 +9,11 @@ import pytest
 import trimesh
 
 from box_worlds import box, stages_of_xml, world
-from navbake.baker.blocks import splice
-from navbake.baker.columns import cast_columns
-from navbake.baker.pipeline import run_bake
-from navbake.baker.stages import Stages, bake_stages
-from navbake.baker.warn import collect_warnings
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.bake.stages import Stages, bake_stages
+from navbake.baker.bake.warnings import collect_warnings
+from navbake.baker.columns.columns import cast_columns
+from navbake.baker.core.blocks import splice
 from navbake.config.settings import parse_config
 from navbake.runtime.path_finder import PathFinder
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.bake.stages import bake_stages
 from navbake.baker.floors.levels import Floors
-from navbake.baker.pipeline import run_bake
-from navbake.baker.stages import bake_stages
 from navbake.config.settings import parse_config
 
 

@@ -12,12 +12,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from box_worlds import box, world
+from navbake.baker.bake.lattice import lay_whole
+from navbake.baker.bake.pipeline import BakeResult, run_bake
+from navbake.baker.bake.stages import bake_stages
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors
 from navbake.baker.floors.reach import Unreached
-from navbake.baker.floors.sheets import Patch
-from navbake.baker.lattice import lay_whole
-from navbake.baker.pipeline import BakeResult, run_bake
-from navbake.baker.stages import bake_stages
+from navbake.baker.floors.regions import Patch
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice

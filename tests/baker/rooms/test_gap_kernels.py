@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.kernels import gaps as kernels
+from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gaps import GROWTH, Spaces, find_gaps
 from navbake.baker.rooms.walls import (
     RAY_HEIGHT,

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from box_worlds import body, box, stages_of_xml, world
-from navbake.baker.clock import StageClock
-from navbake.baker.kernels.constants import WALL
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.bake.stages import open_stages
+from navbake.baker.core.clock import StageClock
+from navbake.baker.core.constants import WALL
 from navbake.baker.rooms.rooms import Opening, find_openings, find_rooms, match_doors
 from navbake.baker.rooms.segmentation import share_rest
-from navbake.baker.stages import open_stages
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour

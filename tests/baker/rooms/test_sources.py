@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from navbake.baker.pipeline import run_bake
+from navbake.baker.bake.pipeline import run_bake
 from navbake.config.settings import parse_config
 from navbake.errors import ConfigError
 

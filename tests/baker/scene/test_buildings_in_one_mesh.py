@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, parse_config
 from navbake.errors import ConfigError, SceneError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.scene import scene
-from navbake.baker.scene.scene import MOST_LINES, HiddenRoom
+from navbake.baker.scene.hidden_room import MOST_LINES, HiddenRoom
 from navbake.config.settings import AgentSettings, FloorSettings
 
 

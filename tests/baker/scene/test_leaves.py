@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
+from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.doors.poses import pose_doors
-from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.leaves import DoorCandidate, find_candidates
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies

@@ -1,0 +1,293 @@
+"""Does a convex solid meet an upright prism? Proved one way or the other by iteration.
+
+Gilbert, Johnson and Keerthi, A fast procedure for computing the distance between complex objects
+in three-dimensional space, 1988. Two convex sets meet where their Minkowski difference, all
+points a - b, holds the origin. A simplex of at most four points of the difference creeps towards
+the origin: each step adds the support, the point of the difference that lies farthest in the
+origin's direction, then keeps only the corners that the simplex' nearest point to the origin
+needs. That point is found by the Voronoi regions of corners, edges and faces (Ericson, Real-Time
+Collision Detection, 2005, 5.1 and 9.5) in place of Johnson's subalgorithm.
+
+Both answers are proofs. APART: even the support does not reach the plane through the origin
+across `v`, the vector to the nearest point, so this plane parts the two. MEETS: the origin is
+inside of a tetrahedron of the difference, or nearer than NEAR to a point of it. Where rounding
+leaves neither (`v` grows, or a support comes again), the answer is UNDECIDED; FCL decides then.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.core.constants import (
+    APART,
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    MEETS,
+    UNDECIDED,
+)
+from navbake.compiled import UNCOUNTED, subkernel
+from navbake.types import Bool, Float
+
+MOST_STEPS = 128
+ROUNDING = 1e-3  # by how much of itself a distance may seem to grow while it shrinks
+NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
+
+
+class Simplex(NamedTuple):
+    """The points of the Minkowski difference that are kept, and room to reduce them in.
+
+    Attributes:
+        points: (4, 3) float64 [m].
+        keep, best_keep: (4,) bool, which of them a nearest point needs.
+        v, trial: (3,) float64, nearest points to the origin [m].
+    """
+
+    points: Float
+    keep: Bool
+    best_keep: Bool
+    v: Float
+    trial: Float
+
+
+@subkernel
+def make_simplex():
+    """An empty simplex."""
+    return Simplex(
+        np.empty((4, 3)), np.zeros(4, np.bool_), np.zeros(4, np.bool_), np.empty(3), np.empty(3)
+    )
+
+
+@subkernel(inline="always")
+def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
+    """The farthest point of a solid along a direction, into out."""
+    # direction in the solid's own frame: transpose of the row-major matrix
+    lx = mat[0] * dx + mat[3] * dy + mat[6] * dz
+    ly = mat[1] * dx + mat[4] * dy + mat[7] * dz
+    lz = mat[2] * dx + mat[5] * dy + mat[8] * dz
+    px, py, pz = 0.0, 0.0, 0.0
+    if kind == BOX:
+        px = size[0] if lx > 0.0 else -size[0]
+        py = size[1] if ly > 0.0 else -size[1]
+        pz = size[2] if lz > 0.0 else -size[2]
+    elif kind == CYLINDER:
+        across = math.sqrt(lx * lx + ly * ly)
+        if across > 0.0:
+            px = size[0] * lx / across
+            py = size[0] * ly / across
+        pz = size[1] if lz > 0.0 else -size[1]
+    elif kind == ELLIPSOID:
+        ax, ay, az = size[0] * lx, size[1] * ly, size[2] * lz
+        norm = math.sqrt(ax * ax + ay * ay + az * az)
+        if norm > 0.0:
+            px = size[0] * ax / norm
+            py = size[1] * ay / norm
+            pz = size[2] * az / norm
+    else:
+        norm = math.sqrt(lx * lx + ly * ly + lz * lz)
+        if norm > 0.0:
+            px = size[0] * lx / norm
+            py = size[0] * ly / norm
+            pz = size[0] * lz / norm
+        if kind == CAPSULE:
+            pz += size[1] if lz > 0.0 else -size[1]
+    out[0] = pos[0] + mat[0] * px + mat[1] * py + mat[2] * pz
+    out[1] = pos[1] + mat[3] * px + mat[4] * py + mat[5] * pz
+    out[2] = pos[2] + mat[6] * px + mat[7] * py + mat[8] * pz
+
+
+@subkernel(inline="always")
+def _subtract_prism(prism, dx, dy, dz, out):
+    """Take the prism's farthest point along a direction off a point, in place."""
+    if prism.is_round:
+        across = math.sqrt(dx * dx + dy * dy)
+        if across > 0.0:
+            out[0] -= prism.x + prism.half * dx / across
+            out[1] -= prism.y + prism.half * dy / across
+        else:
+            out[0] -= prism.x
+            out[1] -= prism.y
+    else:
+        out[0] -= prism.x + (prism.half if dx > 0.0 else -prism.half)
+        out[1] -= prism.y + (prism.half if dy > 0.0 else -prism.half)
+    half_z = (prism.high - prism.low) / 2.0
+    out[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
+
+
+@subkernel(inline="always")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@subkernel(inline="always")
+def _nearest_on_segment(a, b, keep, v):
+    """Nearest point of a segment to the origin into v; keep says which ends it needs."""
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    length = abx * abx + aby * aby + abz * abz
+    t = -(a[0] * abx + a[1] * aby + a[2] * abz)
+    if t <= 0.0 or length == 0.0:
+        v[0], v[1], v[2] = a[0], a[1], a[2]
+        keep[0], keep[1] = True, False
+    elif t >= length:
+        v[0], v[1], v[2] = b[0], b[1], b[2]
+        keep[0], keep[1] = False, True
+    else:
+        t /= length
+        v[0], v[1], v[2] = a[0] + t * abx, a[1] + t * aby, a[2] + t * abz
+        keep[0], keep[1] = True, True
+
+
+@subkernel(**UNCOUNTED)
+def _nearest_on_triangle(a, b, c, keep, v):
+    """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
+    keep[0], keep[1], keep[2] = False, False, False
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    # beyond a corner: both edges from it lead away from the origin
+    d1 = -(abx * a[0] + aby * a[1] + abz * a[2])
+    d2 = -(acx * a[0] + acy * a[1] + acz * a[2])
+    if d1 <= 0.0 and d2 <= 0.0:
+        v[0], v[1], v[2] = a[0], a[1], a[2]
+        keep[0] = True
+        return
+    d3 = -(abx * b[0] + aby * b[1] + abz * b[2])
+    d4 = -(acx * b[0] + acy * b[1] + acz * b[2])
+    if d3 >= 0.0 and d4 <= d3:
+        v[0], v[1], v[2] = b[0], b[1], b[2]
+        keep[1] = True
+        return
+    d5 = -(abx * c[0] + aby * c[1] + abz * c[2])
+    d6 = -(acx * c[0] + acy * c[1] + acz * c[2])
+    if d6 >= 0.0 and d5 <= d6:
+        v[0], v[1], v[2] = c[0], c[1], c[2]
+        keep[2] = True
+        return
+    # beyond an edge: vc, vb, va are the areas that the origin's foot makes with each edge
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = d1 / (d1 - d3)
+        v[0], v[1], v[2] = a[0] + t * abx, a[1] + t * aby, a[2] + t * abz
+        keep[0], keep[1] = True, True
+        return
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = d2 / (d2 - d6)
+        v[0], v[1], v[2] = a[0] + t * acx, a[1] + t * acy, a[2] + t * acz
+        keep[0], keep[2] = True, True
+        return
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 >= d3 and d5 >= d6:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v[0] = b[0] + t * (c[0] - b[0])
+        v[1] = b[1] + t * (c[1] - b[1])
+        v[2] = b[2] + t * (c[2] - b[2])
+        keep[1], keep[2] = True, True
+        return
+    # inside: the foot of the origin on the plane, straight from its normal
+    nx = aby * acz - abz * acy
+    ny = abz * acx - abx * acz
+    nz = abx * acy - aby * acx
+    scale = (a[0] * nx + a[1] * ny + a[2] * nz) / (nx * nx + ny * ny + nz * nz)
+    v[0], v[1], v[2] = nx * scale, ny * scale, nz * scale
+    keep[0], keep[1], keep[2] = True, True, True
+
+
+@subkernel(inline="always")
+def _origin_outside(a, b, c, d):
+    """Whether the origin lies beyond the face a, b, c of a tetrahedron, or d in its plane."""
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx = aby * acz - abz * acy
+    ny = abz * acx - abx * acz
+    nz = abx * acy - aby * acx
+    to_d = nx * (d[0] - a[0]) + ny * (d[1] - a[1]) + nz * (d[2] - a[2])
+    to_origin = -(nx * a[0] + ny * a[1] + nz * a[2])
+    if abs(to_d) <= 1e-12 * math.sqrt(nx * nx + ny * ny + nz * nz):
+        return True  # flat: no volume to be inside of
+    return to_d * to_origin <= 0.0
+
+
+# A tetrahedron's faces, each with the corner across from it
+FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
+
+
+@subkernel(inline="always")
+def _nearest_on_faces(simplex, num):
+    """Nearest point to the origin into v, on 1 face or the 4 of a tetrahedron; False if inside."""
+    points = simplex.points
+    best = math.inf
+    outside = False
+    for f in range(4 if num == 4 else 1):  # a triangle is the first face
+        i, j, k, m = FACES[f, 0], FACES[f, 1], FACES[f, 2], FACES[f, 3]
+        if num == 4 and not _origin_outside(points[i], points[j], points[k], points[m]):
+            continue
+        outside = True
+        keep, trial = simplex.keep, simplex.trial
+        _nearest_on_triangle(points[i], points[j], points[k], keep, trial)
+        distance = _dot(trial, trial)
+        if num == 3 or distance < best:  # a triangle's may be NaN
+            best = distance
+            simplex.v[0], simplex.v[1], simplex.v[2] = trial[0], trial[1], trial[2]
+            simplex.best_keep[i], simplex.best_keep[j] = keep[0], keep[1]
+            simplex.best_keep[k], simplex.best_keep[m] = keep[2], False
+    return outside
+
+
+@subkernel(inline="always")
+def _reduce(simplex, num):
+    """Nearest point to the origin into v; keeps the points it needs, all 4 if it is inside."""
+    points, keep, v = simplex.points, simplex.keep, simplex.v
+    if num == 1:
+        v[0], v[1], v[2] = points[0, 0], points[0, 1], points[0, 2]
+        return 1
+    if num == 2:
+        keep[2] = keep[3] = False
+        _nearest_on_segment(points[0], points[1], keep, v)
+    else:
+        if not _nearest_on_faces(simplex, num):
+            return 4
+        for i in range(4):
+            keep[i] = simplex.best_keep[i]
+    kept = 0
+    for i in range(num):
+        if keep[i]:
+            points[kept, 0] = points[i, 0]
+            points[kept, 1] = points[i, 1]
+            points[kept, 2] = points[i, 2]
+            kept += 1
+    return kept
+
+
+@subkernel(**UNCOUNTED)
+def solid_meets_prism(solids, s, prism, simplex):
+    """Does a solid meet a prism? UNDECIDED without a proof."""
+    kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
+    points, v = simplex.points, simplex.v
+    # any point of the difference does to begin with: here that of the two centres
+    v[0], v[1], v[2] = pos[0] - prism.x, pos[1] - prism.y, pos[2] - (prism.low + prism.high) / 2.0
+    if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
+        return MEETS  # both centres are inside
+    num = 0
+    last = math.inf
+    for _ in range(MOST_STEPS):
+        w = points[num]
+        _support_solid(kind, pos, mat, size, -v[0], -v[1], -v[2], w)
+        _subtract_prism(prism, v[0], v[1], v[2], w)
+        # all of the difference lies beyond the plane through w across v, the origin before it
+        if _dot(v, w) > 1e-15 * math.sqrt(_dot(v, v)):
+            return APART
+        for i in range(num):
+            if points[i, 0] == w[0] and points[i, 1] == w[1] and points[i, 2] == w[2]:
+                return UNDECIDED  # no way to come nearer
+        num = _reduce(simplex, num + 1)
+        if num == 4:
+            return MEETS
+        distance = _dot(v, v)
+        if distance < NEAR * NEAR:
+            return MEETS  # v is a point of the difference
+        if distance > last * (1.0 + ROUNDING):
+            return UNDECIDED
+        last = distance
+    return UNDECIDED

@@ -1,0 +1,92 @@
+"""Does a solid meet an upright prism? By its shape where that is plain, else by iteration.
+
+For spheres, upright boxes and cylinders the distance to a prism has a closed form: that of a point
+or a rectangle to a rectangle or a disc in the plane, and of two intervals in height. For leaning
+capsules and cylinders there is a bound. `gjk` decides what these leave open within rounding, and
+all other leaning solids.
+"""
+
+import math
+
+from navbake.baker.core.arrays import SQUARE
+from navbake.baker.core.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
+from navbake.baker.geometry.gjk_kernels import solid_meets_prism
+from navbake.compiled import UNCOUNTED, subkernel
+
+SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
+
+
+@subkernel(inline="always")
+def _point_gap(dx, dy, half, is_round):
+    """How far a point is from a square or a disc round the origin of the plane, >= 0."""
+    if is_round:
+        return max(math.hypot(dx, dy) - half, 0.0)
+    return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
+
+
+@subkernel(inline="always")
+def _plan_gap(solids, s, upright, dx, dy, half, is_round):
+    """How far a box or cylinder is from a column at (dx, dy), seen from above; < 0 for an overlap.
+
+    Its own axis number `upright` points up or down.
+    """
+    mat, size = solids.mat[s], solids.size[s]
+    if solids.kind[s] == CYLINDER:
+        if is_round:
+            return math.hypot(dx, dy) - size[0] - half
+        return _point_gap(dx, dy, half, SQUARE) - size[0]
+    a, b = (upright + 1) % 3, (upright + 2) % 3
+    ax, ay, bx, by = mat[a], mat[3 + a], mat[b], mat[3 + b]
+    on_a, on_b = abs(dx * ax + dy * ay) - size[a], abs(dx * bx + dy * by) - size[b]
+    if is_round:
+        return math.hypot(max(on_a, 0.0), max(on_b, 0.0)) - half
+    # two rectangles are apart when one of their four axes separates them
+    gap = max(on_a - half * (abs(ax) + abs(ay)), on_b - half * (abs(bx) + abs(by)))
+    gap = max(gap, abs(dx) - half - abs(ax) * size[a] - abs(bx) * size[b])
+    return max(gap, abs(dy) - half - abs(ay) * size[a] - abs(by) * size[b])
+
+
+@subkernel(inline="always")
+def _axis_gap(solids, s, prism, half, is_round):
+    """A lower bound for leaning capsules and cylinders; negative only where they do overlap."""
+    pos, mat, radius, length = solids.pos[s], solids.mat[s], solids.size[s, 0], solids.size[s, 1]
+    dx, dy = prism.x - pos[0], prism.y - pos[1]
+    ax, ay, az = mat[2] * length, mat[5] * length, mat[8] * length
+    square = ax * ax + ay * ay
+    # the point of the axis that is nearest to the prism's middle, seen from above
+    t = min(max((dx * ax + dy * ay) / square, -1.0), 1.0) if square > 0.0 else 0.0
+    px, py, pz = dx - t * ax, dy - t * ay, pos[2] + t * az
+    if solids.kind[s] == CAPSULE:  # the ball round it proves most overlaps
+        over = max(prism.low - pz, pz - prism.high, 0.0)
+        gap = math.hypot(_point_gap(px, py, half, is_round), over) - radius
+        if gap < 0.0:
+            return gap
+    reach = radius + (half if is_round else half * math.sqrt(2.0))
+    return max(math.hypot(px, py) - reach, 0.0)
+
+
+@subkernel(inline="always")
+def _gap(solids, s, prism, half, is_round):
+    """A lower bound of a solid's distance to a prism; < 0 for an overlap, 0 for unknown."""
+    kind, pos = solids.kind[s], solids.pos[s]
+    dx, dy = prism.x - pos[0], prism.y - pos[1]
+    if kind == SPHERE:
+        over = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
+        return math.hypot(_point_gap(dx, dy, half, is_round), over) - solids.size[s, 0]
+    for axis in range(3):
+        upright = abs(solids.mat[s, 6 + axis]) >= 1.0 - 1e-12
+        if upright and (kind == BOX or (kind == CYLINDER and axis == 2)):
+            over = max(solids.bounds[s, 2] - prism.high, prism.low - solids.bounds[s, 5])
+            return max(_plan_gap(solids, s, axis, dx, dy, half, is_round), over)
+    if kind in (CAPSULE, CYLINDER):
+        return _axis_gap(solids, s, prism, half, is_round)
+    return 0.0
+
+
+@subkernel(**UNCOUNTED)
+def solid_meets(solids, s, prism, simplex):
+    """Whether a solid meets a prism: APART, MEETS or UNDECIDED."""
+    gap = _gap(solids, s, prism, prism.half, prism.is_round)
+    if abs(gap) > SURE:
+        return APART if gap > 0.0 else MEETS
+    return solid_meets_prism(solids, s, prism, simplex)

@@ -1,1 +1,0 @@
-"""Compiled functions of plain arrays and tuples of them, see `navbake.compiled`."""

@@ -1,0 +1,149 @@
+"""Blocks of rows: however large they are, a bake gives the same bytes."""
+
+import numpy as np
+import pytest
+
+from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.bake.stages import bake_stages, open_stages
+from navbake.baker.columns import column_blocks
+from navbake.baker.columns import columns as columns_module
+from navbake.baker.columns.column_blocks import ColumnBlocks, ShapeBlocks, join_columns
+from navbake.baker.columns.columns import Columns, ShapeSource, split_rows
+from navbake.baker.core.clock import StageClock
+from navbake.config.settings import load_config, parse_config
+from navbake.formats.navgrid import dumps_navgrid
+from project_paths import CONFIGS
+
+SAMPLES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+
+# slabs with cracks between them along both axes and at an angle, and a post in one
+SLAB = '<geom type="box" size=".4 .4 .1" pos="{} {} {}" euler="0 0 {}"/>'
+CRACKED = "".join(
+    SLAB.format(0.81 * i + 0.005 * (j % 3), 0.82 * j, 0.02 * (i % 3), 2 * ((i + j) % 4))
+    for i in range(4)
+    for j in range(5)
+)
+CRACKED += '<geom type="cylinder" size=".05 .5" pos="1.2 1.2 .5"/>'
+CRACKED += '<geom type="plane" size="0 0 1" pos="0 0 -1"/>'
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.02, 0.013])
+def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypatch, cell_size):
+    path = tmp_path / "scene.xml"
+    # tetrahedra that share a mesh, some over the borders of blocks
+    mesh = '<asset><mesh name="m" vertex="0 0 0 .3 0 0 0 .4 0 0 0 .5"/></asset>'
+    geoms = [f'<geom type="mesh" mesh="m" pos="{n / 3} {n / 4} .3"/>' for n in range(5)]
+    path.write_text(f"<mujoco>{mesh}<worldbody>{CRACKED}{''.join(geoms)}</worldbody></mujoco>")
+    config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
+    tiles = open_stages(config, StageClock()).tile_index
+
+    def find(shapes: ShapeSource = tiles) -> ColumnBlocks:
+        return ColumnBlocks(shapes, config.agent, config.floors.crack, StageClock())
+
+    def join(shapes: ShapeSource = tiles) -> Columns:
+        window = slice(0, tiles.lattice.height), slice(0, tiles.lattice.width)
+        return join_columns(find(shapes), window, tiles.lattice)
+
+    whole, width = join(), tiles.lattice.width
+    assert len(whole.z) > len(columns_module.cast_columns(tiles).z)
+    cells = np.unique(np.random.default_rng(0).integers(0, width * tiles.lattice.height, 500))
+    for rows in (8, 16, 40):
+        monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * width)
+        assert len(split_rows(tiles.lattice)) == -(-tiles.lattice.height // rows)
+        for one, other in zip(join().hits, whole.hits, strict=True):
+            np.testing.assert_array_equal(one, other)
+    monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
+    monkeypatch.setattr(column_blocks, "KEPT_TRIANGLES", 0)
+    monkeypatch.setattr(column_blocks, "TIMES", np.inf)
+    for shapes in (tiles, open_stages(config, StageClock()).tile_index):
+        for one, other in zip(join(shapes).hits, whole.hits, strict=True):
+            np.testing.assert_array_equal(one, other)
+        some = find(shapes).at(cells)
+        for cell in cells.tolist():
+            one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
+            for a, b in zip(some.hits[1:], whole.hits[1:], strict=True):
+                np.testing.assert_array_equal(a[one], b[other])
+    assert isinstance(shapes, ShapeBlocks)
+
+
+def in_blocks(monkeypatch, cells):
+    """Bake in blocks of about so many cells, and keep none of their columns."""
+    monkeypatch.setattr(columns_module, "BLOCK_CELLS", cells)
+    monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
+
+
+def bake_bytes(config) -> bytes:
+    grid = run_bake(config).grid
+    grid.timings = {}
+    return dumps_navgrid(grid)
+
+
+@pytest.mark.parametrize("cells", [1, 3000, 20_000])
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_in_blocks(monkeypatch, name, cells):
+    config = load_config(CONFIGS / f"{name}.yaml")
+    expected = bake_bytes(config)
+    in_blocks(monkeypatch, cells)
+    assert bake_bytes(config) == expected
+
+
+# a hall with what most rules are about: a storey on a stair, a mesh, posts, a roof, a door, a bed
+HALL = """
+<mujoco><compiler angle="degree"/>
+<asset>
+  <mesh name="wedge" vertex="0 0 0 1 0 0 0 1 0 1 1 0 0 0 .4 0 1 .4"/>
+  <mesh name="shed" vertex="0 0 0 2 0 0 0 2 0 2 2 0 0 0 2 2 0 2 0 2 2 2 2 2"/>
+</asset>
+<worldbody>
+  <geom name="floor" type="box" size="3 3 .1" pos="0 0 -.1"/>
+  <geom name="beside" type="box" size="1 3 .1" pos="4.015 0 -.1"/>
+  <geom name="ground" type="plane" size="0 0 1" pos="0 0 -.6"/>
+  <geom name="wall_n" type="box" size="3 .1 1.4" pos="0 2.9 1.4"/>
+  <geom name="wall_s" type="box" size="3 .1 1.4" pos="0 -2.9 1.4"/>
+  <geom name="wall_m" type="box" size=".1 1.2 1.4" pos=".3 -1.7 1.4"/>
+  <geom name="wall_o" type="box" size=".1 1.2 1.4" pos=".3 1.7 1.4" euler="0 0 4"/>
+  <geom name="upper" type="box" size="1.2 2 .1" pos="-1.8 0 1.9"/>
+  <geom name="roof" type="box" size="1.3 2.2 .05" pos="-1.8 0 4.4"/>
+  <geom type="mesh" mesh="wedge" pos="1.2 -1 0" contype="0" conaffinity="0"/>
+  <geom type="mesh" mesh="shed" pos="3.2 .4 0"/>
+  <geom name="bed" type="box" size=".5 .9 .25" pos="1.8 1.6 .25"/>
+  <geom type="cylinder" size=".03 .6" pos="2.1 -1.8 .6"/>
+  <geom type="sphere" size=".3" pos="-2 -1 .1"/>
+  {stairs}
+  <body name="door" pos=".3 -.5 1"><joint type="hinge" axis="0 0 1" range="0 90"/>
+    <geom type="box" size=".03 .48 1" pos="0 .48 0"/></body>
+</worldbody></mujoco>
+""".replace(
+    "{stairs}",
+    "".join(
+        f'<geom type="box" size=".15 .4 {0.1 * k}" pos="{0.9 - 0.27 * k} -1 {0.1 * k}"/>'
+        for k in range(1, 11)
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"agent": {"radius": 0.2}, "attributes": ["clearance"]},
+        {"grid": {"cell_size": 0.04, "bounds": [-2.5, -1.7, 3.9, 2.1]}},
+        {"grid": {"cell_size": 0.3, "margin": 1.0}},  # slopes join floors over coarse cells
+        {"levels": [{"ground": 0.0, "top": 1.5}], "rooms": {"door_width": 0.9}},
+        {"floors": {"crack": 0.0, "tops": True, "roofs": True}, "names": False},
+        {"floors": {"from": [[4.0, -1.0, 0.0]], "reach": "steps"}},
+    ],
+)
+def test_hall_in_blocks(tmp_path, monkeypatch, settings):
+    path = tmp_path / "hall.xml"
+    path.write_text(HALL)
+    config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": 0.05}} | settings)
+    expected = bake_bytes(config)
+    in_blocks(monkeypatch, 1000)
+    assert bake_bytes(config) == expected
+    in_blocks(monkeypatch, 5000)
+    assert bake_bytes(config) == expected
+    joined = bake_stages(config).columns
+    monkeypatch.undo()
+    for one, other in zip(joined.hits, bake_stages(config).columns.hits, strict=True):
+        np.testing.assert_array_equal(one, other)

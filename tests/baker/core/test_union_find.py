@@ -1,0 +1,29 @@
+"""Union-find against sets that are merged by hand."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from navbake.baker.core.union_find import find_root, unite
+
+# parts of kernels as functions that Python can call
+find_root = numba.njit(find_root.py_func)
+unite = numba.njit(unite.py_func)
+
+
+def test_roots_are_the_lowest_members_whatever_the_order():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        pairs = rng.integers(0, 30, (20, 2))
+        sets = {item: {item} for item in range(30)}
+        for one, other in pairs:
+            merged = sets[int(one)] | sets[int(other)]
+            sets.update(dict.fromkeys(merged, merged))
+        for order in (pairs, pairs[::-1], pairs[:, ::-1]):
+            parent = np.arange(30)
+            for one, other in order:
+                unite(parent, one, other)
+            assert [find_root(parent, item) for item in range(30)] == [
+                min(sets[item]) for item in range(30)
+            ]
