@@ -68,10 +68,12 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     """Compile a function that Python calls, and kernels may; `options` are those of `njit`."""
     if function is None:
         return partial(kernel, **options)
-    place, name = cache_folder(), function.__module__
+    place = cache_folder()
+    name = function.__module__
     own = place and str(place / f"{name.removeprefix(PACKAGE + '.')}-{digest_sources(name)}")
     with _config_lock:  # numba reads where its cache is when a function is made
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, own
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = own
         try:
             made = numba.njit(cache=place is not None, **OPTIONS, **options)(function)
         finally:
@@ -186,10 +188,12 @@ def decode_type(value: Any) -> Any:
 
 def list_cold(entries: Iterable[Entry]) -> list[Entry]:
     """The entries of kernels that lack code on disk for some of their types."""
-    entries, cold = list(entries), set()
+    entries = list(entries)
+    cold = set()
     for name, types in Counter(entry.name for entry in entries).items():
         with suppress(ImportError, AttributeError):  # the list is out of date
-            stats, own = (found := find(name)).stats, f"*.{found.__name__}-*.nbc"
+            stats = (found := find(name)).stats
+            own = f"*.{found.__name__}-*.nbc"
             if not stats.cache_path or len(list(Path(stats.cache_path).glob(own))) < types:
                 cold.add(name)
     return [entry for entry in entries if entry.name in cold]
@@ -211,7 +215,9 @@ def warm_up() -> list[str]:
 
 def _compile(entries: list[Entry]) -> None:
     """Compile what is cold in some processes, and log how far that is; one caller at a time."""
-    place, cold, begin = cache_folder(), list_cold(entries), time.monotonic()
+    place = cache_folder()
+    cold = list_cold(entries)
+    begin = time.monotonic()
     # an executable that holds Python is none
     is_python = Path(sys.executable or "").name.lower().startswith("python")
     count = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MOST_PROCESSES) if is_python else 1
@@ -233,11 +239,13 @@ def _compile(entries: list[Entry]) -> None:
                 for_it(timeout=pause)
                 return
             except (filelock.Timeout, subprocess.TimeoutExpired):
-                done, taken = len(cold) - len(list_cold(cold)), time.monotonic() - begin
+                done = len(cold) - len(list_cold(cold))
+                taken = time.monotonic() - begin
                 LOGGER.warning(f"compiled {done} of {len(cold)} functions after {taken:.0f} s")
                 pause *= 2  # into a file or a pipe, each would be a line
 
-    lock, helpers = filelock.FileLock(place / "compiling.lock"), list[subprocess.Popen[bytes]]()
+    lock = filelock.FileLock(place / "compiling.lock")
+    helpers = list[subprocess.Popen[bytes]]()
     try:
         with suppress(OSError, NotImplementedError):  # of a file system without locks
             wait(lock.acquire)

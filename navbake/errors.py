@@ -46,7 +46,9 @@ class BakeWarning(UserWarning):
 
 
 LONGEST = 200  # characters of a name in a message
-BEGINNING, END = 700, 400  # characters that stay of a message that is longer than both
+# characters that stay of a message that is longer than both
+BEGINNING = 700
+END = 400
 
 
 def shorten(text: str) -> str:

@@ -47,7 +47,8 @@ def _is_one_slip(name: str, other: str) -> bool:
     same = 0
     while same < min(len(name), len(other)) and name[same] == other[same]:
         same += 1
-    a, b = name[same:], other[same:]
+    a = name[same:]
+    b = other[same:]
     return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[:2] == b[1::-1] and a[2:] == b[2:])
 
 
@@ -68,7 +69,8 @@ def _words(name: str) -> set[str]:
 
 def unique_name(name: str, taken: set[str]) -> str:
     """The name, numbered from 2 where it is taken, as in ``wall#2``; taken from now on."""
-    candidate, count = name, 1
+    candidate = name
+    count = 1
     while candidate in taken:
         count += 1
         candidate = f"{name}#{count}"

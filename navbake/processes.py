@@ -55,7 +55,8 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
     except OSError:  # limits are kept on Linux only
         return lambda: None
     before = resource.getrlimit(resource.RLIMIT_AS)
-    most, hard = pages * resource.getpagesize() + int(gib * GIB), before[1]
+    most = pages * resource.getpagesize() + int(gib * GIB)
+    hard = before[1]
     if most < (sys.maxsize if hard == resource.RLIM_INFINITY else hard):
         resource.setrlimit(resource.RLIMIT_AS, (most, hard))
     return lambda: resource.setrlimit(resource.RLIMIT_AS, before)

@@ -48,7 +48,9 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
     Returns the files, the settings first; those that were there with the same content stay. Raises
     a ConfigError if there is no such sample, or another file is there by one of the names.
     """
-    settings, target, scenes = path(name), Path(folder), _folder() / "scenes"
+    settings = path(name)
+    target = Path(folder)
+    scenes = _folder() / "scenes"
     own = sorted(scenes.glob(f"{name}.*"))
     text = "".join(file.read_text(encoding="utf-8") for file in own if file.suffix == ".xml")
     assets = [file for file in sorted((scenes / "assets").iterdir()) if file.name in text]

@@ -48,7 +48,8 @@ GROUPS = ("all", "distance", "ratio", "room", "scene", "split")
 
 def success(distance: Any, radius: Any, stopped: Any, *, xp: Any = np) -> Any:
     """1.0 where the agent stopped within the radius, else 0.0; a NaN distance is no success."""
-    one, none = xp.ones_like(distance), xp.zeros_like(distance)
+    one = xp.ones_like(distance)
+    none = xp.zeros_like(distance)
     return xp.where((distance <= radius) & stopped, one, none)
 
 
@@ -98,12 +99,14 @@ def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = n
     Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
     Dynamic Time Warping" (2019).
     """
-    p, q = xp.asarray(path), xp.asarray(reference)
+    p = xp.asarray(path)
+    q = xp.asarray(reference)
     if not len(p) or not len(q):
         return math.nan
     few, many = (p, q) if len(p) < len(q) else (q, p)
     apart = xp.sqrt(((few[:, None] - many) ** 2).sum(-1))
-    i, n = xp.arange(len(few)), len(many)
+    i = xp.arange(len(few))
+    n = len(many)
     before = last = xp.full_like(apart[:, 0], math.inf)
     # cells of one anti-diagonal, by their row, depend on the two before it alone
     for diagonal in range(len(few) + n - 1):
@@ -111,7 +114,8 @@ def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = n
         above = xp.minimum(xp.minimum(last, last[i - 1]), before[i - 1])
         best = xp.where(i > 0, above, last) if diagonal else xp.zeros_like(last)
         cost = xp.where((j >= 0) & (j < n), apart[i, xp.clip(j, 0, n - 1)], math.inf)
-        before, last = last, cost + best
+        before = last
+        last = cost + best
     return xp.exp(-last[-1] / (len(q) * threshold))
 
 
@@ -153,16 +157,22 @@ class Measures:
     def __init__(
         self, finder: PathFinder, episode: Episode, *, threshold: float = THRESHOLD
     ) -> None:
-        self.finder, self.episode, self.threshold = finder, episode, threshold
-        self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
-        goals, in_order = episode.goals, episode.task == "sequence"
+        self.finder = finder
+        self.episode = episode
+        self.threshold = threshold
+        self.share = episode.goals[0].share
+        self.radius = episode.goals[0].radius
+        goals = episode.goals
+        in_order = episode.task == "sequence"
         # many episodes of a set have the goals of the last one
         find = functools.partial(find_stops, finder, goals, in_order=in_order)
         stops = finder.search.keep("stops", (goals, in_order), find)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
-        self._stops, self._passed = stops, 0
-        self._positions, self._times = [np.array(episode.start)], list[float]()
+        self._stops = stops
+        self._passed = 0
+        self._positions = [np.array(episode.start)]
+        self._times = list[float]()
         self._distances = self._measure(self._positions[0][None], "start")
         self.shortest = self._distances[0]
 
@@ -186,7 +196,8 @@ class Measures:
     def _measure(self, p: Float, what: str) -> list[float]:
         """The distance at each position; goes on to the next goal where one is reached."""
         bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
-        flat, name = self.finder.search.flat, self.episode.id
+        flat = self.finder.search.flat
+        name = self.episode.id
         if len(bad):
             raise QueryError(f"expected finite numbers at {what} {bad[0]} of episode {name!r}")
         cells = flat.cells_at(p)
@@ -194,10 +205,12 @@ class Measures:
             k = int(np.argmax(cells < 0))
             where = ", ".join(f"{v:g}" for v in p[k])
             raise QueryError(f"{what} {k} of episode {name!r}, {where}, lies beside the grid")
-        fields, rest = self._stops.fields, self._stops.rest
+        fields = self._stops.fields
+        rest = self._stops.rest
         if not fields:
             return [math.nan] * len(p)
-        aside, blocked = np.zeros(len(p)), np.flatnonzero(~flat.free[cells])
+        aside = np.zeros(len(p))
+        blocked = np.flatnonzero(~flat.free[cells])
         if len(blocked):
             near, found = snap(flat, flat.free, p[blocked], max_distance=SNAP)
             cells[blocked] = np.where(found >= 0, found, cells[blocked])
@@ -214,7 +227,9 @@ class Measures:
 
     def scores(self, *, stopped: bool) -> Json:
         """`MEANS` and the length of the ``shortest`` path; NaN where one has no meaning."""
-        way, places, times = np.array(self._positions), self._stops.places, self._times
+        way = np.array(self._positions)
+        places = self._stops.places
+        times = self._times
         lengths = path_length(way), self.distance, self.shortest
         length, distance, shortest = map(np.array, lengths)
         coverage = math.nan if self.share is None else self._coverage(way)
@@ -223,15 +238,18 @@ class Measures:
         elif self.episode.extra.get("success") == "planar":
             goals = np.array([g.position for g in self.episode.goals if g.position is not None])
             on_map = np.linalg.norm((way[:, None] - goals)[..., :2], axis=-1).min(axis=1)
-            ends_at, best_at = on_map[-1], on_map.min()
+            ends_at = on_map[-1]
+            best_at = on_map.min()
         else:
-            ends_at, best_at = self.distance, np.min(self._distances)
+            ends_at = self.distance
+            best_at = np.min(self._distances)
         reached = success(np.array(ends_at), self.radius, stopped)
         reference = self.episode.path if places else ()
         if places and not reference:
             reference = path_through(self.finder, self.episode.start, places).get("path", ())
         # moves that no agent can make straight, as they begin in or meet a cell that isn't free
-        starts, ends = way[:-1], way[1:]
+        starts = way[:-1]
+        ends = way[1:]
         flat = self.finder.search.flat
         is_free = flat.free[flat.cells_at(starts)]
         arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
@@ -254,7 +272,8 @@ class Measures:
     def _coverage(self, way: Float) -> float:
         """Share of the start's island within the radius along the floor of where the agent was."""
         search = self.finder.search
-        flat, number = search.flat, search.islands.number
+        flat = search.flat
+        number = search.islands.number
         home = number[flat.cells_at(way[0])]
         cells = np.unique(flat.cells_at(way))
         cells = cells[(number[cells] == home) & (home > 0)]

@@ -44,7 +44,8 @@ def run_in_chunks(
         begin: start of the work.
     """
     threads = num_threads()
-    size, end = max(least, -(-count // (threads * BANDS))), begin + count
+    size = max(least, -(-count // (threads * BANDS)))
+    end = begin + count
     if threads == 1 or count <= size:
         if count:
             kernel(*args, begin, end)
@@ -117,7 +118,8 @@ def _get_pool() -> ThreadPoolExecutor:
 def _after_fork() -> None:
     """Reset a forked child, which has no threads and maybe a locked lock."""
     global _pool, _pool_lock
-    _pool, _pool_lock = None, threading.Lock()
+    _pool = None
+    _pool_lock = threading.Lock()
 
 
 if hasattr(os, "register_at_fork"):

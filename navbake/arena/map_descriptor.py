@@ -30,7 +30,9 @@ PAD = np.array([1, 1], dtype=np.uint8)
 MOST = 10**8  # squares of a map
 HAIR = 1e-6  # a range that ends this near before a face ends on it [m]
 
-UNEXPLORED, FREE, OBSTACLE = "?", ".", "#"
+UNEXPLORED = "?"
+FREE = "."
+OBSTACLE = "#"
 
 
 def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
@@ -46,12 +48,14 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
     Raises:
         FormatError: the two aren't of one shape, or of no squares.
     """
-    known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
+    known = _flags(explored, "explored")
+    filled = _flags(obstacles, "obstacles")
     if known.shape != filled.shape:
         both = f"{known.shape} and {filled.shape}"
         raise FormatError(f"expected explored and obstacles of one shape (rows, cols), got {both}")
     # the format goes from the bottom row up, arrays from the top row down
-    squares, content = known[::-1].ravel(), filled[::-1].ravel()
+    squares = known[::-1].ravel()
+    content = filled[::-1].ravel()
     parts = np.concatenate([PAD, squares, PAD]), content[squares]
     part1, part2 = (np.packbits(bits.astype(np.uint8)).tobytes().hex().upper() for bits in parts)
     return part1, part2
@@ -87,7 +91,8 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
     explored = bits[2 : count - 2].astype(np.bool_)
     known = int(explored.sum())
     content, got = _from_hex(part2, "part 2")
-    digits, whole = -(-known // 4), 2 * -(-known // 8)
+    digits = -(-known // 4)
+    whole = 2 * -(-known // 8)
     if got not in (digits, whole):
         expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
         squares = f"the {known} squares that part 1 has explored"
@@ -103,7 +108,8 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
 
 def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     """Draw a map: ``?`` unexplored, ``.`` free, ``#`` obstacle; a line a row, the top one first."""
-    known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
+    known = _flags(explored, "explored")
+    filled = _flags(obstacles, "obstacles")
     marks = np.where(known, np.where(filled, OBSTACLE, FREE), UNEXPLORED)
     return "\n".join("".join(row) for row in marks)
 
@@ -125,7 +131,8 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
     sizes = list(shape) if np.iterable(shape) else [shape]
     if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
         raise FormatError(f"expected a shape (rows, cols), each >= 1, got {sizes}")
-    rows, cols = int(sizes[0]), int(sizes[1])
+    rows = int(sizes[0])
+    cols = int(sizes[1])
     if rows * cols > MOST:
         raise FormatError(f"expected at most {MOST} squares, got {rows} × {cols}")
     return rows, cols
@@ -187,7 +194,8 @@ def place_squares(
     squares = Lattice(left, bottom + rows * square, square, cols, rows)
     left, bottom, right, top = squares.bounds
     if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:
-        own, other = f"x {left:g} to {right:g}, y {bottom:g} to {top:g}", f"x {x0:g} to {x1:g}"
+        own = f"x {left:g} to {right:g}, y {bottom:g} to {top:g}"
+        other = f"x {x0:g} to {x1:g}"
         text = f"the arena, {own} m, lies beside the level"
         raise QueryError(f"{text}: it spans {other}, y {y0:g} to {y1:g} m")
     return squares
@@ -213,7 +221,8 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
 
     row0, row1 = spans(lattice.y_max - squares.y_max, squares.height, lattice.height)
     col0, col1 = spans(squares.x_min - lattice.x_min, squares.width, lattice.width)
-    row0, row1 = row0[:, None], row1[:, None]
+    row0 = row0[:, None]
+    row1 = row1[:, None]
     inside: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
     return inside > 0
 
@@ -267,7 +276,8 @@ class ExploredMap:
     def enter(self, x: float, y: float) -> None:
         """Mark the agent's square at a world position [m] as explored and free."""
         row, col = self._square_at(x, y)
-        self.explored[row, col], self.obstacles[row, col] = True, False
+        self.explored[row, col] = True
+        self.obstacles[row, col] = False
 
     def observe(
         self, x: float, y: float, angles: ArrayLike, ranges: ArrayLike, max_range: float
@@ -289,13 +299,15 @@ class ExploredMap:
             QueryError: the position is outside the arena, or a number is wrong.
         """
         self._square_at(x, y)
-        ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
+        ways = _check_rays(angles, max_range)
+        lengths = _numbers(ranges, "ranges [m]")
         if ways.shape != lengths.shape:
             got = f"{len(ways)} and {len(lengths)}"
             raise QueryError(f"expected as many angles as ranges, got {got}")
         if (lengths < 0).any():
             raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
-        passed, hit = np.zeros_like(self.explored), np.zeros_like(self.explored)
+        passed = np.zeros_like(self.explored)
+        hit = np.zeros_like(self.explored)
         is_measured = ~np.isnan(lengths)
         for angle, length in zip(ways[is_measured], lengths[is_measured], strict=True):
             is_hit = length < max_range
@@ -359,7 +371,8 @@ class ExploredMap:
         With `beyond`, the square that contains or follows the ray's end has the ray's length or
         more, once.
         """
-        size, counts = self.lattice.cell_size, (self.lattice.width, self.lattice.height)
+        size = self.lattice.cell_size
+        counts = (self.lattice.width, self.lattice.height)
         # in squares from here on, columns and rows; rows run against y
         start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size
         way = np.array([np.cos(angle), -np.sin(angle)])
@@ -374,7 +387,8 @@ class ExploredMap:
         # a piece between two crossings lies in its middle's square
         t = np.unique(np.concatenate(stops).clip(0.0, far))
         t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
-        starts, middles = t[:-1] * size, (t[:-1] + t[1:]) / 2
+        starts = t[:-1] * size
+        middles = (t[:-1] + t[1:]) / 2
         places = (start[:, None] + way[:, None] * middles).clip(-1.0, 2.0**31)
         cols, rows = np.floor(places).astype(np.int64)
         if beyond and len(starts):

@@ -54,7 +54,8 @@ def check_order(facts: Facts) -> Iterator[Found]:
     """Levels aren't in order, lie on different lattices, or are there twice."""
     first = facts.levels[0].lattice
     for number, level in enumerate(facts.levels[1:], start=1):
-        below, lattice = facts.levels[number - 1], level.lattice
+        below = facts.levels[number - 1]
+        lattice = level.lattice
         if level.ground < below.ground:
             text = f"its ground, {level.ground:.2f} m, is below that of the level before"
             yield ERROR, number, None, text
@@ -73,7 +74,8 @@ def check_boxes(facts: Facts) -> Iterator[Found]:
     """A level's box leaves out free cells of its own, or another level's takes them."""
     boxes = [level.bbox_yup for level in facts.levels]
     for number, box in enumerate(boxes):
-        free, floor = facts.free[number], facts.floors[number]
+        free = facts.free[number]
+        floor = facts.floors[number]
         if box is None:
             continue
         out = free & ~_in_box(facts, number, box)
@@ -95,7 +97,8 @@ def check_boxes(facts: Facts) -> Iterator[Found]:
 
 def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
     """Which cells of a level have their centres in a box of the file (y up)."""
-    level, floor = facts.levels[number], facts.floors[number]
+    level = facts.levels[number]
+    floor = facts.floors[number]
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     at = np.stack([x, np.where(np.isnan(floor), level.ground, floor), -y], axis=-1)
     low, high, slack = *(np.array(box) * level.unit), np.array([BOX_SLACK, 1e-6, BOX_SLACK])
@@ -129,7 +132,8 @@ def check_links(facts: Facts) -> Iterator[Found]:
         if wrong.any():
             k = int(np.nanargmax(np.where(wrong, np.nan_to_num(rise), -1.0)))
             x, y, z = one[k].tolist()
-            number, count = int(links[k, 0]), int(wrong.sum())
+            number = int(links[k, 0])
+            count = int(wrong.sum())
             text = f"{count_of(count, 'link')} lead{'s' if count == 1 else ''} {what}"
             text += f": {rise[k]:.2f} m" if what.startswith("up") else ""
             yield ERROR, number, (x, y, facts.levels[number].ground if np.isnan(z) else z), text
@@ -145,15 +149,18 @@ def check_missing_links(facts: Facts) -> Iterator[Found]:
             to_row, to_col = level.lattice.rows_cols(beside.lattice.positions(rows, cols))
             unlinked = np.zeros(len(rows), dtype=np.bool_)
             for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-                r, c = to_row + down, to_col + right
+                r = to_row + down
+                c = to_col + right
                 inside = level.lattice.holds(r, c)
-                r, c = np.where(inside, r, 0), np.where(inside, c, 0)
+                r = np.where(inside, r, 0)
+                c = np.where(inside, c, 0)
                 rise = np.abs(facts.floors[number][r, c] - facts.floors[other][rows, cols])
                 islands = facts.islands[number][r, c], facts.islands[other][rows, cols]
                 is_walk = inside & facts.free[number][r, c] & (rise <= facts.step_limit)
                 unlinked |= is_walk & (islands[0] != islands[1])
             if unlinked.any():
-                k, count = int(np.argmax(unlinked)), int(unlinked.sum())
+                k = int(np.argmax(unlinked))
+                count = int(unlinked.sum())
                 has = f"level {number} {'has' if count == 1 else 'have'}"
                 text = f"{count_of(count, 'free cell')} a step away from {has} no link to it, "
                 text += "and nothing else leads there"
@@ -162,7 +169,8 @@ def check_missing_links(facts: Facts) -> Iterator[Found]:
 
 def check_agent(facts: Facts) -> Iterator[Found]:
     """The agent's sizes are none, or others than the settings', or it steps as high as itself."""
-    grid, settings = facts.grid, facts.settings.get("agent", {})
+    grid = facts.grid
+    settings = facts.settings.get("agent", {})
     wrong = find_wrong_sizes(grid)
     for key, taken, name, default in (
         ("agentHeight", grid.agent_height, "height", 1.14),
@@ -189,13 +197,15 @@ def check_room_table(facts: Facts) -> Iterator[Found]:
         return
     known = {(room.level, room.index) for room in stated}
     for number, level in enumerate(facts.levels):
-        count, middles = np.bincount(level.room_index.ravel()), find_middles(level)
+        count = np.bincount(level.room_index.ravel())
+        middles = find_middles(level)
         for index in middles:
             if (number, index) not in known:
                 text = f"{count[index]} cells are in room {index}, which no entry describes"
                 yield ERROR, number, facts.first(number, level.room_index == index), text
         for room in (room for room in stated if room.level == number):
-            name, middle = repr(room.name or room.id), middles.get(room.index)
+            name = repr(room.name or room.id)
+            middle = middles.get(room.index)
             if middle is None:
                 yield ERROR, number, room.centroid, f"room {name} has no cells"
                 continue
@@ -225,13 +235,17 @@ def check_rooms_without_way_out(facts: Facts) -> Iterator[Found]:
     """Nothing leads out of a room, be all doors open."""
     names = {(room.level, room.index): room.name or room.id for room in facts.rooms or ()}
     for number, level in enumerate(facts.levels):
-        index, passable, floor = level.room_index, facts.passable[number], facts.floors[number]
+        index = level.room_index
+        passable = facts.passable[number]
+        floor = facts.floors[number]
         leads = np.zeros(int(index.max()) + 1, dtype=np.bool_)
         count = np.bincount(index[passable], minlength=len(leads))
         if np.count_nonzero(count) < 2:
             continue  # there is nothing to lead to
         # from cell to cell with a step between at most, or by a link
-        room, can_pass, height = index.ravel(), passable.ravel(), floor.ravel()
+        room = index.ravel()
+        can_pass = passable.ravel()
+        height = floor.ravel()
         for one, step in pairs_across(index, 1):
             other = one + step
             with np.errstate(invalid="ignore"):
@@ -255,11 +269,13 @@ def check_doors(facts: Facts) -> Iterator[Found]:
     standing = facts.cells_of([(door, door.state) for door in doors])
     for door in doors:
         states = {state: door.cells_in(state, len(facts.levels)) for state in door.cells}
-        level, place = None, None
+        level = None
+        place = None
         for number, own in (pair for levels in states.values() for pair in enumerate(levels)):
             if len(own) and level is None:  # the middle of the first cells
                 row, col = divmod(int(own[len(own) // 2]), facts.levels[number].width)
-                level, place = number, facts.place(number, row, col)
+                level = number
+                place = facts.place(number, row, col)
         pair = [room for room in door.rooms if room is not None]
         if len(pair) == 2 and pair[0] == pair[1]:
             yield REMARK, level, place, f"door {door.id!r} joins room {pair[0]!r} to itself"
@@ -288,7 +304,8 @@ def check_doors(facts: Facts) -> Iterator[Found]:
 
 def check_named_links(facts: Facts) -> Iterator[Found]:
     """A link's stop is blocked, a lift's stops are on one level, or one leads to a dead spot."""
-    links, agents = facts.grid.links, facts.grid.agents
+    links = facts.grid.links
+    agents = facts.grid.agents
     islands = facts.walks if links else []
     count = np.bincount(np.concatenate([[0], *(part.ravel() for part in islands)]))
     area = count * facts.levels[0].lattice.cell_size ** 2
@@ -296,7 +313,8 @@ def check_named_links(facts: Facts) -> Iterator[Found]:
         what = f"{link.kind} {link.name!r}"
         for stop in link.stops:
             row, col = divmod(stop.cell, facts.levels[stop.level].width)
-            place, island = facts.place(stop.level, row, col), int(islands[stop.level][row, col])
+            place = facts.place(stop.level, row, col)
+            island = int(islands[stop.level][row, col])
             if not facts.free[stop.level][row, col]:
                 by_door = bool(facts.passable[stop.level][row, col])
                 why = "a door blocks" if by_door else "blocked is"
@@ -315,7 +333,8 @@ def check_named_links(facts: Facts) -> Iterator[Found]:
 
 def check_areas(facts: Facts) -> Iterator[Found]:
     """An area covers no cell of any level, is for an unknown agent, or cells are in none."""
-    areas, agents = facts.grid.areas, facts.grid.agents
+    areas = facts.grid.areas
+    agents = facts.grid.agents
     if not areas:
         return
     count = np.zeros(256, dtype=np.int64)
@@ -374,7 +393,8 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
     if not isinstance(grid, GridBase | str | PathLike):
         raise FormatError(f"expected a grid or the path of its file, got {shown_type(grid)}")
     content: Any = grid if isinstance(grid, GridBase) else read_navgrid(grid)
-    facts, remarks = Facts(content), []
+    facts = Facts(content)
+    remarks = []
     for name, check in CHECKS.values():
         for severity, level, place, text in run_check(check, facts):
             # the grid's own place may be no number

@@ -41,9 +41,11 @@ def check_all_free(facts: Facts) -> Iterator[Found]:
 
 def check_empty_levels(facts: Facts) -> Iterator[Found]:
     """A level has no floor, or nowhere to stand, which an inflation may do; or so has the grid."""
-    severity, inflated = ERROR, ""
+    severity = ERROR
+    inflated = ""
     if facts.reach is not None:
-        severity, inflated = REMARK, f", inflated by {facts.reach:g} m"
+        severity = REMARK
+        inflated = f", inflated by {facts.reach:g} m"
     if not any(free.any() for free in facts.free):
         yield severity, None, None, f"no cell is free, on any level{inflated}"
         return
@@ -67,7 +69,9 @@ def check_weights(facts: Facts) -> Iterator[Found]:
     """Weights and occupancy contradict each other, or a weight is none."""
     reach = facts.reach
     for number, level in enumerate(facts.levels):
-        weights, occupied, free = level.weights, level.occupancy != 0, facts.free[number]
+        weights = level.weights
+        occupied = level.occupancy != 0
+        free = facts.free[number]
         broken = np.isnan(weights) | (weights < 0)
         yield from facts.on_cells(number, broken, "a weight that is no cost")
         if "occupancy" not in level.attributes:
@@ -91,7 +95,9 @@ def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
     """
     level = grid.levels[number]
     cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
-    floor, size, body = level.floor, 2 * cells + 1, grid.agent_height
+    floor = level.floor
+    size = 2 * cells + 1
+    body = grid.agent_height
     blocks = (level.occupancy != 0) | np.isnan(floor)
     known = floor[~np.isnan(floor)]
     for other in grid.levels:
@@ -169,20 +175,23 @@ def check_jumps(facts: Facts) -> Iterator[Found]:
                 edges += np.bincount(padded[side][differ], minlength=count)
         # free neighbours are on two islands only where they lie more than a step apart
         for one, step in pairs_across(island, 1):
-            own, floor = island.ravel(), facts.floors[number].ravel()
+            own = island.ravel()
+            floor = facts.floors[number].ravel()
             one = one[(own[one] > 0) & (own[one + step] > 0)]
             down = floor[one] - floor[one + step]
             for patches, drop in (own[one + step], -down), (own[one], down):
                 for num, rise, mask in zip(jumps, total, (drop > 0, drop < 0), strict=True):
                     num += np.bincount(patches[mask], minlength=count)
                     rise += np.bincount(patches[mask], np.abs(drop[mask]), minlength=count)
-    cells[0], jumps[:, 0] = 0, 0
+    cells[0] = 0
+    jumps[:, 0] = 0
     area = cells * facts.levels[0].lattice.cell_size ** 2
     found = []
     for way, num, rise in zip(("above", "below"), jumps, total, strict=True):
         share = num / np.maximum(edges, 1)
         for patch in np.flatnonzero(share >= HALF_ROUND).tolist():
-            is_most, by = share[patch] >= MOST_ROUND, rise[patch] / num[patch]
+            is_most = share[patch] >= MOST_ROUND
+            by = rise[patch] / num[patch]
             around = "all" if is_most else "most of what is"
             size = f"{area[patch]:.3g} m² of floor ({count_of(int(cells[patch]), 'cell')})"
             text = f"{size} lies {by:.2f} m {way} {around} round it, and no step leads there"
@@ -206,7 +215,8 @@ def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
     With how far that one is in the flat array: `gap` columns, then `gap` rows.
     """
     width = values.shape[1]
-    right, below = values[:, :-gap] != values[:, gap:], values[:-gap] != values[gap:]
+    right = values[:, :-gap] != values[:, gap:]
+    below = values[:-gap] != values[gap:]
     for differ, step in ((right, gap), (below, gap * width)):
         rows, cols = np.nonzero(differ)  # few do, so that the rest is asked of few
         yield rows * width + cols, step
@@ -218,17 +228,20 @@ def check_cut_off(facts: Facts) -> Iterator[Found]:
     More cells between the same two islands are a thin wall; cells in it that nothing occupies are a
     gap closed for a larger agent. The floors on both sides are within a step of each other.
     """
-    islands, cell_size = facts.open_islands, facts.levels[0].lattice.cell_size
+    islands = facts.open_islands
+    cell_size = facts.levels[0].lattice.cell_size
     largest = max((int(island.max(initial=0)) for island in islands), default=0)
     counts = [np.bincount(island.ravel(), minlength=largest + 1) for island in islands]
     area = np.sum(counts, axis=0) * cell_size**2
     found = []
     for number, island in enumerate(islands if largest >= 2 else ()):
         occupied = facts.levels[number].occupancy.ravel() != 0
-        floor, own = facts.floors[number].ravel(), island.ravel()
+        floor = facts.floors[number].ravel()
+        own = island.ravel()
         gaps: dict[tuple[int, ...], set[int]] = {}  # blocked cells by the islands on both sides
         for one, step in pairs_across(island, 2):
-            cell, other = one + step // 2, one + step
+            cell = one + step // 2
+            other = one + step
             is_gap = (own[one] > 0) & (own[cell] == 0) & (own[other] > 0) & ~np.isnan(floor[cell])
             with np.errstate(invalid="ignore"):
                 is_gap &= ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
@@ -249,7 +262,8 @@ def check_cut_off(facts: Facts) -> Iterator[Found]:
 
 def check_unreached_levels(facts: Facts) -> Iterator[Found]:
     """No link leads to a level from the one with the most free cells."""
-    count, sizes = len(facts.levels), [int(free.sum()) for free in facts.free]
+    count = len(facts.levels)
+    sizes = [int(free.sum()) for free in facts.free]
     pairs = coo_array((np.ones(len(facts.links)), tuple(facts.links[:, ::2].T)), (count, count))
     _, group = connected_components(pairs, directed=False)
     for number in np.flatnonzero(group != group[np.argmax(sizes)]).tolist():

@@ -21,7 +21,8 @@ from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
-ERROR, REMARK = "error", "remark"
+ERROR = "error"
+REMARK = "remark"
 Found = tuple[str, int | None, Vector3 | None, str]
 """What a check yields: severity, level, place and text of a `Remark`."""
 MODES = ("exact", "minos")
@@ -29,7 +30,8 @@ MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
 SLACK = 1e-6  # metres that a step may be over the highest one
 
 
-DOWN, RIGHT = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
+DOWN = (np.s_[:-1], np.s_[1:])
+RIGHT = (np.s_[:, :-1], np.s_[:, 1:])
 """Where the cells of an array stand that have one below, or to the right; and where these stand."""
 
 
@@ -94,16 +96,20 @@ def number_islands(
     shape, join in both directions. It shares no code with a bake. Of parts of one size, that with
     the lowest cell comes first.
     """
-    parts, count = list[Int32](), 1
+    parts = list[Int32]()
+    count = 1
     for mask, floor in zip(masks, floors, strict=True):
         both = [mask[one] & mask[other] for one, other in (DOWN, RIGHT)]
         with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
             steps = [np.abs(floor[one] - floor[other]) > limit for one, other in (DOWN, RIGHT)]
-        joints, stride = mask, 1
+        joints = mask
+        stride = 1
         if any((pair & step).any() for pair, step in zip(both, steps, strict=True)):
-            joints, stride = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_), 2
+            joints = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
+            stride = 2
             joints[::2, ::2] = mask
-            joints[1::2, ::2], joints[::2, 1::2] = both[0] & ~steps[0], both[1] & ~steps[1]
+            joints[1::2, ::2] = both[0] & ~steps[0]
+            joints[::2, 1::2] = both[1] & ~steps[1]
         part, num = label(joints, output=np.int32)
         part = np.ascontiguousarray(part[::stride, ::stride])
         part[mask] += count - 1
@@ -133,7 +139,8 @@ def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
     stated = grid.metadata.get("inflation", [])
     if not isinstance(stated, list):
         return [], f"`inflation` is {stated!r}, expected a list of what was done"
-    done, broken = list[Json](), None
+    done = list[Json]()
+    broken = None
     for number, entry in enumerate(stated):
         known = entry if isinstance(entry, dict) and entry.get("mode") in MODES else {}
         lengths = {"radius": known.get("radius"), "clearance": known.get("clearance", 0)}

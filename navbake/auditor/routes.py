@@ -36,7 +36,8 @@ def audit_routes(
     """
     if not isinstance(graph, RouteGraph):
         graph = read_routes(graph)
-    facts, radius = Facts(grid), graph.radius if radius is None else radius
+    facts = Facts(grid)
+    radius = graph.radius if radius is None else radius
     checks = {
         "nodes": check_nodes(graph, facts),
         "lanes": check_lanes(graph, facts, radius),
@@ -67,7 +68,8 @@ def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
 
 def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Found]:
     for lane in graph.lanes:
-        one, other = graph.nodes[lane.start], graph.nodes[lane.end]
+        one = graph.nodes[lane.start]
+        other = graph.nodes[lane.end]
         if lane.kind != FLOOR or one.level != other.level or one.level >= len(facts.levels):
             continue
         clear, at = lane_clearance(graph, lane, facts, radius)
@@ -85,14 +87,18 @@ def lane_clearance(
     Cells without a floor count as occupied. Squares where another level has a free cell, within
     the agent's height of the lane, don't: they are where stairs go on. inf if there is nothing.
     """
-    one, other = graph.nodes[lane.start], graph.nodes[lane.end]
-    level, ends = facts.levels[one.level], np.array([one.position, other.position])
-    lattice, reach = level.lattice, radius + level.lattice.cell_size
+    one = graph.nodes[lane.start]
+    other = graph.nodes[lane.end]
+    level = facts.levels[one.level]
+    ends = np.array([one.position, other.position])
+    lattice = level.lattice
+    reach = radius + level.lattice.cell_size
     corners = np.array([ends.min(axis=0)[:2] - reach, ends.max(axis=0)[:2] + reach])
     (bottom, top), (left, right) = lattice.rows_cols(corners)
     window = np.s_[max(int(top), 0) : int(bottom) + 1, max(int(left), 0) : int(right) + 1]
     rows, cols = np.nonzero(level.solid[window])
-    rows, cols = rows + window[0].start, cols + window[1].start
+    rows = rows + window[0].start
+    cols = cols + window[1].start
     centers = lattice.positions(rows, cols)
     centers = centers[~_is_over(facts, one.level, centers, ends[:, 2])]
     if not len(centers):
@@ -111,8 +117,10 @@ def _is_over(facts: Facts, number: int, places: Float, z: Float) -> Bool:
         inside = level.lattice.holds(row, col)
         if other == number or not inside.any():
             continue
-        row, col = row[inside], col[inside]
-        floor, reach = facts.floors[other][row, col], facts.grid.agent_height
+        row = row[inside]
+        col = col[inside]
+        floor = facts.floors[other][row, col]
+        reach = facts.grid.agent_height
         near = (floor > z.min() - reach) & (floor < z.max() + reach)  # False for NaN
         found[inside] |= near & level.free_for_point[row, col]
     return found
@@ -123,7 +131,8 @@ def distances(ends: Float, centers: Float, half: float) -> Float:
 
     `ends` has shape (2, 2), `centers` (n, 2); a square reaches `half` to each side.
     """
-    start, way = ends[0], ends[1] - ends[0]
+    start = ends[0]
+    way = ends[1] - ends[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         sides = (-half + SLACK, half - SLACK)
         cuts = np.sort([(centers + side - start) / way for side in sides], axis=0)
@@ -155,7 +164,8 @@ def check_parts(graph: RouteGraph) -> Iterator[Found]:
     _, strong = connected_components(matrix, connection="strong")
     lanes = [lane for lane in graph.lanes if strong[lane.start] != strong[lane.end]]
     for lane in lanes:
-        start, end = graph.nodes[lane.start], graph.nodes[lane.end]
+        start = graph.nodes[lane.start]
+        end = graph.nodes[lane.end]
         text = f"no lanes lead back from {end.name!r} to {start.name!r}"
         yield REMARK, end.level, end.position, text
 

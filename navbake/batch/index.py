@@ -208,8 +208,11 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
 
 def _schema(pyarrow: Any) -> Any:
     """The columns: name and type, in the order of docs/batch.md."""
-    text, texts = pyarrow.string(), pyarrow.list_(pyarrow.string())
-    number, count, wide = pyarrow.float64(), pyarrow.int32(), pyarrow.int64()
+    text = pyarrow.string()
+    texts = pyarrow.list_(pyarrow.string())
+    number = pyarrow.float64()
+    count = pyarrow.int32()
+    wide = pyarrow.int64()
     file = pyarrow.struct([("path", text), ("size", wide), ("sha256", text)])
     counts = pyarrow.struct([(measure, pyarrow.list_(wide)) for measure in CLASSES])
     return pyarrow.schema(

@@ -44,7 +44,9 @@ from navbake.yaml_text import apply_overrides
 
 notebook = lazy("navbake.views.notebook")  # loads Pillow
 
-OK, FAILED, LEFT = "ok", "failed", "left"
+OK = "ok"
+FAILED = "failed"
+LEFT = "left"
 NEW = "new"  # why a scene without a record isn't done
 ERROR = "error"  # of a failure in a process that goes on
 DIGITS = 4  # of seconds
@@ -124,13 +126,16 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
 
 def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
     """The files and the key of a scene from its settings."""
-    home, name = config.inputs[0].parent, config.inputs[0].name  # the grid states the name
+    # the grid states the name
+    home = config.inputs[0].parent
+    name = config.inputs[0].name
     inputs: dict[str, Json] = {}
     files: list[list[Any]] = []
     for named in config.inputs:  # the scene is the first
         for path in find_inputs(named, mirror, folders=config.scene.model_path):
             if mirror.has(path):
-                url, state = mirror.url_of(path), mirror.describe(path)
+                url = mirror.url_of(path)
+                state = mirror.describe(path)
                 inputs[_name(plan, url or path)] = state
                 files.append([store.shown(url) if url else _relative(path, home), *state.values()])
     left_out: Any = {"output": True, "scene": {"path", "model_path"}}
@@ -281,12 +286,14 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
 def _make(plan: Plan, job: Job, begin: float) -> Json:
     place = plan.place(job)
     with open_scene(plan, job, whole=True) as scene:
-        grid, timings = _copy_twin(plan, job, scene), dict[str, float]()
+        grid = _copy_twin(plan, job, scene)
+        timings = dict[str, float]()
         if grid is None:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the row has the relevant ones
                 result = run_bake(scene.config, threads=1)
-            grid, timings = result.grid, result.timings
+            grid = result.grid
+            timings = result.timings
         grid.timings = {}  # the same scene, the same bytes
         free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
         row = {

@@ -93,7 +93,8 @@ def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
 
     `show` is called with the share that is done. Raises FullError if the folder has no room.
     """
-    has_thumbnail, num_failed = _find_thumbnails(folder), 0
+    has_thumbnail = _find_thumbnails(folder)
+    num_failed = 0
     done = [id for id, row in read_index(folder).items() if row.get("status") == OK]
     missing = [id for id in done if not has_thumbnail(id)]
     for number, id in enumerate(missing):
@@ -118,7 +119,8 @@ class LivePage:
     """The page of a running batch, in a small share of its time; on a store, only at its end."""
 
     def __init__(self, folder: store.Folder, total: int) -> None:
-        self._folder, self._total = folder, total
+        self._folder = folder
+        self._total = total
         self._next = time.monotonic() + EVERY if isinstance(folder, Path) else float("inf")
 
     def refresh(self, done: int) -> None:
@@ -162,7 +164,9 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
 
 def measure_work(scenes: Iterable[Json]) -> float:
     """The time in which at least one scene was being baked [s], over all runs of the batch."""
-    work, reached, spans = 0.0, -math.inf, []
+    work = 0.0
+    reached = -math.inf
+    spans = []
     for scene in scenes:
         if scene["ended"] and scene["seconds"]:
             end = datetime.fromisoformat(scene["ended"].replace("Z", "+00:00")).timestamp()
@@ -177,7 +181,8 @@ def _edges(values: Sequence[float]) -> list[float]:
     """The edges of a histogram: of equal widths, or equal ratios for skewed values."""
     if not values:
         return []
-    least, most = float(min(values)), float(max(values))
+    least = float(min(values))
+    most = float(max(values))
     if least > 0 and most > SKEWED * float(np.median(values)):
         return [*np.geomspace(least, most, NUM_BINS + 1).tolist()[:-1], most]
     step = nice_step((most - least or abs(most) or 1) / (NUM_BINS - 4))

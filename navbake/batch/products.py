@@ -33,7 +33,8 @@ plot = lazy("navbake.views.plot")
 report = lazy("navbake.views.report")
 
 GRID = "grid.json.gz"  # of every scene, written last
-PICTURE, REPORT = "picture.png", "report.html"
+PICTURE = "picture.png"
+REPORT = "report.html"
 THUMBNAIL = "thumbnail.png"  # no product, as it can be made of the grid later
 RECORD = ".navbake-made"  # of a scene's folder: its files and key, see `job.py`; of all: shards
 PICTURE_LAYERS = ("rooms", "floor")
@@ -142,7 +143,8 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     )
     file = folder / f"episodes-{'-'.join(values)}.jsonl"
     write_episodes(EpisodeSet(drawn.header, episodes), file)
-    measured, counts = [episode.measures for episode in episodes], {}
+    measured = [episode.measures for episode in episodes]
+    counts = {}
     for measure, edges in CLASSES.items():
         known = [v for values in measured if (v := values[measure]) is not None]
         counts[measure] = np.histogram(known, [*edges, np.inf])[0].tolist()
@@ -155,7 +157,8 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
     `sets` are the scenes' ids and files. Raises a NavbakeError if the agents differ, or two scenes
     have one id.
     """
-    headers, pieces = list[Header](), list[bytes]()
+    headers = list[Header]()
+    pieces = list[bytes]()
     for id, content in sets:
         head, _, episodes = content.partition(b"\n")
         header = decode(head, Header, f"the episodes of {id}")

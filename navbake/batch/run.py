@@ -54,7 +54,9 @@ AT_ONCE = 16  # scenes whose records are read at once
 BOOKKEEPING = ("key", "inputs", "files", "ended")
 SHARD = re.compile(r"shard-\d{6,}\.tar")
 TIMES = ("seconds", "stages", "ended")  # keys of a row that differ each time
-DONE_BEFORE, BROKEN = "done", "broken"  # why a scene isn't baked, or would be in vain
+# why a scene isn't baked, or would be in vain
+DONE_BEFORE = "done"
+BROKEN = "broken"
 SHARES = (50, 90, 100)  # percentiles
 
 
@@ -142,7 +144,8 @@ def run_batch(
         checked = check_records(plan, [job for job in jobs if job.id not in rows])
         rows |= {row["id"]: row for row, _ in checked if row is not None}
         left = [] if only_merge else [job for job in jobs if job.id not in rows]
-        result, num_failed = BatchResult(skipped=len(rows)), 0
+        result = BatchResult(skipped=len(rows))
+        num_failed = 0
         if only_merge:
             result.skipped = sum(row["status"] == OK for row in rows.values())
 
@@ -169,7 +172,8 @@ def run_batch(
                 )
                 with closing(ended):
                     for end in ended:
-                        job, row = some[end.number], end.value
+                        job = some[end.number]
+                        row = end.value
                         if end.how != DONE:
                             row = fail(plan, job, end.how, end.value, end.seconds)
                         if row["status"] == LEFT:  # no room for others, either

@@ -91,7 +91,8 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -
                 f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
                 f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
-        one, two = (f"{shorten(repr(each.id))} at {each.place}" for each in (other, job))
+        one = f"{shorten(repr(other.id))} at {other.place}"
+        two = f"{shorten(repr(job.id))} at {job.place}"
         raise ConfigError(f"expected unique ids, got {one} and {two}: give each an `id` of its own")
     return jobs
 
@@ -221,7 +222,8 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
         if {"rooms", "walls", "objects"} <= row.keys():  # without its objects' shapes
             hint = "; a house of ProcTHOR only names the assets in it: list an MJCF of it"
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}{hint}")
-    name, nested = row.pop("id", None), row.pop("settings", {})
+    name = row.pop("id", None)
+    nested = row.pop("settings", {})
     if not isinstance(nested, dict):
         raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
     if isinstance(name, bool) or not isinstance(name, str | int | None):
@@ -437,7 +439,8 @@ def outlines_of(settings: Mapping[str, Any]) -> str | None:
 
 
 def _read_mapping(path: str) -> Mapping[str, Any]:
-    value, name = decode_yaml(store.read_file(path), store.shown(path)), store.shown(path)
+    value = decode_yaml(store.read_file(path), store.shown(path))
+    name = store.shown(path)
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):

@@ -96,7 +96,8 @@ def join(folder: Folder, name: str) -> str:
     if isinstance(folder, Path):
         return str(folder / name)
     scheme, _, path = folder.partition("://")
-    host, path = path.partition("/")[0], posixpath.normpath(posixpath.join(path, name))
+    host = path.partition("/")[0]
+    path = posixpath.normpath(posixpath.join(path, name))
     if path.partition("/")[0] != host:
         raise ConfigError(f"expected a path within {shown(folder)}, got {name}")
     return f"{scheme}://{path}"
@@ -128,7 +129,8 @@ def check_host(url: str, named: Iterable[str]) -> None:
 
     `url` is from a list or settings on the web. Raises a NavbakeError.
     """
-    host, known = _host(url), {*map(_host, named), *_hosts}
+    host = _host(url)
+    known = {*map(_host, named), *_hosts}
     if _is_web(url) and host not in known:
         raise NavbakeError(
             f"expected a file of {' or '.join(sorted(filter(None, known))) or 'no host'}, got "

@@ -36,8 +36,13 @@ LATE = 1.0  # excess of a wait that shows that this process was stopped [s]
 AHEAD = 3  # submitted jobs per worker, so that none waits for the parent
 MOST_BREAKS = 3  # of consecutive pools without a finished job, before an error
 MOST_TEXT = 200  # characters of a worker's stderr
-DONE, CRASHED, TOO_LONG, TOO_LARGE = "done", "crashed", "too long", "too large"
-BEGUN, AGAIN = "scene-begin", "retry"  # events besides the ends of jobs
+DONE = "done"
+CRASHED = "crashed"
+TOO_LONG = "too long"
+TOO_LARGE = "too large"
+# events besides the ends of jobs
+BEGUN = "scene-begin"
+AGAIN = "retry"
 # of a cluster
 MOST_LOSSES = 3  # retries of a task whose node or process was lost
 LOOK = 5.0  # between checks of the cluster's size [s]
@@ -101,7 +106,10 @@ class Workers:
 
         `limits` are those of each job; each worker calls `prepare`, a module's function, first.
         """
-        self._work, self._count, self._limits, self._prepare = work, count, limits, prepare
+        self._work = work
+        self._count = count
+        self._limits = limits
+        self._prepare = prepare
         self._closing = ExitStack()
         self._pool: ProcessPool | None = None
 
@@ -121,8 +129,11 @@ class Workers:
         its worker, or took too much memory, is tried again at the end, in a process of its own, in
         case an earlier job in the process was the cause. Raises a NavbakeError if no worker starts.
         """
-        tries, breaks, alone = [0] * len(jobs), 0, False
-        left, again = deque(range(len(jobs))), deque[int]()
+        tries = [0] * len(jobs)
+        breaks = 0
+        alone = False
+        left = deque(range(len(jobs)))
+        again = deque[int]()
         while left:
             for ended in self._in_pool(jobs, left, alone, on_event):
                 breaks = 0
@@ -324,7 +335,8 @@ def do_on_ray(
     with _connected(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
         do = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, scheduling_strategy="SPREAD")(_do_task)
         shared = ray.put((enter, make))
-        left, number_of = iter(range(len(jobs))), dict[Any, int]()
+        left = iter(range(len(jobs)))
+        number_of = dict[Any, int]()
         while True:
             # twice the CPUs: no node waits for this process
             most = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
@@ -341,7 +353,8 @@ def do_on_ray(
                     raise NavbakeError(_last_line(error.cause or error)) from error
                 except ray.exceptions.RayError as error:
                     why = f"it was lost {MOST_LOSSES + 1} times, as {_last_line(error)}"
-                    ended, tries = Ended(number, CRASHED, why), []
+                    ended = Ended(number, CRASHED, why)
+                    tries = []
                 for each in tries:
                     on_event(AGAIN, each)
                 yield ended

@@ -52,7 +52,8 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     Example: navbake rooms house.grid.json
     """
     content = navbake.load(grid)
-    found, doors = content.rooms, content.doors
+    found = content.rooms
+    doors = content.doors
     if as_json:
         lists = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
         print_json({"scene_id": content.scene_id, **lists})

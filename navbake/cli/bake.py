@@ -137,7 +137,8 @@ def voxelize(
     for output in outputs:
         options.check_output(output, *VOXELS, inputs=[config])
     endings = [output.suffix.lower() for output in outputs]
-    has_binvox, is_octree = ".binvox" in endings, [ending in OCTREES for ending in endings]
+    has_binvox = ".binvox" in endings
+    is_octree = [ending in OCTREES for ending in endings]
     has_ids = bool(segments) and has_binvox
     options.refuse_unused(
         ("--compact", compact, has_ids, ".binvox with --segment"),
@@ -195,7 +196,8 @@ def _parse_segments(words: list[str] | None) -> Any:
     for number, word in enumerate(words, 1):
         pattern, is_given, value = word.rpartition("=")
         if not is_given:
-            pattern, value = word, str(number)
+            pattern = word
+            value = str(number)
         if not value.isdecimal() or not pattern:
             text = f"expected geom, body, top or PATTERN=ID, got {word}"
             raise BadParameter(text, param_hint="--segment")
@@ -275,8 +277,10 @@ def bake(
             if target.resolve() in written:
                 text = f"{target} was written for another scene: give each its own `scene.id`"
                 raise ConfigError(f"{text}, or name files, as by --name '{{parent}}-{{stem}}'")
-            is_own, inputs = target == config.output, (path, *config.inputs)
-            suffixes, may_make = () if is_own else options.GRIDS, not (is_file or is_own)
+            is_own = target == config.output
+            inputs = (path, *config.inputs)
+            suffixes = () if is_own else options.GRIDS
+            may_make = not (is_file or is_own)
             options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
             if not target.name.lower().endswith(options.GRIDS) and target != options.STDOUT:
                 text = f"expected a name that ends in {', '.join(options.GRIDS)} as `output`"

@@ -26,10 +26,14 @@ if TYPE_CHECKING:
     from navbake.types import Json
 else:  # --help loads neither MuJoCo nor numpy
     filesize = lazy("rich.filesize")
-    index, job = lazy("navbake.batch.index"), lazy("navbake.batch.job")
-    page, products = lazy("navbake.batch.page"), lazy("navbake.batch.products")
-    run, scenes = lazy("navbake.batch.run"), lazy("navbake.batch.scenes")
-    store, workers = lazy("navbake.batch.store"), lazy("navbake.batch.workers")
+    index = lazy("navbake.batch.index")
+    job = lazy("navbake.batch.job")
+    page = lazy("navbake.batch.page")
+    products = lazy("navbake.batch.products")
+    run = lazy("navbake.batch.run")
+    scenes = lazy("navbake.batch.scenes")
+    store = lazy("navbake.batch.store")
+    workers = lazy("navbake.batch.workers")
 
 INDEX = "index.jsonl"
 MOST_NAMED = 5  # scenes that a line of --plan names
@@ -96,7 +100,8 @@ def batch(
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
     is_ray = executor == "ray"
-    part, whole = _read_slice(piece), "the whole batch, as with --merge"
+    part = _read_slice(piece)
+    whole = "the whole batch, as with --merge"
     options.refuse_unused(
         ("--ray-address", ray_address is not None, is_ray, "--executor ray"),
         ("--merge", merge, part is None, "all slices"),
@@ -117,7 +122,8 @@ def batch(
         inputs = map(Path, given)
         options.check_output(log, inputs=inputs, may_make_folder=True, option="--log")
     settings = {} if config is None else scenes.read_shared(config)
-    folder, made = store.as_folder(output), products.parse_products(make or [])
+    folder = store.as_folder(output)
+    made = products.parse_products(make or [])
     witness = folder / index.LOCK if isinstance(folder, Path) else None
     on_ray = partial(workers.do_on_ray, address=ray_address, witness=witness)
     given = tuple(overrides or [])
@@ -206,7 +212,10 @@ class _Watch:
         log: Path | None,
         has_page: bool,
     ) -> None:
-        self._stack, self._folder, self._as_json, self._has_page = stack, folder, as_json, has_page
+        self._stack = stack
+        self._folder = folder
+        self._as_json = as_json
+        self._has_page = has_page
         printers: Any = [printing.print_json_line]
         self._takers: list[Callable[[Json], None]] = printers if as_json else []
         if log is not None:

@@ -192,7 +192,8 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
         print(f"{name:<12} {text}")
     if no_bake:
         return
-    settings, taken = config.load_config(samples.path(BAKED)), []
+    settings = config.load_config(samples.path(BAKED))
+    taken = []
     try:
         for _ in range(2):  # the first time with what compiling there is to do
             begin = time.perf_counter()

@@ -212,7 +212,8 @@ def inflate(
         ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),
         ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
     )
-    scaling, ledges = SCALING if scaling is None else scaling, ledges or "avoid"
+    scaling = SCALING if scaling is None else scaling
+    ledges = ledges or "avoid"
     # check the arguments before reading the grid, which takes seconds
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     options.check_output(output, *GRIDS, inputs=[grid])
@@ -230,7 +231,8 @@ def inflate(
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
     cuts = find_cuts(one := Search(before), other := Search(after)) if mode == "exact" else []
     if cuts:
-        closed, were = one.islands.count, "was" if one.islands.count == 1 else "were"
+        closed = one.islands.count
+        were = "was" if one.islands.count == 1 else "were"
         listed = ", ".join(name for name, _ in cuts)
         count = f"{other.islands.count} islands where there {were} {closed}"
         print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
@@ -315,7 +317,8 @@ def map_descriptor(
         known, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA)
     else:
         assert grid is not None
-        levels, number = navbake.load(grid).levels, level or 0
+        levels = navbake.load(grid).levels
+        number = level or 0
         if number >= len(levels):
             raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
         edge = descriptor.SQUARE if square is None else square

@@ -56,7 +56,8 @@ def plot(
             text = f"expected one of {', '.join(LAYERS)}, got {layer}"
             raise BadParameter(text, param_hint="--layer")
     options.check_output(output, ".png", ".svg", inputs=[grid])
-    content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
+    content = navbake.load(grid)
+    chosen = tuple(layers or DEFAULT_LAYERS)
     options.write_picture(content, output, level=level, layers=chosen)
     if output != STDOUT:
         say_unless_quiet(output)

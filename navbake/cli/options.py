@@ -127,7 +127,8 @@ def check_output(
     """
     if path == STDOUT:
         return
-    own, others = os.path.realpath(path), [os.path.realpath(file) for file in inputs]
+    own = os.path.realpath(path)
+    others = [os.path.realpath(file) for file in inputs]
     there = filter(os.path.exists, others if os.path.exists(own) else [])  # hard links
     if own in others or any(os.path.samefile(own, file) for file in there):
         raise ConfigError(f"expected an output apart from the inputs, got {path}")

@@ -35,16 +35,19 @@ def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
     With `verbose`, the records of the logger ``navbake`` go to stderr, except warnings, which
     commands print anyway, and at the end the duration.
     """
-    VOLUME.quiet, VOLUME.verbose = quiet, verbose
+    VOLUME.quiet = quiet
+    VOLUME.verbose = verbose
     if not verbose:
         yield
         return
 
     def is_for_the_terminal(record: logging.LogRecord) -> bool:
-        record.msg, record.args = printable(record.getMessage()), ()
+        record.msg = printable(record.getMessage())
+        record.args = ()
         return record.levelno < logging.WARNING
 
-    begin, level = time.perf_counter(), LOG.level
+    begin = time.perf_counter()
+    level = LOG.level
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("navbake: %(message)s"))
     handler.addFilter(is_for_the_terminal)

@@ -209,7 +209,9 @@ def show_value(value: Any) -> str:
 
 
 def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
-    kind, context, value = error["type"], error.get("ctx", {}), error["input"]
+    kind = error["type"]
+    context = error.get("ctx", {})
+    value = error["input"]
     if kind == "extra_forbidden":
         return _unknown_key(loc, sections)
     if kind == "missing":
@@ -226,9 +228,11 @@ def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
 
 def _unknown_key(loc: Location, sections: Sections) -> str:
     """Suggest the nearest known key, of the same section first."""
-    section, unknown = ".".join(p for p in loc[:-1] if isinstance(p, str)), str(loc[-1])
+    section = ".".join(p for p in loc[:-1] if isinstance(p, str))
+    unknown = str(loc[-1])
     section = section if section in sections else section.rpartition(".")[0]  # below a name
-    known, elsewhere = _keys(sections, section), dict[str, str]()
+    known = _keys(sections, section)
+    elsewhere = dict[str, str]()
     # reversed, so that of sections with a key in common the first one is named
     for name in reversed([name for name in sections if name not in ENTRIES]):
         elsewhere |= _keys(sections, name)

@@ -52,7 +52,8 @@ def merge(
     """
     merged = dict(below)
     for key, value in above.items():
-        under, name = merged.get(key), f"{section}.{key}".lstrip(".")
+        under = merged.get(key)
+        name = f"{section}.{key}".lstrip(".")
         if isinstance(under, Mapping) and (value is None or isinstance(value, Mapping)):
             merged[key] = merge(under, value or {}, place, name)
         elif under is None or not isinstance(value, Mapping):
@@ -78,14 +79,17 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
         )
     if not keywords:
         return as_config(config)
-    source, folder = "the settings with the keywords", Path()
+    source = "the settings with the keywords"
+    folder = Path()
     if isinstance(config, BakeConfig):
         config = config.model_dump(by_alias=True, exclude_unset=True)
     elif not isinstance(config, Mapping):
         path = find_source(config)
-        source, config = f"{path} with the keywords", defaults_of(path)
+        source = f"{path} with the keywords"
+        config = defaults_of(path)
         if is_settings(path):
-            config, folder = read_yaml(path), path.parent
+            config = read_yaml(path)
+            folder = path.parent
             if not isinstance(config, Mapping):
                 return as_config(path)  # raises
     return parse_config(merge(config, _checked(keywords), source), source, folder=folder)

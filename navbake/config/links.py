@@ -152,7 +152,8 @@ def _check_names(
     entries: Sequence[AreaSettings | LinkSettings], info: ValidationInfo
 ) -> Sequence[AreaSettings | LinkSettings]:
     """Refuse names that stand twice, and agents that `agents`, if it is valid, doesn't have."""
-    known, taken = info.data.get("agents"), set[str]()
+    known = info.data.get("agents")
+    taken = set[str]()
     for number, entry in enumerate(entries):
         if entry.name in taken:
             raise refusal("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")

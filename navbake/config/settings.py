@@ -159,7 +159,8 @@ class SceneSettings(Settings):
         return data
 
 
-DEFAULT_GEOMS, DEFAULT_SITES = ("room|*", "room_*", "floor|*"), ("room*",)
+DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
+DEFAULT_SITES = ("room*",)
 RoomSource = Literal["polygons", "geoms", "sites", "auto"]
 DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
 OnceEach = AfterValidator(refuse_if(lambda value: len(set(value)) < len(value)))
@@ -392,7 +393,8 @@ class BakeConfig(Settings):
     def _fill_scans(cls, data: Any) -> Any:
         """Set the default of `floors.fill` for scans."""
         if isinstance(data, Mapping):
-            scene, floors = data.get("scene"), data.get("floors") or {}
+            scene = data.get("scene")
+            floors = data.get("floors") or {}
             is_scan = isinstance(scene, Mapping) and scene.get("scan") is True
             if is_scan and isinstance(floors, Mapping) and "fill" not in floors:
                 return {**data, "floors": {**floors, "fill": SCAN_HOLES}}

@@ -79,7 +79,9 @@ def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
     """A line for each setting, its comment beside it, or above if too long."""
     lines = []
     for key, field in type(section).model_fields.items():
-        name, value, comment = field.alias or key, getattr(section, key), field.description or ""
+        name = field.alias or key
+        value = getattr(section, key)
+        comment = field.description or ""
         lines += [] if indent else [""]
         if isinstance(value, BaseModel):
             lines += [f"{indent}{name}:  # {comment}", *_section_lines(value, indent + "  ")]

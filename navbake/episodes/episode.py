@@ -21,7 +21,8 @@ from navbake.runtime.blocking import find_agent
 from navbake.types import Vector3
 
 TASKS = ("point", "object", "room", "sequence", "explore")
-FORMAT, VERSION = "navbake-episodes", 1
+FORMAT = "navbake-episodes"
+VERSION = 1
 EDGES: dict[str, tuple[float, ...]] = {
     "distance": (1.0, 3.0, 6.0, 10.0, 20.0, 40.0),
     "ratio": (1.0, 1.1, 1.25, 1.5, 2.0),
@@ -162,7 +163,9 @@ class EpisodeSet(msgspec.Struct, frozen=True):
 
     def check_grid(self, grid: NavGrid) -> None:
         """Raise a QueryError unless the set was made on this grid, for this agent."""
-        scene, agent, radius = scene_of(grid), self.header.agent, grid.radius
+        scene = scene_of(grid)
+        agent = self.header.agent
+        radius = grid.radius
         digests = {entry.scene: entry.digest for entry in self.header.grids}
         if not digests:
             force = "--force takes its distances from the grid given"

@@ -47,7 +47,8 @@ def read_episodes(
         MissingDependencyError: it is Parquet, and pyarrow is missing.
     """
     packed, name = read_bytes(path)
-    text, (ending, _) = unpack(packed, name), _endings(path)
+    text = unpack(packed, name)
+    ending, _ = _endings(path)
     is_list = ending == ".json" and text.lstrip()[:1] == b"["
     fitting = [one for one in FORMATS.values() if one.ending == ending] or [FORMATS["jsonl"]]
     chosen = FORMATS["molmospaces"] if is_list else fitting[0]
@@ -139,7 +140,8 @@ def read_lines(text: bytes, name: str) -> Fields:
 
 
 def encode_parquet(content: EpisodeSet, _: str) -> bytes:
-    pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
+    pyarrow = import_extra("pyarrow", "batch")
+    parquet = import_extra("pyarrow.parquet", "batch")
     episodes = content.episodes
     columns = {name: [getattr(e, name) for e in episodes] for name in (*TEXTS, *NUMBERS)}
     columns |= {axis: [e.start[k] for e in episodes] for k, axis in enumerate("xyz")}
@@ -152,7 +154,8 @@ def encode_parquet(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_parquet(data: bytes, name: str) -> Fields:
-    pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
+    pyarrow = import_extra("pyarrow", "batch")
+    parquet = import_extra("pyarrow.parquet", "batch")
     try:
         file = parquet.ParquetFile(io.BytesIO(data))
         groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))

@@ -28,7 +28,9 @@ Fields: TypeAlias = tuple[Header, list[Any]]
 """A header, and the fields of each episode, still to be checked."""
 Rotation = tuple[float, float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
-OBJECT_RADIUS, POINT_RADIUS = 0.1, 0.2  # of habitat-lab's success, where a goal has none [m]
+# of habitat-lab's success, where a goal has none [m]
+OBJECT_RADIUS = 0.1
+POINT_RADIUS = 0.2
 MINOS_RADIUS = 0.25  # of MINOS's point goals [m]
 COLUMNS = (
     "sceneId", "split", "level", "roomId", "startX", "startY", "startZ", "startAngle", "startTilt",
@@ -147,7 +149,8 @@ class _Content(msgspec.Struct, omit_defaults=True):
 
 def encode_habitat(content: EpisodeSet, form: str) -> bytes:
     """Encode as a dataset of habitat-lab."""
-    whole, table = _Content([], navbake=content.header), dict[str, tuple[Goal, ...]]()
+    whole = _Content([], navbake=content.header)
+    table = dict[str, tuple[Goal, ...]]()
     for number, e in enumerate(content.episodes):
         rest = _rest(e, HELD)
         info = {**e.extra, "geodesic_distance": e.distance, "navbake": rest}
@@ -202,14 +205,16 @@ def _read_goal(goal: _Goal, radius: float) -> Goal:
 
 def read_habitat(text: bytes, name: str) -> Fields:
     """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, by the fields of its episodes."""
-    content, episodes = decode(text, _Content, name), []
+    content = decode(text, _Content, name)
+    episodes = []
     # episodes share goals, of which there may be thousands
     table = {
         key: tuple(_read_goal(goal, OBJECT_RADIUS) for goal in goals)
         for key, goals in (content.goals_by_category or {}).items()
     }
     for e in content.episodes:
-        extra, is_object = dict(e.info or {}), e.object_category is not None
+        extra = dict(e.info or {})
+        is_object = e.object_category is not None
         is_foreign = "navbake" not in extra
         known: dict[str, Any] = {**extra.pop("navbake", {})}
         if e.start_room is not None:
@@ -239,7 +244,8 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
     table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
     table.writeheader()
     for e in content.episodes:
-        goal, doors = e.goals[0], e.doors or ()
+        goal = e.goals[0]
+        doors = e.doors or ()
         rooms = [room.rsplit(":", 1)[-1] for room in e.rooms or ()]
         row: dict[str, Any] = {
             "sceneId": e.scene, "split": e.split, "roomId": e.room,
@@ -275,9 +281,13 @@ def _read_row(row: Mapping[str, str], k: int) -> dict[str, Any]:
     def words(column: str) -> list[str]:
         return [word for word in (row.get(column) or "").split(":") if word]
 
-    start, goal = (_from_yup([number(end + axis) for axis in "XYZ"]) for end in ("start", "goal"))
-    straight, distance = number("dist", "-1"), number("pathDist", "-1")
-    level, name, room = int(number("level", "0")), row.get("goalObjectId"), row.get("goalRoomId")
+    start = _from_yup([number("start" + axis) for axis in "XYZ"])
+    goal = _from_yup([number("goal" + axis) for axis in "XYZ"])
+    straight = number("dist", "-1")
+    distance = number("pathDist", "-1")
+    level = int(number("level", "0"))
+    name = row.get("goalObjectId")
+    room = row.get("goalRoomId")
     return {
         "id": str(k), "scene": row.get("sceneId"),
         "task": "room" if room else "object" if name else "point",
@@ -321,7 +331,8 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
     specs = []
     for e in content.episodes:
         dataset, _, index = (e.scene if INDEXED.search(e.scene) else f"{e.scene}/0").rpartition("/")
-        goal, half = e.goals[0], e.heading / 2
+        goal = e.goals[0]
+        half = e.heading / 2
         task = _NavTask(
             (*e.start, math.cos(half), 0.0, 0.0, math.sin(half)), goal.name or "",
             [g.name or "" for g in e.goals], (*_position(goal), 1.0, 0.0, 0.0, 0.0),
@@ -343,7 +354,8 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
             raise FormatError(f"expected a way to an object, got {task.task_cls!r} in {name}, {k}")
         x, y, z, qw, qx, qy, qz = task.robot_base_pose
         others = [n for n in task.pickup_obj_candidates or () if n != task.pickup_obj_name]
-        pose, radius = task.pickup_obj_start_pose, task.succ_pos_threshold
+        pose = task.pickup_obj_start_pose
+        radius = task.succ_pos_threshold
         goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
         foreign: dict[str, Any] = {
             "id": str(k), "scene": f"{spec.scene_dataset}/{spec.house_index}",

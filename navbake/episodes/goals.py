@@ -83,7 +83,8 @@ def find_stops(
     """Find where one of several goals is reached, or all in order; None where no agent can be."""
     if goals[0].share is not None:
         return Stops(tuple(goals))
-    search, each = finder.search, [cells_of(finder, goal) for goal in goals]
+    search = finder.search
+    each = [cells_of(finder, goal) for goal in goals]
     cells = each if in_order else [np.unique(np.concatenate(each))]
     if not all(map(len, cells)):
         return None
@@ -105,7 +106,8 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     points = [view.position for view in goal.view_points] or [p for p in [goal.position] if p]
     if not points:
         return np.empty(0, dtype=np.int64)
-    p, reach = check_positions(points, flat.num_levels), max(SNAP, goal.radius)
+    p = check_positions(points, flat.num_levels)
+    reach = max(SNAP, goal.radius)
     _, cells = snap(flat, flat.free, p, same_level=False, max_distance=reach)
     return np.unique(cells[cells >= 0])
 
@@ -118,7 +120,9 @@ def path_through(
     It goes to the nearest place of each stop, by points at most `SPACING` apart; empty for none.
     """
     here = np.array(start)
-    points, rooms, doors = list[list[float]](), list[str](), list[str]()
+    points = list[list[float]]()
+    rooms = list[str]()
+    doors = list[str]()
     for places in stops:
         path = finder.find_path(here, places)
         if path is None:
@@ -147,10 +151,12 @@ class GoalFinder:
         """
         given: tuple[str, ...] | dict[str, tuple[str, ...]]
         if self.task.kind == "object":
-            given, names = self.task.objects, {name: [name] for name in self.object_cells}
+            given = self.task.objects
+            names = {name: [name] for name in self.object_cells}
             default = sorted((category_of(name), name) for name in names)
         else:
-            given, rooms = self.task.rooms, self.finder.rooms.rooms
+            given = self.task.rooms
+            rooms = self.finder.rooms.rooms
             names = {room.id: [name for name in (room.name, room.id) if name] for room in rooms}
             default = [(room.id, room.id) for room in rooms if not room.outdoors]
         found: dict[str, list[str]] = {}
@@ -173,10 +179,12 @@ class GoalFinder:
 
     def goals_of(self, label: str) -> list[Goal]:
         """A goal for each object or room of a choice; objects without view points are left out."""
-        given, keys = getattr(self.task, f"{self.task.kind}s"), self.choices[label]
+        given = getattr(self.task, f"{self.task.kind}s")
+        keys = self.choices[label]
         category = label if isinstance(given, dict) else None
         if self.task.kind == "room":
-            reach, rooms = self.task.reach, self.finder.rooms.rooms
+            reach = self.task.reach
+            rooms = self.finder.rooms.rooms
             return [
                 Goal(position=r.centroid, name=r.name, room=r.id, category=category, radius=reach)
                 for r in rooms
@@ -192,7 +200,8 @@ class GoalFinder:
         """The cells of each object, by flat id, ascending; walls and doors are no objects."""
         found: dict[str, list[Int]] = {}
         other: set[str] = set()
-        grid, flat = self.finder.grid, self.finder.search.flat
+        grid = self.finder.grid
+        flat = self.finder.search.flat
         for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
             cells, number, entries = UserData.of(level.user_data).shared()
             order = np.argsort(number, kind="stable")
@@ -209,19 +218,26 @@ class GoalFinder:
 
         They are `SPACING` apart, or all where none lies on that lattice.
         """
-        search, distance = self.finder.search, self.task.view_distance
-        flat, cells = search.flat, self.object_cells[name]
+        search = self.finder.search
+        distance = self.task.view_distance
+        flat = search.flat
+        cells = self.object_cells[name]
         x, y, z = flat.positions(cells).mean(axis=0).tolist()
         is_own = np.zeros(flat.num_cells, dtype=np.int32)
         is_own[cells] = 1
         views = []
         on, row, col = flat.split(cells)
         for level in np.unique(on).tolist():
-            here, size = on == level, float(flat.layout.cell_size[level])
-            own, pad = flat.positions(cells[here])[:, :2], math.ceil(distance / size)
-            top, left = (max(0, int(axis[here].min()) - pad) for axis in (row, col))
-            bottom, right = (int(axis[here].max()) + pad + 1 for axis in (row, col))
-            span, width = flat.cells_of(level), int(flat.layout.width[level])
+            here = on == level
+            size = float(flat.layout.cell_size[level])
+            own = flat.positions(cells[here])[:, :2]
+            pad = math.ceil(distance / size)
+            top = max(0, int(row[here].min()) - pad)
+            left = max(0, int(col[here].min()) - pad)
+            bottom = int(row[here].max()) + pad + 1
+            right = int(col[here].max()) + pad + 1
+            span = flat.cells_of(level)
+            width = int(flat.layout.width[level])
             window = flat.free[span].reshape(-1, width)[top:bottom, left:right]
             rows, cols = np.nonzero(window) + np.array([[top], [left]])
             near = span.start + rows * width + cols

@@ -181,12 +181,14 @@ def make_episodes(
     """
     if unknown := choice.keys() - AgentChoice.__annotations__.keys():
         raise TypeError(f"make_episodes() got an unexpected keyword argument {min(unknown)!r}")
-    radius, height, speed, agent = (
-        choice.get("radius"), choice.get("height"), choice.get("speed"), choice.get("agent")
-    )  # fmt: skip
+    radius = choice.get("radius")
+    height = choice.get("height")
+    speed = choice.get("speed")
+    agent = choice.get("agent")
     scenes = list(grids) if isinstance(grids, Sequence) else [grids]
     wanted = task if isinstance(task, Task) else make_task(task)
-    rules, parts = make_rules(sampler), splits or Splits()
+    rules = make_rules(sampler)
+    parts = splits or Splits()
     for what, value, least in (("count", count, 1), ("seed", seed, 0)):
         if not isinstance(value, int | np.integer) or value < least:
             raise QueryError(f"expected a {what} >= {least}, got {value!r}")
@@ -195,7 +197,9 @@ def make_episodes(
         got = ", ".join(sorted(names)) or "none"
         raise QueryError(f"expected grids of different scenes, got {got}")
     found: list[Episode] = []
-    entries, agents, rejected = [], set(), Counter[str]()
+    entries = []
+    agents = set()
+    rejected = Counter[str]()
     for k, (scene, given) in enumerate(zip(names, scenes, strict=True)):
         planner = named_agent(given, agent, radius, height)
         grid = fit_grid(given, planner)
@@ -237,8 +241,12 @@ class _Draw:
         splits: Splits,
         agent: links.Agent | None,
     ) -> None:
-        self.task, self.rules, self.seed, self.splits = task, rules, seed, splits
-        self.scene, self.finder = scene_of(grid), PathFinder(grid, agent=agent)
+        self.task = task
+        self.rules = rules
+        self.seed = seed
+        self.splits = splits
+        self.scene = scene_of(grid)
+        self.finder = PathFinder(grid, agent=agent)
         self.goals = GoalFinder(self.finder, task)
         name = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])
@@ -246,7 +254,8 @@ class _Draw:
         # radius of the disc round each island's middle that holds it [m]
         search = self.finder.search
         cells = np.flatnonzero(search.flat.free)
-        number, points = search.islands.number[cells], search.flat.positions(cells)
+        number = search.islands.number[cells]
+        points = search.flat.positions(cells)
         size = np.maximum(np.bincount(number, minlength=search.islands.count + 1), 1)
         middle = np.stack([np.bincount(number, v, len(size)) / size for v in points.T], axis=1)
         self.radii = np.zeros(len(size))
@@ -258,7 +267,9 @@ class _Draw:
         found: list[Episode] = []
         if not self.finder.search.flat.free.any():
             raise QueryError(f"no agent can stand anywhere in {self.scene!r}")
-        per_goal, classes, failures = math.ceil(count / self.rules.goals), len(self.edges), 0
+        per_goal = math.ceil(count / self.rules.goals)
+        classes = len(self.edges)
+        failures = 0
         # episodes still to be drawn in each class; the first have the remainder
         self.missing = [count // classes + (k < count % classes) for k in range(classes)]
         while len(found) < count and failures < MAX_FAILURES:
@@ -270,7 +281,9 @@ class _Draw:
 
     def _draw_stops(self) -> Stops | None:
         """Draw goals; None, counted as rejected, where no episode can have them."""
-        task, rng, finder = self.task, self.rng, self.finder
+        task = self.task
+        rng = self.rng
+        finder = self.finder
         if task.name == "explore":
             return Stops((Goal(share=task.share, radius=task.reach),))
         in_order = task.name == "sequence"
@@ -301,12 +314,16 @@ class _Draw:
 
     def _draw_starts(self, stops: Stops, count: int) -> list[Episode]:
         """Draw starts for goals: `tries` for each of `count` episodes, the first that fits."""
-        rules, search = self.rules, self.finder.search
-        flat, rooms = search.flat, search.rooms
+        rules = self.rules
+        search = self.finder.search
+        flat = search.flat
+        rooms = search.rooms
         starts = self.finder.random_point(self.rng, count * rules.tries)
-        low, high = [[-math.pi], [0.0]], [[math.pi], [1.0]]
+        low = [[-math.pi], [0.0]]
+        high = [[math.pi], [1.0]]
         headings, chance = self.rng.uniform(low, high, (2, len(starts)))
-        cells, goals = flat.cells_at(starts), starts
+        cells = flat.cells_at(starts)
+        goals = starts
         distance = straight = np.full(len(starts), np.nan)
         if stops.places:
             straight, nearest = spatial.cKDTree(stops.places[0]).query(starts)
@@ -354,7 +371,8 @@ class _Draw:
         self, cells: Int, levels: Int, apart: Float, distance: Float, straight: Float, chance: Float
     ) -> dict[str, Bool]:
         """Which starts each rule refuses, by its name, in the order in which they are counted."""
-        rules, island = self.rules, self.finder.search.islands.number[cells]
+        rules = self.rules
+        island = self.finder.search.islands.number[cells]
         limits = rules.max_distance, rules.max_rise
         farthest, steepest = (math.inf if most is None else most for most in limits)
         # 1 of a start at the goal, and on a stair, where the line through the air may be longer

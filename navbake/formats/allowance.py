@@ -176,9 +176,11 @@ class Allowance:
         self._rule = f"a file of {num_bytes:,} bytes may fill ({rule:,} bytes)"
         self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
         self._memory: float = rule
-        self._text, self._num_bytes = rule // TEXT_COST, num_bytes
+        self._text = rule // TEXT_COST
+        self._num_bytes = num_bytes
         if most is not None:
-            self._rule, self._cells = f"{keyword} = {most} allows", most
+            self._rule = f"{keyword} = {most} allows"
+            self._cells = most
             self._memory = BYTES_PER_CELL * most if keyword == "max_cells" else math.inf
 
     def take_cells(self, shape: Sequence[int], place: JsonPath) -> None:

@@ -49,7 +49,8 @@ def decode_array(
     if name not in DATATYPES:
         where = place[own[0]] if own else place
         where.refuse(f"a datatype of {', '.join(DATATYPES)}", stated)
-    dtype, num_cells = np.dtype(name), math.prod(shape)
+    dtype = np.dtype(name)
+    num_cells = math.prod(shape)
     if value.get("length") is not None:
         length = whole_number(value["length"], place["length"], 0)
         if length != num_cells:
@@ -124,7 +125,9 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     """
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
-    cells, starts, texts = array.reshape(-1), [np.zeros(1, np.int64)], []
+    cells = array.reshape(-1)
+    starts = [np.zeros(1, np.int64)]
+    texts = []
     for first in range(1, len(cells), PIECE):
         piece = _as_written(cells[first - 1 : first + PIECE])
         differs = piece[1:] != piece[:-1]

@@ -85,7 +85,8 @@ def encode_mjcf(
     stacked = np.full((len(levels), *lattice.shape), np.nan)
     for k, window in enumerate(windows):
         stacked[(k, *window)] = floors[k]
-    top, parts = float(np.nanmax(stacked)) + height, list[tuple[str, Float]]()
+    top = float(np.nanmax(stacked)) + height
+    parts = list[tuple[str, Float]]()
     for k, (own, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
         # walls end under the next floor above, else at the top
         with np.errstate(invalid="ignore"):
@@ -120,7 +121,8 @@ def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice,
     """The common lattice of all levels, and each level's rectangle in it."""
     cell = levels[0].lattice.cell_size
     bounds = np.array([level.lattice.bounds for level in levels])
-    (x0, y0), (x1, y1) = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+    x0, y0 = bounds[:, :2].min(axis=0)
+    x1, y1 = bounds[:, 2:].max(axis=0)
     whole = Lattice(float(x0), float(y1), cell, round((x1 - x0) / cell), round((y1 - y0) / cell))
     windows = []
     for level in levels:
@@ -128,7 +130,8 @@ def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice,
         offset = (np.array(own.bounds) - whole.bounds) / cell
         if abs(own.cell_size - cell) > 1e-9 or np.abs(offset - np.rint(offset)).max() > 1e-3:
             raise FormatError("expected levels on one lattice: extrude one (level) at a time")
-        row, col = round((whole.y_max - own.y_max) / cell), round((own.x_min - whole.x_min) / cell)
+        row = round((whole.y_max - own.y_max) / cell)
+        col = round((own.x_min - whole.x_min) / cell)
         windows.append((slice(row, row + own.height), slice(col, col + own.width)))
     return whole, windows
 
@@ -149,7 +152,8 @@ def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
 def _settings(
     grid: NavGrid, path: Path, lattice: Lattice, levels: list[SceneGrid2D], stacked: Float
 ) -> Json:
-    lowest, highest = float(np.nanmin(stacked)), float(np.nanmax(stacked))
+    lowest = float(np.nanmin(stacked))
+    highest = float(np.nanmax(stacked))
     grounds = [round(level.ground, DIGITS) + 0.0 for level in levels]
     grounds[0] = min(grounds[0], round(lowest, DIGITS) + 0.0)
     if not all(low < high for low, high in itertools.pairwise(grounds)):
@@ -180,10 +184,12 @@ def _scene_lines(
     yield f"  <!-- It bakes to the cells that it was made of {where} -->\n{HEAD}"
     for prefix, boxes in parts:
         kind = prefix.split("_")[0]
-        low, high = boxes[:, 0], boxes[:, 1]
+        low = boxes[:, 0]
+        high = boxes[:, 1]
         both = zip(((low + high) / 2).tolist(), ((high - low) / 2).tolist(), strict=True)
         for k, (at, size) in enumerate(both):
-            pos, extent = (" ".join(map(repr, values)) for values in (at, size))
+            pos = " ".join(map(repr, at))
+            extent = " ".join(map(repr, size))
             yield f'    <geom name="{prefix}_{k}" class="{kind}" pos="{pos}" size="{extent}"/>\n'
     yield "  </worldbody>\n</mujoco>\n"
 

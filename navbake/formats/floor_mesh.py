@@ -34,7 +34,9 @@ MAX_SLOPE = 45.0  # of files that state none [deg]
 SLACK = 1e-6  # relative rounding of the steepest slope
 NO_ROOM = "no room"
 COMPONENTS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
-VERTICES, INDICES = 34962, 34963  # targets of buffer views
+# targets of buffer views
+VERTICES = 34962
+INDICES = 34963
 UPS = ("y", "z")
 VERTEX = "v %.10g %.10g %.10g %.3f %.3f %.3f\n"
 FACE = "f %d %d %d\nf %d %d %d\n"
@@ -121,9 +123,11 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     steepest = math.tan(math.radians(stated if is_angle else MAX_SLOPE)) * (1 + SLACK)
     levels = []
     for number, level in enumerate(grid.levels):
-        lattice, size = level.lattice, level.lattice.cell_size
+        lattice = level.lattice
+        size = level.lattice.cell_size
         index = level.room_index.astype(np.int32)
-        labels, heights = np.where(level.free, index + 1, 0), level.floor_or_ground
+        labels = np.where(level.free, index + 1, 0)
+        heights = level.floor_or_ground
         first, rows, cols, z = cover_quads(labels, heights, float(tolerance), steepest * size)
         own = index[first[:, 0], first[:, 1]]
         order = np.argsort(own, kind="stable")
@@ -161,7 +165,9 @@ def cover_quads(
     row0, col0, row1, col1 = bounds.T
     rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * margin
     cols = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * margin
-    down, right = rows - row0[:, None] - 0.5, cols - col0[:, None] - 0.5  # from the first centre
+    # from the first centre
+    down = rows - row0[:, None] - 0.5
+    right = cols - col0[:, None] - 0.5
     z = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
     return bounds[:, :2], rows, cols, z
 
@@ -207,7 +213,8 @@ class Buffer:
 
     def add_positions(self, vertices: NDArray[np.float32]) -> int:
         """Append vertices, shape (n, 3), n > 0, with their bounds, which glTF demands."""
-        low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
+        low = vertices.min(axis=0).tolist()
+        high = vertices.max(axis=0).tolist()
         return self.add_vectors(vertices, min=low, max=high)
 
     def _add(self, values: NDArray[Any], shape: str, target: int, **more: Any) -> int:
@@ -240,7 +247,8 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
     name, with its origin at the outer corner of cell 0 on the ground; each room a material by its
     name, in its colour of the pictures.
     """
-    mesh, buffer = make_floor_mesh(grid, tolerance), Buffer()
+    mesh = make_floor_mesh(grid, tolerance)
+    buffer = Buffer()
     scenes = [{"nodes": list(range(len(mesh.levels)))}]
     document: Json = {"scenes": scenes, "nodes": [], "meshes": [], "materials": []}
     for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
@@ -249,14 +257,16 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
         document["nodes"].append(node)
         if not len(level.room):
             continue
-        node["mesh"], primitives = len(document["meshes"]), list[Json]()
+        node["mesh"] = len(document["meshes"])
+        primitives = list[Json]()
         document["meshes"].append({"name": level.name, "primitives": primitives})
         east, north, up = (level.vertices - level.origin).T
         turned = np.stack([east, up, 0.0 - north], axis=1).astype(np.float32)
         for room in np.unique(level.room).tolist():
             # its quads in a row
             first, end = np.searchsorted(level.room, [room, room + 1]).tolist()
-            name, materials = level.rooms[room], document["materials"]
+            name = level.rooms[room]
+            materials = document["materials"]
             part = {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])}
             faces = buffer.add_indices(level.faces[: 2 * (end - first)].astype(np.uint32))
             own = {"material": len(materials), "extras": {"room": name}}
@@ -279,7 +289,9 @@ def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: s
         raise QueryError(f"expected y or z as up, got {up!r}")
     mesh = make_floor_mesh(grid, tolerance)
     lines = [f"# the walkable floor of a navbake grid, in metres, {up} up\n"]
-    done, levels, groups = 0, set[str](), set[str]()
+    done = 0
+    levels = set[str]()
+    groups = set[str]()
     for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
         lines.append(f"o {_own_name(level.name, levels)}\n")
         x, y, z = level.vertices.T

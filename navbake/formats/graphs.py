@@ -126,14 +126,17 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     Raises a QueryError if a weight is negative.
     """
     search = Search(grid, cut_corners=cut_corners)
-    flat, moves, links = search.flat, search.graph.moves, search.graph.links
+    flat = search.flat
+    moves = search.graph.moves
+    links = search.graph.links
     cells = np.flatnonzero(flat.free)
     # scipy's own dtype, which it doesn't copy
     index = np.int32 if len(cells) * len(WAYS) <= np.iinfo(np.int32).max else np.int64
     node: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index)
     node[cells] = np.arange(len(cells))
     level, row, col = flat.split(cells)
-    width, size = flat.layout.width[level], flat.layout.cell_size[level]
+    width = flat.layout.width[level]
+    size = flat.layout.cell_size[level]
     is_step: Bool = np.stack([moves[cells] >> bit & 1 for _, _, bit in WAYS], axis=1).astype(bool)
     offset = np.stack([down * width + right for down, right, _ in WAYS], axis=1)
     factor = np.array([np.sqrt(2.0) if down and right else 1.0 for down, right, _ in WAYS])
@@ -143,7 +146,8 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     np.cumsum(np.count_nonzero(is_step, axis=1), out=start[1:])
     # the neighbours are in the matrix's order; links come beside them
     matrix = sparse.csr_array((cost, node[target], start), shape=(len(cells), len(cells)))
-    one, other = np.repeat(links.cell, np.diff(links.start)), links.target
+    one = np.repeat(links.cell, np.diff(links.start))
+    other = links.target
     is_open = flat.free[one] & flat.free[other]
     if is_open.any():  # if a link joins neighbours, the cheaper step counts
         spent = links.length[is_open] * flat.weight[other[is_open]] + links.cost[is_open]
@@ -152,7 +156,9 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
         source = np.append(steps.row, node[one[is_open]])
         target = np.append(steps.col, node[other[is_open]])
         order = np.lexsort((cost, target, source))
-        cost, source, target = cost[order], source[order], target[order]
+        cost = cost[order]
+        source = source[order]
+        target = target[order]
         is_first = np.append(True, (np.diff(source) != 0) | (np.diff(target) != 0))
         steps = cost[is_first], (source[is_first], target[is_first])
         matrix = sparse.csr_array(steps, shape=matrix.shape, dtype=np.float64)
@@ -238,8 +244,10 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
     cells, between the door's rooms, is that door. A door without steps through it (closed or
     blocked) is a way that is not passable. Cells of no room are no part of the graph.
     """
-    search, room_map = Search(grid), map_rooms(grid)
-    flat, rooms = search.flat, room_map.rooms
+    search = Search(grid)
+    room_map = map_rooms(grid)
+    flat = search.flat
+    rooms = room_map.rooms
     openings = dict(enumerate(_find_openings(search, room_map.number)))
     number_of: dict[str | None, int] = {room.id: k for k, room in enumerate(rooms, 1)}
     ways: list[tuple[tuple[int, int], RoomWay]] = []
@@ -264,7 +272,8 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
         lines = [(k, ends) for k, ends in lines if ends is not None]
         if not lines or len(joined) != 2 or joined[0] == joined[1]:
             continue  # the file names no two rooms for the door
-        level, line = lines[0][0], np.array(lines[0][1])
+        level = lines[0][0]
+        line = np.array(lines[0][1])
         closes = [
             k
             for k, opening in openings.items()
@@ -289,16 +298,19 @@ def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
     """Find the openings between two rooms: over sides of cells, level by level, and over links."""
     from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
-    flat, moves = search.flat, search.graph.moves
+    flat = search.flat
+    moves = search.graph.moves
     # the cells at both ends, (2, n), and corners of cells there as row, col, (k, 2, n)
     found: list[tuple[str, Int, Int]] = []
     for level in range(flat.num_levels):
-        own, width = flat.cells_of(level), int(flat.layout.width[level])
+        own = flat.cells_of(level)
+        width = int(flat.layout.width[level])
         both: list[Int] = []
         corners: list[Int] = []
         for bit, step, first in ((EAST, 1, (0, 1)), (SOUTH, width, (1, 0))):
             one = own.start + np.flatnonzero(moves[own] & bit)
-            a, b = number[one], number[one + step]
+            a = number[one]
+            b = number[one + step]
             one = one[(a != b) & (a > 0) & (b > 0)]
             row, col = np.divmod(one - own.start, width)
             both.append(np.stack([one, one + step]))
@@ -348,7 +360,8 @@ def _connected(pairs: Int, points: Int) -> Iterator[Int]:
 
 def _distance(line: Float, points: Float) -> float:
     """From the nearest of some points to a line segment [m]."""
-    start, along = line[0], line[1] - line[0]
+    start = line[0]
+    along = line[1] - line[0]
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
     return float(np.linalg.norm(points - start - share[:, None] * along, axis=1).min())
 
@@ -367,7 +380,8 @@ def encode_networkx(graph: Any) -> bytes:
         return re.sub("[\0-\x08\x0b-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
 
     named = networkx.relabel_nodes(graph, {node: allowed(node) for node in graph})
-    nodes, edges = named.nodes(data=True), named.edges(data=True)
+    nodes = named.nodes(data=True)
+    edges = named.edges(data=True)
     for entry in (named.graph, *dict(nodes).values(), *(entry for *_, entry in edges)):
         entry.update({key: allowed(value) for key, value in entry.items()})
     file = io.BytesIO()

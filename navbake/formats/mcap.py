@@ -82,7 +82,8 @@ def encode_mcap(
     chosen = chosen_levels(grid, path, level, (".mcap",))
     if any(found is None for found in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
-    file, schemas = io.BytesIO(), dict[str, Any]()
+    file = io.BytesIO()
+    schemas = dict[str, Any]()
     with writing.Writer(file) as writer:
 
         def write(topic: str, kind: str, message: Json) -> None:

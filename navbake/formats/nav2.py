@@ -52,9 +52,14 @@ MODES = ("trinary", "scale", "raw")
 RULES = ("humble", "main")
 IMAGES = ("pgm", "png")
 YAMLS = (".yaml", ".yml")
-OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196  # of map_saver; 0.25 takes 205 for free
+# of map_saver; 0.25 takes 205 for free
+OCCUPIED_THRESHOLD = 0.65
+FREE_THRESHOLD = 0.196
 DIGITS = 9  # of an origin, after the point: nanometres [m]
-GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # of mode trinary, as map_saver writes them
+# of mode trinary, as map_saver writes them
+GREY = 0
+UNKNOWN_GREY = 205
+FREE_GREY = 254
 
 
 class MapRules(NamedTuple):
@@ -225,7 +230,8 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     }
     if not LEAST_EDGE <= stated["resolution"] <= FARTHEST:
         place["resolution"].refuse("a number > 0 [m]", stated["resolution"])
-    occupied, free = stated["occupied_thresh"], stated["free_thresh"]
+    occupied = stated["occupied_thresh"]
+    free = stated["free_thresh"]
     if not 0 <= free < occupied <= 1:
         place["free_thresh"].fail(
             f"expected 0 <= free_thresh < occupied_thresh <= 1, got {free:g} and {occupied:g}"
@@ -239,28 +245,35 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
         negate = words.get(negate.lower(), negate)
     if not isinstance(negate, int):
         place["negate"].refuse("0 or 1", negate)
-    own, origin = entries.get("navbake"), vector(entries.get("origin", MISSING), place["origin"])
+    own = entries.get("navbake")
+    origin = vector(entries.get("origin", MISSING), place["origin"])
     ground = own.get("ground", 0.0) if isinstance(own, dict) else 0.0
     ground = float(number(ground, place["navbake"]["ground"]))
     if not all(abs(value) <= FARTHEST for value in (*origin[:2], ground)):
         place["origin"].fail(f"expected a map within {FARTHEST:g} m of the origin")
-    place_of_image, resolution = Path(path).parent / image, stated["resolution"]
+    place_of_image = Path(path).parent / image
+    resolution = stated["resolution"]
     return MapRules(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
 
 
 def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> occupancy.Values:
     """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
-    light, steps, opacity = pixels.light, 3 * pixels.white, pixels.opacity
+    light = pixels.light
+    steps = 3 * pixels.white
+    opacity = pixels.opacity
     is_main = rules == "main"
     real: type[np.floating[Any]] = np.float32 if is_main else np.float64
     if is_main:
-        light, steps = pixels.luma, 255
+        light = pixels.luma
+        steps = 255
     elif stated.mode == "trinary" and opacity is not None:
-        light, steps = light + opacity, 4 * pixels.white
+        light = light + opacity
+        steps = 4 * pixels.white
     # a table of the few greys, or sums of channels
     shade = np.arange(steps + 1, dtype=real) / real(steps)
     occupied = shade if stated.negate else 1 - shade
-    most, least = real(stated.occupied), real(stated.free)
+    most = real(stated.occupied)
+    least = real(stated.free)
     if stated.mode == "raw":
         known = np.rint(shade * 255)
         table = np.where(known <= occupancy.OCCUPIED, known, occupancy.UNKNOWN)

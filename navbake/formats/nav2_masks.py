@@ -41,7 +41,10 @@ from navbake.runtime.blocking import find_agent
 from navbake.types import Bool, Json
 
 LOG = logging.getLogger(__name__)
-KEEPOUT, PERCENT, ABSOLUTE = 0, 1, 2  # types of filters
+# types of filters
+KEEPOUT = 0
+PERCENT = 1
+ABSOLUTE = 2
 MAX_LISTED = 20  # names that an error lists
 SLACK = 1e-9  # share of a value by which a limit may be above its own
 ROUND = (1.0, 0.5, 0.1, 0.05, 0.01)  # multipliers that are tried first [m/s]
@@ -127,7 +130,8 @@ def _mark_areas(
     grid: NavGrid, agent: Agent | None, has_limits: bool, absolute: bool
 ) -> tuple[list[Values], Scale]:
     """The values of all levels by the grid's areas."""
-    table, scale = np.zeros(len(grid.areas) + 1, dtype=np.int8), Scale()
+    table = np.zeros(len(grid.areas) + 1, dtype=np.int8)
+    scale = Scale()
     if has_limits:
         fastest = SPEED if agent is None else agent.speed
         speeds = [area.speed for area in grid.areas if area.speed is not None]
@@ -171,7 +175,8 @@ def _mark_zones(
     if zone is None and not has_limits:
         chosen = [(own, OCCUPIED) for own in known if not isinstance(own[2], int)]
     for entry in zone or []:
-        name, value = entry, OCCUPIED
+        name = entry
+        value = OCCUPIED
         if has_limits:
             name, _, text = entry.rpartition("=")
             if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
@@ -200,12 +205,15 @@ def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: boo
     ]
     names = grid.level_names
     for k, outline in enumerate([] if path is None else read_room_outlines(path)):
-        name, level = outline["name"] or f"feature {k}", outline["level"]
+        name = outline["name"] or f"feature {k}"
+        level = outline["level"]
         number = names.index(level) if level in names else level
         if not isinstance(number, int) or number >= len(names):
-            whose, there = f"{name!r} in {path}", ", ".join(names)
+            whose = f"{name!r} in {path}"
+            there = ", ".join(names)
             raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
-        rings, lattice = [outline["points"], *outline["rings"]], grid.levels[number].lattice
+        rings = [outline["points"], *outline["rings"]]
+        lattice = grid.levels[number].lattice
         touched = touch_cells(rings, lattice)
         mask = cover_cells(rings, lattice) if has_limits else touched
         if not mask.any():
@@ -252,7 +260,8 @@ def read_mask(
     """
     values, lattice, stated = read_map(path)
     if grid is None:
-        empty, level = np.zeros_like(values), 0
+        empty = np.zeros_like(values)
+        level = 0
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
         grid = level_from_values(empty, lattice, stated.ground, metadata)
         checked_grid(grid, JsonPath(check_path(path)))
@@ -264,13 +273,16 @@ def read_mask(
     seen[inside] = values[rows[inside], cols[inside]]
     whose = find_agent(grid, agent)
     scale = _read_info(Path(path)) if has_limits else Scale()
-    table, index = list(grid.areas), grid.levels[level].area_index.copy()
+    table = list(grid.areas)
+    index = grid.levels[level].area_index.copy()
     names = {area.name for area in table}
     for value in np.unique(seen[seen > FREE]).tolist():
         area = _area_of(value, scale, has_limits, SPEED if whose is None else whose.speed)
-        name, again = area.name, 2
+        name = area.name
+        again = 2
         while name in names:
-            name, again = f"{area.name} ({again})", again + 1
+            name = f"{area.name} ({again})"
+            again = again + 1
         names.add(name)
         table.append(Area(name, area.cost, area.speed))
         if len(table) > MAX_AREAS:

@@ -160,13 +160,10 @@ def read_level(
     """
     metadata = read_metadata(content, place) or (whole or {}).get("metadata", {})
     stated = {"unit": 1, **(whole or {}), **{k: v for k, v in content.items() if v is not None}}
-    size, unit = (
-        float(number(stated.get(key, MISSING), place[key], positive=True))
-        for key in ("cellSize", "unit")
-    )
-    width, height = (
-        whole_number(content.get(key, MISSING), place[key], 1) for key in ("width", "height")
-    )
+    size = float(number(stated.get("cellSize", MISSING), place["cellSize"], positive=True))
+    unit = float(number(stated.get("unit", MISSING), place["unit"], positive=True))
+    width = whole_number(content.get("width", MISSING), place["width"], 1)
+    height = whole_number(content.get("height", MISSING), place["height"], 1)
     allowance.take_cells((width, height), place)
 
     def layer(value: Any, at: JsonPath, **given: Any) -> NDArray[Any]:
@@ -176,7 +173,8 @@ def read_level(
         return decode_array(value, at, (height, width), allowance, **given)
 
     types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
-    stored, at = stated.get("tileAttributes", {}), place["tileAttributes"]
+    stored = stated.get("tileAttributes", {})
+    at = place["tileAttributes"]
     attributes = {
         name: layer(value, at[name], default=types.get(name))
         for name, value in json_object(stored, at).items()
@@ -191,9 +189,11 @@ def read_level(
             weights[attributes["occupancy"] != 0] = np.inf
         if "floorHeight" in attributes:
             weights[~np.isfinite(attributes["floorHeight"])] = np.inf
-    bbox, at = content.get("bbox"), place["bbox"]
+    bbox = content.get("bbox")
+    at = place["bbox"]
     if bbox is not None:
-        low, high = (json_object(bbox, at).get(key, MISSING) for key in ("min", "max"))
+        low = json_object(bbox, at).get("min", MISSING)
+        high = json_object(bbox, at).get("max", MISSING)
         bbox = vector(low, at["min"]), vector(high, at["max"])
     return SceneGrid2D(
         width=width,
@@ -215,7 +215,8 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
     """Read the metadata of a grid or level, and check the parts that readers rely on."""
     metadata = optional_object(content, "metadata", place)
     optional_object(metadata, "navbake", place["metadata"])
-    entries, place = metadata.get("cellAttributes"), place["metadata"]["cellAttributes"]
+    entries = metadata.get("cellAttributes")
+    place = place["metadata"]["cellAttributes"]
     if not isinstance(entries, list | None):
         place.refuse("a list", entries)
     for i, entry in enumerate(entries or []):
@@ -252,7 +253,8 @@ def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
 def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     """Check a file's cell size, and the tables of a whole grid."""
     for k, level in enumerate(grid.levels):
-        place, edge = top[key][k] if key else top, level.lattice.cell_size
+        place = top[key][k] if key else top
+        edge = level.lattice.cell_size
         if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
             place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
         if not all(abs(value) <= FARTHEST for value in (*level.lattice.bounds, level.ground)):
@@ -326,7 +328,8 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         fields = _level_fields(grid, top, grid.metadata)
     else:
         _ = grid.step_array, grid.links  # checks them
-        described, levels = grid.cell_attributes, []
+        described = grid.cell_attributes
+        levels = []
         for k, level in enumerate(grid.grids):
             # a level that takes over the metadata of the whole, all dtypes included, has none
             is_same = grid.takes_over(k, level)
@@ -406,7 +409,9 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
     num_cells = grid.width * grid.height
     source = UserData.of(grid.user_data).source
     if isinstance(source, Shared):
-        cells, numbers, entries = source.cells.tolist(), source.number.tolist(), source.entries
+        cells = source.cells.tolist()
+        numbers = source.number.tolist()
+        entries = source.entries
         plain(list(entries), place)
     else:
         for cell_id, value in source.items():
@@ -415,12 +420,14 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
             if not isinstance(value, dict):
                 place[int(cell_id)].refuse("an object", value)
         cells = sorted(map(int, source))
-        numbers, entries = range(len(cells)), [source[cell] for cell in cells]
+        numbers = range(len(cells))
+        entries = [source[cell] for cell in cells]
         plain({str(cell): entry for cell, entry in zip(cells, entries, strict=True)}, place)
     if cells and not 0 <= cells[0] <= cells[-1] < num_cells:
         wrong = cells[0] if cells[0] < 0 else cells[-1]
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong}")
-    encoded, pieces = [orjson.dumps(entry) for entry in entries], []
+    encoded = [orjson.dumps(entry) for entry in entries]
+    pieces = []
     for first in range(0, len(cells), ENTRIES):
         part = slice(first, first + ENTRIES)
         own = zip(cells[part], map(encoded.__getitem__, numbers[part]), strict=True)

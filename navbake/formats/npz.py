@@ -45,7 +45,8 @@ from navbake.voxels.grid import VoxelGrid
 Content = str | PathLike[str] | bytes  # a file, or its content
 
 VERSION = 1  # of both kinds of archives
-ZIP, NPY = b"PK", b"\x93NUMPY"
+ZIP = b"PK"
+NPY = b"\x93NUMPY"
 GRID = "grid"  # the array that marks archives of grids
 REQUIRED = ("values", "origin", "res")  # of archives of voxels
 PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
@@ -58,7 +59,9 @@ class _Archive:
     """The arrays of an archive, read one by one within an allowance."""
 
     def __init__(self, archive: zipfile.ZipFile, allowance: Allowance, top: JsonPath) -> None:
-        self._archive, self.allowance, self.top = archive, allowance, top
+        self._archive = archive
+        self.allowance = allowance
+        self.top = top
         self._members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
 
     def __contains__(self, name: str) -> bool:
@@ -159,10 +162,11 @@ def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
             raise FormatError(f"{top.file} holds a grid, no voxels: navbake.from_npz reads it")
         values, origin, res = (archive.read(key, top) for key in REQUIRED)
         archive.allowance.take_cells(values.shape, top)
-        ids, names, known = (
-            archive.read(key, top) if key in archive else None for key in ("ids", "names", "known")
-        )
-        ids, names = (np.zeros(0) if array is None else array for array in (ids, names))
+        ids = archive.read("ids", top) if "ids" in archive else None
+        names = archive.read("names", top) if "names" in archive else None
+        known = archive.read("known", top) if "known" in archive else None
+        ids = np.zeros(0) if ids is None else ids
+        names = np.zeros(0) if names is None else names
         if ids.shape != names.shape or ids.ndim != 1:
             raise ValueError(f"expected as many names as IDs, got {names.shape} for {ids.shape}")
         try:
@@ -235,14 +239,16 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
     """
     expected = "a .npz of a grid"
     with open_archive(source, expected, "max_cells", max_cells) as archive:
-        top, allowance = archive.top, archive.allowance
+        top = archive.top
+        allowance = archive.allowance
         if GRID not in archive:
             hint = ": it holds voxels, navbake.load_voxels reads them"
             hint = hint if "values" in archive else ""
             raise FormatError(f"expected {expected}, {top.file} has no array `{GRID}`{hint}")
         document = json_object(parse_json(archive.text(GRID, top), top), top)
         version = whole_number(document.get("version", MISSING), top["version"], 1)
-        stated, kind = document.get("levels", MISSING), document.get("type", MISSING)
+        stated = document.get("levels", MISSING)
+        kind = document.get("type", MISSING)
         if not isinstance(stated, list) or not stated:
             top["levels"].refuse("a list of levels", stated)
         levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]

@@ -25,8 +25,13 @@ from navbake.types import Bool, Float, Json
 
 ndimage = lazy("scipy.ndimage")
 
-UNKNOWN, FREE, INSCRIBED, OCCUPIED = -1, 0, 99, 100
-LEAST_COST, MOST_COST = 1, 252  # of a cell that isn't blocked
+UNKNOWN = -1
+FREE = 0
+INSCRIBED = 99
+OCCUPIED = 100
+# of a cell that isn't blocked
+LEAST_COST = 1
+MOST_COST = 252
 LETHAL = 253  # least cost of a blocked cell
 QUARTER = math.pi / 2
 SLACK = 0.1  # [cells] by which the farthest corner of a map may be off one turned by quarters
@@ -77,7 +82,8 @@ def inflated_values(
 def _publish(costs: NDArray[np.uint8]) -> Values:
     """nav2's published values of costs from 0 to 252."""
     table = 1 + 97 * (np.arange(256) - 1) // 251
-    table[0], table[LETHAL:] = FREE, INSCRIBED
+    table[0] = FREE
+    table[LETHAL:] = INSCRIBED
     return table.astype(np.int8)[costs]
 
 
@@ -146,14 +152,16 @@ def lay_along_axes(
         turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
         return turned, lattice_of(turned, x - left * resolution, y - below * resolution, resolution)
     # in cells, from the map's own corner
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     xs = 0, width * cos, width * cos - height * sin, -height * sin
     ys = 0, width * sin, width * sin + height * cos, height * cos
     lattice = Lattice.cover((min(xs), min(ys), max(xs), max(ys)), 1.0)
     if lattice.width * lattice.height > MAX_PIXELS:
         raise FormatError(f"the turned map has {lattice.width} × {lattice.height} cells, too many")
     # the centre of cell [row, col] in the map, from the centre of its cell [0, 0]
-    first_x, first_y = lattice.x_min + 0.5, lattice.y_max - 0.5
+    first_x = lattice.x_min + 0.5
+    first_y = lattice.y_max - 0.5
     matrix = [[cos, sin], [-sin, cos]]
     start = height - 0.5 + sin * first_x - cos * first_y, cos * first_x + sin * first_y - 0.5
     turned = ndimage.affine_transform(
@@ -163,11 +171,13 @@ def lay_along_axes(
     full_rows, full_cols = np.nonzero(values == OCCUPIED)
     for begin in range(0, len(full_rows), PIECE):
         part = slice(begin, begin + PIECE)
-        right, up = full_cols[part] + 0.5, height - full_rows[part] - 0.5
+        right = full_cols[part] + 0.5
+        up = height - full_rows[part] - 0.5
         centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
         _add_cover(covered, turned, lattice, centers, cos, sin)
     turned[covered >= LEAST_COVER] = OCCUPIED
-    x, y = x + lattice.x_min * resolution, y + lattice.bounds[1] * resolution
+    x = x + lattice.x_min * resolution
+    y = y + lattice.bounds[1] * resolution
     return turned, lattice_of(turned, x, y, resolution)
 
 
@@ -189,10 +199,12 @@ def _add_cover(
     reach = (1.0 + abs(cos) + abs(sin)) / 2  # half extents along any of the four directions
     row, col = lattice.rows_cols(centers)
     for down, right in np.ndindex(3, 3):
-        rows, cols = row + down - 1, col + right - 1
+        rows = row + down - 1
+        cols = col + right - 1
         dx = lattice.x_min + cols + 0.5 - centers[:, 0]
         dy = lattice.y_max - rows - 0.5 - centers[:, 1]
-        u, v = cos * dx + sin * dy, cos * dy - sin * dx
+        u = cos * dx + sin * dy
+        v = cos * dy - sin * dx
         meets = np.max(np.abs([dx, dy, u, v]), axis=0) < reach
         meets &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
         meets[meets] = turned[rows[meets], cols[meets]] != OCCUPIED
@@ -213,12 +225,15 @@ def _sides_inside(centers: Float, cos: float, sin: float, about_origin: bool) ->
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     corners = corners @ [[cos, sin], [-sin, cos]]
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        begin, way = centers + start, end - start
+        begin = centers + start
+        way = end - start
         shares = np.sort([(-0.5 - begin) / way, (0.5 - begin) / way], axis=0)
         enter = np.maximum(shares[0].max(axis=1), 0.0)[:, None]
         leave = np.minimum(shares[1].min(axis=1), 1.0)[:, None]
-        one, other = begin + enter * way, begin + np.maximum(leave, enter) * way
+        one = begin + enter * way
+        other = begin + np.maximum(leave, enter) * way
         if not about_origin:
-            one, other = one - centers, other - centers
+            one = one - centers
+            other = other - centers
         total += (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
     return total

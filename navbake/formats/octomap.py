@@ -24,7 +24,9 @@ from navbake.types import Int
 from navbake.voxels.grid import VoxelGrid, finite_array
 
 MAGIC = b"# Octomap OcTree"
-DEPTH, CENTER = 16, 2**15  # key of the world's origin
+# key of the world's origin
+DEPTH = 16
+CENTER = 2**15
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
 OFF = 1e-3  # of a voxel: tolerance from the tree's lattice
@@ -33,7 +35,11 @@ LEAF_BYTES = 20  # of a leaf in memory
 ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
 # states of nodes as bits, joined by bitwise or. MIXED nodes have children that differ, MIXED_FREE
 # ones no occupied child
-UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 1, 2, 4, 8, 16
+UNKNOWN = 1
+FREE = 2
+OCCUPIED = 4
+MIXED_FREE = 8
+MIXED = 16
 STATES = np.full(32, MIXED_FREE, np.uint8)  # of a node, by the bitwise or of its children's
 STATES[[n for n in range(32) if n & (OCCUPIED | MIXED)]] = MIXED
 STATES[[UNKNOWN, FREE, OCCUPIED]] = UNKNOWN, FREE, OCCUPIED
@@ -51,7 +57,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     """
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
-    first, has_odds = _first_key(grid), kind == "ot"
+    first = _first_key(grid)
+    has_odds = kind == "ot"
     states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
     if free:
         known = True if grid.known is None else grid.known
@@ -59,7 +66,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     found: list[tuple[Int, Int, Int]] = []  # of nodes that have an entry: order, entry, state
     num_nodes = 0
     for depth in range(DEPTH, 0, -1):
-        begin, level = first >> (DEPTH - depth), DEPTH - depth
+        begin = first >> (DEPTH - depth)
+        level = DEPTH - depth
         even = [(k & 1, k + n & 1) for k, n in zip(begin.tolist(), states.shape, strict=True)]
         below = np.pad(states, even, constant_values=UNKNOWN)
         states = below[0::2] | below[1::2]
@@ -139,8 +147,10 @@ def read_octomap(
     ensure_compiled("formats.kernels.octree.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     kind, size, res, end = _read_header(data, name)
-    place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
-    nodes, notes = np.frombuffer(data, dtype=np.uint8, offset=end), list[str]()
+    place = JsonPath(name)
+    allowance = Allowance(len(data), "max_voxels", max_voxels)
+    nodes = np.frombuffer(data, dtype=np.uint8, offset=end)
+    notes = list[str]()
     leaves = np.empty((0, 5), np.int32)
     if size == 0 and not len(nodes):
         notes.append(f"{name} is an empty tree: nothing is known")
@@ -166,10 +176,12 @@ def read_octomap(
         first = low.min(axis=0)
         shape = tuple(((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist())
     else:
-        first, shape = np.full(3, CENTER), (1, 1, 1)
+        first = np.full(3, CENTER)
+        shape = (1, 1, 1)
     allowance.take_cells(shape, place)
     allowance.take_array(shape, 2, place)
-    values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    values = np.zeros(shape, dtype=np.bool_)
+    known = np.zeros(shape, dtype=np.bool_)
     fill_leaves(leaves, first, values, known)
     origin = tuple(((first - CENTER) * res).tolist())
     unsure = None if known.all() else known

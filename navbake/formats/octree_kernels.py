@@ -8,8 +8,13 @@ import numpy as np
 from navbake.compiled import kernel
 
 DEPTH = 16
-UNKNOWN, FREE, OCCUPIED, INNER = 0, 1, 2, 3  # of a child, as a ``.bt`` has them
-OVERRUN, TOO_DEEP = -1, -2
+# of a child, as a ``.bt`` has them
+UNKNOWN = 0
+FREE = 1
+OCCUPIED = 2
+INNER = 3
+OVERRUN = -1
+TOO_DEEP = -2
 
 
 @kernel
@@ -28,8 +33,11 @@ def read_leaves(data, odds, has_odds, leaves):
     fills = leaves.shape[0] > 0
     # of (level, x, y, z), level 16 the root, 0 a voxel; 8 children wait at each level at most
     stack = np.zeros((8 * (DEPTH + 1), 4), np.int64)
-    stack[0, 0], depth = DEPTH, 1
-    place, num_leaves, num_nodes = 0, 0, 0 if has_odds else 1
+    stack[0, 0] = DEPTH
+    depth = 1
+    place = 0
+    num_leaves = 0
+    num_nodes = 0 if has_odds else 1
     while depth > 0:
         depth -= 1
         level, x, y, z = stack[depth]
@@ -41,8 +49,10 @@ def read_leaves(data, odds, has_odds, leaves):
             num_nodes += 1
             if bits == 0:
                 if fills:
-                    leaves[num_leaves, 0], leaves[num_leaves, 1] = x << level, y << level
-                    leaves[num_leaves, 2], leaves[num_leaves, 3] = z << level, level
+                    leaves[num_leaves, 0] = x << level
+                    leaves[num_leaves, 1] = y << level
+                    leaves[num_leaves, 2] = z << level
+                    leaves[num_leaves, 3] = level
                     leaves[num_leaves, 4] = odds[num_nodes - 1] >= 0.0
                 num_leaves += 1
                 continue
@@ -54,18 +64,24 @@ def read_leaves(data, odds, has_odds, leaves):
             if state == UNKNOWN:
                 continue
             num_nodes += not has_odds
-            cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+            cx = 2 * x + (child & 1)
+            cy = 2 * y + (child >> 1 & 1)
+            cz = 2 * z + (child >> 2)
             if state == INNER:
                 if level == (0 if has_odds else 1):
                     return TOO_DEEP, place, num_nodes
-                stack[depth, 0], stack[depth, 1] = level - 1, cx
-                stack[depth, 2], stack[depth, 3] = cy, cz
+                stack[depth, 0] = level - 1
+                stack[depth, 1] = cx
+                stack[depth, 2] = cy
+                stack[depth, 3] = cz
                 depth += 1
                 continue
             if fills:
                 size = level - 1
-                leaves[num_leaves, 0], leaves[num_leaves, 1] = cx << size, cy << size
-                leaves[num_leaves, 2], leaves[num_leaves, 3] = cz << size, size
+                leaves[num_leaves, 0] = cx << size
+                leaves[num_leaves, 1] = cy << size
+                leaves[num_leaves, 2] = cz << size
+                leaves[num_leaves, 3] = size
                 leaves[num_leaves, 4] = state == OCCUPIED
             num_leaves += 1
     return num_leaves, place, num_nodes
@@ -77,7 +93,9 @@ def fill_leaves(leaves, first, values, known):
     num_x, num_y, num_z = values.shape
     for n in range(leaves.shape[0]):
         size = 1 << leaves[n, 3]
-        x, y, z = leaves[n, 0] - first[0], leaves[n, 1] - first[1], leaves[n, 2] - first[2]
+        x = leaves[n, 0] - first[0]
+        y = leaves[n, 1] - first[1]
+        z = leaves[n, 2] - first[2]
         for i in range(max(x, 0), min(x + size, num_x)):
             for j in range(max(y, 0), min(y + size, num_y)):
                 for k in range(max(z, 0), min(z + size, num_z)):

@@ -30,7 +30,8 @@ def cover_planes(labels, z, tolerance, steepest):
     """
     height, width = labels.shape
     is_open = labels != 0
-    bounds, planes = np.empty((FIRST_CAPACITY, 4), np.int64), np.empty((FIRST_CAPACITY, 3))
+    bounds = np.empty((FIRST_CAPACITY, 4), np.int64)
+    planes = np.empty((FIRST_CAPACITY, 3))
     num = 0
     for row in range(height):
         for col in range(width):
@@ -38,9 +39,13 @@ def cover_planes(labels, z, tolerance, steepest):
                 continue
             right = _slope(labels, z, is_open, row, col, 0, 1, tolerance)
             down = _slope(labels, z, is_open, row, col, 1, 0, tolerance)
-            best_rows, best_cols, best_x, best_y = 0, 0, 0.0, 0.0
+            best_rows = 0
+            best_cols = 0
+            best_x = 0.0
+            best_y = 0.0
             for way in range(4):
-                x, y = right * (way % 2), down * (way // 2)
+                x = right * (way % 2)
+                y = down * (way // 2)
                 is_same = (way % 2 > 0 and right == 0.0) or (way // 2 > 0 and down == 0.0)
                 if is_same or x * x + y * y > steepest * steepest:
                     continue
@@ -48,7 +53,10 @@ def cover_planes(labels, z, tolerance, steepest):
                 # a slope takes three cells: two are on one whatever their heights
                 is_short = (x != 0.0 and cols < 3) or (y != 0.0 and rows < 3)
                 if rows * cols > best_rows * best_cols and not is_short:
-                    best_rows, best_cols, best_x, best_y = rows, cols, x, y
+                    best_rows = rows
+                    best_cols = cols
+                    best_x = x
+                    best_y = y
             is_open[row : row + best_rows, col : col + best_cols] = False
             if num == bounds.shape[0]:
                 bounds = np.concatenate((bounds, np.empty_like(bounds)))
@@ -62,12 +70,14 @@ def cover_planes(labels, z, tolerance, steepest):
 @subkernel
 def _slope(labels, z, is_open, row, col, down, right, tolerance):
     """The rise over a cell along three cells of one label; 0 where they don't rise evenly."""
-    last_row, last_col = row + 2 * down, col + 2 * right
+    last_row = row + 2 * down
+    last_col = col + 2 * right
     if last_row >= labels.shape[0] or last_col >= labels.shape[1]:
         return 0.0
     label = labels[row, col]
     for n in range(1, 3):
-        r, c = row + n * down, col + n * right
+        r = row + n * down
+        c = col + n * right
         if not is_open[r, c] or labels[r, c] != label:
             return 0.0
     rise = (z[last_row, last_col] - z[row, col]) / 2
@@ -77,10 +87,14 @@ def _slope(labels, z, is_open, row, col, down, right, tolerance):
 @subkernel
 def _largest(labels, z, is_open, row, col, x, y, tolerance):
     """Rows and columns of the largest rectangle on a plane, from its upper left cell."""
-    label, here = labels[row, col], z[row, col]
-    least, best_rows, best_cols = labels.shape[1] - col, 0, 0
+    label = labels[row, col]
+    here = z[row, col]
+    least = labels.shape[1] - col
+    best_rows = 0
+    best_cols = 0
     for r in range(row, labels.shape[0]):
-        level, run = here + (r - row) * y, 0
+        level = here + (r - row) * y
+        run = 0
         while run < least:
             c = col + run
             if not is_open[r, c] or labels[r, c] != label:
@@ -92,5 +106,6 @@ def _largest(labels, z, is_open, row, col, x, y, tolerance):
         if least * (labels.shape[0] - row) <= best_rows * best_cols:
             break  # it gets no wider, so no height makes it larger
         if least * (r - row + 1) > best_rows * best_cols:
-            best_rows, best_cols = r - row + 1, least
+            best_rows = r - row + 1
+            best_cols = least
     return best_rows, best_cols

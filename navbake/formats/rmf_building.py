@@ -38,7 +38,11 @@ LOG = logging.getLogger(__name__)
 WALL = 0.1  # thickness that simulators give walls [m]
 GAP = 0.1  # of a lift's shaft round its car, in which there are no walls [m]
 DECIMALS = 4
-TEXT, WHOLE, REAL, TRUE = 1, 2, 3, 4  # types of values in the format
+# types of values in the format
+TEXT = 1
+WHOLE = 2
+REAL = 3
+TRUE = 4
 FLAT = 1.0  # how far a floor that is laid flat may be off the elevation [m]
 SLIDES = 0.25  # share of a door's width that an open leaf may stand off its line if it slides
 
@@ -130,9 +134,11 @@ def _inside(area: Any, cell_size: float) -> Iterator[Any]:
 
     A blocked cell is one that a wall touches, so walls end half a cell inside of them on average.
     """
-    left, full = [area], (WALL + cell_size) / 2
+    left = [area]
+    full = (WALL + cell_size) / 2
     for inset in (full, 0.95 * full, 0.75 * full, full / 2, full / 4, 0.0):
-        parts, left = left, []
+        parts = left
+        left = []
         for part in parts:
             inner = part.buffer(-inset, join_style="mitre")
             for polygon in shapely.get_parts(inner):
@@ -143,8 +149,10 @@ def _inside(area: Any, cell_size: float) -> Iterator[Any]:
 
 def _to_car(car: tuple[float, ...], x: Any, y: Any) -> tuple[Any, Any]:
     """World x and y in the frame of a lift's car [m]."""
-    cos, sin = math.cos(car[2]), math.sin(car[2])
-    dx, dy = x - car[0], y - car[1]
+    cos = math.cos(car[2])
+    sin = math.sin(car[2])
+    dx = x - car[0]
+    dy = y - car[1]
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
@@ -175,7 +183,10 @@ def _door(
     width = float(np.hypot(*(end - start)))
     back = (start - end) / max(width, 1e-9)
     aside = np.array([-back[1], back[0]])
-    is_double, kind, direction, axis = len(leaves) > 1, "hinged", 1, "start"
+    is_double = len(leaves) > 1
+    kind = "hinged"
+    direction = 1
+    axis = "start"
     first = doors[leaves[0].id]
     cells = first.solid_in("open", number + 1)[number]
     cells = cells if len(cells) else first.cells_in("open", number + 1)[number]
@@ -226,10 +237,12 @@ def _lift(link: Link, grid: NavGrid, names: list[str]) -> Json:
     for stop in link.stops:
         along, aside = _to_car(link.car, *stop.position[:2])
         if abs(along) - width / 2 >= abs(aside) - depth / 2:
-            at, turn = (math.copysign(width / 2, along), 0.0), math.pi / 2
+            at = (math.copysign(width / 2, along), 0.0)
+            turn = math.pi / 2
             side = "right" if along > 0 else "left"
         else:
-            at, turn = (0.0, math.copysign(depth / 2, aside)), 0.0
+            at = (0.0, math.copysign(depth / 2, aside))
+            turn = 0.0
             side = "front" if aside > 0 else "back"
         opening = min(link.width or 1.0, (depth if turn else width) - 2 * GAP)
         doors[side] = {

@@ -101,7 +101,8 @@ class _Rows:
         for key in (start, end):
             if not isinstance(key, int | str | tuple) or key not in self.nodes:
                 place.refuse("the id of a node", key)
-        one, other = (self.nodes[key][1].position for key in (start, end))
+        one = self.nodes[start][1].position
+        other = self.nodes[end][1].position
         length = math.dist(one[:2], other[:2])
         fields = {"name": "", "length": length, "cost": entry.get("length", length), **entry}
         fields |= {"start": 0, "end": 0, "two_way": False}  # until all nodes are known
@@ -183,7 +184,8 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     """
     content, name = source.read_object(path, expected="a GeoJSON FeatureCollection")
     rows = _Rows(name)
-    place, top = rows.top, json_object(content, rows.top)
+    place = rows.top
+    top = json_object(content, rows.top)
     features = top.get("features")
     if not isinstance(features, list):
         place["features"].refuse("a list of features", features)
@@ -239,7 +241,8 @@ def encode_lif(graph: RouteGraph) -> bytes:
             }
         )
     for number, lane in enumerate(directed(graph.lanes)):
-        start, end = graph.nodes[lane.start], graph.nodes[lane.end]
+        start = graph.nodes[lane.start]
+        end = graph.nodes[lane.end]
         moves = {
             "vehicleTypeId": vehicle,
             "orientationType": "TANGENTIAL",
@@ -321,7 +324,8 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     if len({*names}) < len(names):
         names = [f"level {number}" for number in range(len(names))]
     levels: list[Json] = [{"vertices": [], "lanes": []} for _ in names]
-    between, place = [], []
+    between = []
+    place = []
     for number, node in enumerate(graph.nodes):
         x, y, _ = node.position
         vertices = levels[node.level]["vertices"]
@@ -333,7 +337,8 @@ def encode_rmf(graph: RouteGraph) -> bytes:
         own = {**entry_of(lane, "start", "end", "two_way"), "number": number}
         known: Json = {"door_name": lane.door} if lane.door else {}
         known |= {} if lane.speed is None else {"speed_limit": lane.speed}
-        level, to_level = (graph.nodes[end].level for end in (lane.start, lane.end))
+        level = graph.nodes[lane.start].level
+        to_level = graph.nodes[lane.end].level
         if level == to_level:
             ends = [place[lane.start], place[lane.end]]
             levels[level]["lanes"].append([*ends, {**known, "navbake": own}])
@@ -352,7 +357,8 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     """Read a navigation graph of Open-RMF."""
     content, name = source.read_yaml(path, expected="a navigation graph")
     rows = _Rows(name)
-    place, top = rows.top, json_object(content, rows.top)
+    place = rows.top
+    top = json_object(content, rows.top)
     levels = json_object(top.get("levels"), place["levels"])
     about = optional_object(top, "navbake", place)
     for level, (level_name, part) in enumerate(levels.items()):

@@ -27,7 +27,9 @@ MODEL_PATHS = (
 )
 URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
 MATERIAL = ".material"  # ending of a script of Ogre's, of looks
-MODEL_CONFIG, MODEL_SDF = "model.config", "model.sdf"  # in a folder of a model of Gazebo
+# in a folder of a model of Gazebo
+MODEL_CONFIG = "model.config"
+MODEL_SDF = "model.sdf"
 # in a model.config, the version of SDF of a file, and its name
 SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
@@ -132,7 +134,8 @@ def find_inputs(
             choose(places)
     suffix = scene.suffix.lower()
     if suffix in SDF_SUFFIXES | USD_SUFFIXES:
-        left, seen = [scene], set[Path]()
+        left = [scene]
+        seen = set[Path]()
         while left:
             file = left.pop()
             if file in seen:
@@ -243,7 +246,8 @@ def _places_in_mjcf(
     """For each file in MJCF, its possible places."""
     named: list[tuple[list[Path], str]] = []  # possible folders of the name, and the name
     folders = {""}
-    left, seen = [(scene, elements, scene.parent)], set[tuple[str, ...]]()
+    left = [(scene, elements, scene.parent)]
+    seen = set[tuple[str, ...]]()
     while left:
         file, own, home = left.pop()
         # another model: its file, and the folders of its names

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 
 ndimage = lazy("scipy.ndimage")
 
-ROOM, WALKABLE, DOOR = "room", "walkable", "door"
+ROOM = "room"
+WALKABLE = "walkable"
+DOOR = "door"
 KINDS = (ROOM, WALKABLE, DOOR)
 DECIMALS = 9  # of coordinates: a nanometre
 SMALLEST = 1e-6  # cells with an edge below this keep all digits [m]
@@ -100,7 +102,8 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
             known = {room.index: room for room in grid.rooms if room.level == number}
             count = np.bincount(level.room_index.ravel())
             for index, parts in trace_polygons(level.room_index, level.lattice).items():
-                room, area = known.get(index), rounded(int(count[index]) * square)
+                room = known.get(index)
+                area = rounded(int(count[index]) * square)
                 name = (room and room.name) or None
                 room_id = room.id if room else f"{number}:{index}"
                 more: Json = {"outdoors": True} if room and room.outdoors else {}
@@ -161,14 +164,19 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     first, then holes by their first sides below them in reading order.
     """
     padded = np.pad(parts, 1)
-    own, width = padded.ravel(), padded.shape[1]
+    own = padded.ravel()
+    width = padded.shape[1]
     # ways: east, north, west, south, along the south, east, north, west side; a left turn is + 1
-    ahead, right = np.array([1, -width, -1, width]), np.array([width, 1, -width, -1])
+    ahead = np.array([1, -width, -1, width])
+    right = np.array([width, 1, -width, -1])
     cell, way = np.divmod(np.arange(4 * own.size), 4)
     steps = np.flatnonzero((own[cell] > 0) & (own[cell] != own[(cell + right[way]) % own.size]))
-    cell, way = cell[steps], way[steps]
-    here, beside = cell + ahead[way], cell + ahead[way] + right[way]
-    turns_right, goes_on = own[beside] == own[cell], own[here] == own[cell]
+    cell = cell[steps]
+    way = way[steps]
+    here = cell + ahead[way]
+    beside = cell + ahead[way] + right[way]
+    turns_right = own[beside] == own[cell]
+    goes_on = own[here] == own[cell]
     next_cell = np.where(turns_right, beside, np.where(goes_on, here, cell))
     next_way = (way + np.where(turns_right, 3, np.where(goes_on, 0, 1))) % 4
     after = np.searchsorted(steps, 4 * next_cell + next_way).tolist()
@@ -180,7 +188,8 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     for first in np.flatnonzero(way == 2).tolist():  # each ring has a side to the north
         if done[first]:
             continue
-        ring, step = [], first
+        ring = []
+        step = first
         while not done[step]:
             done[step] = True
             if is_corner[step]:
@@ -254,8 +263,10 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
         _check(isinstance(properties, dict), "an object at `properties`", properties, where)
         if properties.get("kind") in KINDS[1:]:
             continue
-        name, level = properties.get("name"), properties.get("level", 0)
-        outdoors, geometry = properties.get("outdoors"), feature.get("geometry")
+        name = properties.get("name")
+        level = properties.get("level", 0)
+        outdoors = properties.get("outdoors")
+        geometry = feature.get("geometry")
         is_name = name is None or (isinstance(name, str) and name != "")
         _check(is_name, "text at `properties.name`", name, where)
         where = where if name is None else f"feature {k} ({name!r}) of {path}"

@@ -64,7 +64,9 @@ MAX_ROOMS = 255  # numbers in a byte
 ZERO = 1e-6  # relative size of a matrix's entry that counts as 0
 PIXEL = 0.01  # edge [m]
 SLACK = 1e-7  # [m], by which a pixel is smaller on each side: cells' edges aren't exact
-ROOMS, KINDS, CATEGORIES = "floor_insseg_0.png", "floor_semseg_0.png", "room_categories.txt"
+ROOMS = "floor_insseg_0.png"
+KINDS = "floor_semseg_0.png"
+CATEGORIES = "room_categories.txt"
 NO_OBJECTS = "no_obj"  # in the name of a map without furniture
 NUMBER = re.compile(r"[\s_-]*\d*$")  # at the end of a room's name
 
@@ -81,7 +83,8 @@ def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> F
     for number, own_path in level_paths(grid, path, level, (".npy",)).items():
         own = grid.levels[number]
         values = np.zeros((own.height + 1, own.width + 1))
-        values[0, 1:], values[1:, 0] = own.lattice.center_x(), own.lattice.center_y()
+        values[0, 1:] = own.lattice.center_x()
+        values[1:, 0] = own.lattice.center_y()
         values[1:, 1:][~own.free] = OBSTACLE
         if "floorHeight" in own.attributes:
             values[1:, 1:][~own.free & np.isnan(own.floor_height)] = UNKNOWN
@@ -112,13 +115,15 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     steps = [_step_of(array[0, 1:], "x", place), _step_of(array[1:, 0], "y", place)]
     dx, dy = (step or other for step, other in zip(steps, steps[::-1], strict=True))
     if dx < 0:
-        values, dx = values[:, ::-1], -dx
+        values = values[:, ::-1]
+        dx = -dx
     if dy > 0:
         values = values[::-1]
     dy, height, width = abs(dy), *values.shape
     x = float(array[0, 1:].min()) - dx / 2
     top = float(array[1:, 0].max()) + dy / 2
-    cell, shape = dx, (height, width)
+    cell = dx
+    shape = (height, width)
     if abs(dx - dy) * max(shape) > DRIFT * min(dx, dy):
         cell = min(dx, dy)
         shape = max(1, round(height * dy / cell)), max(1, round(width * dx / cell))
@@ -164,7 +169,9 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
             raise FormatError(f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, {got}")
         free = np.where(own.free, np.uint8(255), np.uint8(0))
         pixels = np.stack([free, free, own.room_index.astype(np.uint8)], axis=-1)
-        cell, x, y = own.lattice.cell_size, own.lattice.x_min, own.lattice.y_max
+        cell = own.lattice.cell_size
+        x = own.lattice.x_min
+        y = own.lattice.y_max
         density = 1.0 / cell
         rooms = [room for room in grid.rooms if room.level == number]
         texts: Json = {
@@ -200,7 +207,8 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     red, _, blue = np.moveaxis(np.asarray(image.convert("RGB")), -1, 0)
     rooms = blue if image.mode == "RGB" else np.zeros_like(blue)
     layers, lattice = _straighten(np.stack([red, rooms]), to_map, path)
-    free, rooms = layers[0] > 0, layers[1].astype(np.uint16)
+    free = layers[0] > 0
+    rooms = layers[1].astype(np.uint16)
     z = float(to_world[2, 2])
     if not abs(z) <= FARTHEST:
         raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
@@ -222,7 +230,9 @@ def _straighten(
     scale = float(np.abs(to_map[:, :2]).max())
     linear = np.where(np.abs(to_map[:, :3]) <= ZERO * scale, 0.0, to_map[:, :3])
     if linear[0, 0] != 0:  # rows run along x
-        layers, linear, to_map = layers.transpose(0, 2, 1), linear[::-1], to_map[::-1]
+        layers = layers.transpose(0, 2, 1)
+        linear = linear[::-1]
+        to_map = to_map[::-1]
     (row_x, row_y, row_z), (col_x, col_y, col_z) = linear
     is_straight = row_x == col_y == row_z == col_z == 0 and row_y != 0 and col_x != 0
     if not is_straight or abs(abs(row_y) - abs(col_x)) > ZERO * scale:
@@ -230,9 +240,11 @@ def _straighten(
     _, height, width = layers.shape
     down, right = to_map[:, 3].tolist()
     if row_y > 0:
-        layers, down = layers[:, ::-1], height - 1 - down
+        layers = layers[:, ::-1]
+        down = height - 1 - down
     if col_x < 0:
-        layers, right = layers[:, :, ::-1], width - 1 - right
+        layers = layers[:, :, ::-1]
+        right = width - 1 - right
     cell = 1.0 / float(abs(col_x))
     lattice = Lattice(-(right + 0.5) * cell, (down + 0.5) * cell, cell, width, height)
     if not cell >= LEAST_EDGE or not all(abs(value) <= FARTHEST for value in lattice.bounds):
@@ -291,7 +303,8 @@ def encode_omnigibson(
             raise FormatError(f"expected cells of {PIXEL} m at least, got {lattice.cell_size:g} m")
         half = math.ceil(max(map(abs, lattice.bounds)) / PIXEL) + 1  # 0 has to be in room maps
         if (2 * half) ** 2 > MAX_PIXELS:
-            far, most = half * PIXEL, math.isqrt(MAX_PIXELS) // 2 * PIXEL
+            far = half * PIXEL
+            most = math.isqrt(MAX_PIXELS) // 2 * PIXEL
             what = f"OmniGibson's maps are centred on the origin, and level {number} ends"
             raise FormatError(f"{what} {far:.1f} m from it, expected {most:.1f} m at most")
         text = orjson.dumps({**lattice._asdict(), "ground": own.ground}).decode()
@@ -364,14 +377,16 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     map isn't of its size.
     """
     image = open_image(path, ("PNG",))
-    own, size = image.info.get("navbake"), image.width
+    own = image.info.get("navbake")
+    size = image.width
     if image.width != image.height:
         got = f"{image.width} × {image.height}"
         raise FormatError(f"expected a square map in {path}, got {got} pixels")
     if image.mode not in ("1", "L"):
         raise FormatError(f"expected a map of one channel in {path}, got {image.mode}")
     half = size * PIXEL / 2
-    lattice, ground = Lattice(-half, half, PIXEL, size, size), 0.0
+    lattice = Lattice(-half, half, PIXEL, size, size)
+    ground = 0.0
     if isinstance(own, str):
         lattice, ground = _parse_cells(own, path)
     rows = np.floor(lattice.center_y() / PIXEL + size / 2).astype(np.int64)
@@ -382,7 +397,8 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
         )
     picked = rows[:, None], cols
     free = np.asarray(image.convert("L"))[picked] == 255
-    rooms, names = np.zeros(free.shape, dtype=np.uint16), dict[int, str]()
+    rooms = np.zeros(free.shape, dtype=np.uint16)
+    names = dict[int, str]()
     if list_room_maps(Path(path)):
         index, names = _read_rooms(Path(path).parent, size)
         rooms = index[picked].astype(np.uint16)
@@ -429,7 +445,8 @@ def _read_rooms(folder: Path, size: int) -> tuple[NDArray[np.uint8], dict[int, s
         layers.append(np.asarray(image))
     index, kinds = layers
     known = _read_lines(folder / CATEGORIES) if (folder / CATEGORIES).exists() else []
-    names, counts = dict[int, str](), Counter[str]()
+    names = dict[int, str]()
+    counts = Counter[str]()
     numbers, first = np.unique(index, return_index=True)
     for number, kind in zip(numbers.tolist(), kinds.ravel()[first].tolist(), strict=True):
         if number and 1 <= kind <= len(known) and known[kind - 1]:

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from PIL import Image, PngImagePlugin
 else:  # the command line lists formats before it loads numpy
     np = lazy("numpy")
-    Image, PngImagePlugin = lazy("PIL.Image"), lazy("PIL.PngImagePlugin")
+    Image = lazy("PIL.Image")
+    PngImagePlugin = lazy("PIL.PngImagePlugin")
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
@@ -92,7 +93,8 @@ def read_bytes(
         name = os.fsdecode(path)
         LOG.debug("reading %s", name)
     elif isinstance(source, bytes | bytearray | memoryview):
-        stream, name = io.BytesIO(source), "the bytes given"
+        stream = io.BytesIO(source)
+        name = "the bytes given"
     elif not callable(getattr(source, "read", None)):
         wanted = "a path, a file's content or a file opened in binary mode"
         raise FormatError(f"expected {wanted}, got {shown_type(source)}")
@@ -106,7 +108,8 @@ def read_bytes(
                 JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
             if not data.startswith(begins):
                 JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
-            pieces, size = [data], len(data)
+            pieces = [data]
+            size = len(data)
             while piece := file.read(16 * CHUNK):
                 pieces.append(piece)
                 size += len(piece)
@@ -128,7 +131,8 @@ def unpack(data: bytes, name: str) -> bytes:
     kind, opened = PACKED.get(data[:2], ("", None))
     if opened is None:
         return data
-    allowance, pieces = Allowance(len(data), "max_cells"), []
+    allowance = Allowance(len(data), "max_cells")
+    pieces = []
     try:
         with opened(io.BytesIO(data)) as unpacked:
             while piece := unpacked.read(16 * CHUNK):
@@ -145,13 +149,16 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     Returns its text without a byte order mark, the file's size, and the place for errors.
     """
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
-    remedy, file = NAVGRID_REMEDY, str(source) if isinstance(source, str | os.PathLike) else ""
+    remedy = NAVGRID_REMEDY
+    file = str(source) if isinstance(source, str | os.PathLike) else ""
     if file.lower().endswith((".yaml", ".yml")):
-        made, shown_file = f"{Path(file).stem}.grid.json", path_name(file)
+        made = f"{Path(file).stem}.grid.json"
+        shown_file = path_name(file)
         remedy = f"of settings, `navbake bake {shown_file}` makes one, of a map of nav2, "
         remedy += f"`navbake convert {shown_file} {path_name(made)}`"
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=remedy)
-    num_bytes, top = len(text), JsonPath(name)
+    num_bytes = len(text)
+    top = JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)
     if _beginning(text)[1:2] != "{":
         top.fail(f"expected {NAVGRID}, got {_beginning(text)}", remedy)
@@ -210,7 +217,8 @@ def open_image(source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(BE
     begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
     names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
-    allowance, place = Allowance(len(data)), JsonPath(name)
+    allowance = Allowance(len(data))
+    place = JsonPath(name)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the pixels are counted here
@@ -280,7 +288,8 @@ def read_header(
         if end < 0:
             raise FormatError(f"no line `data` ends the header of {source}")
         first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
-        lines[first], start = words, end + 1
+        lines[first] = words
+        start = end + 1
     found = []
     for name, (count, kind) in numbers.items():
         if name not in lines:
@@ -292,7 +301,8 @@ def read_header(
             is_good = False
         if not is_good:
             what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
-            where, got = f"at `{name}` in the header of {source}", repr(" ".join(lines[name])[:60])
+            where = f"at `{name}` in the header of {source}"
+            got = repr(" ".join(lines[name])[:60])
             raise FormatError(f"expected {count} {what} {where}, got {got}")
         found.append(values)
     return lines, found, start

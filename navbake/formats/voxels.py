@@ -96,7 +96,8 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
         return read_npz(path, max_voxels=max_voxels)
     if suffix != ".binvox":
         return read_octomap(path, max_voxels=max_voxels)
-    grid, beside = read_binvox(path, max_voxels=max_voxels), names_path(path)
+    grid = read_binvox(path, max_voxels=max_voxels)
+    beside = names_path(path)
     if grid.is_segmented and os.path.lexists(beside):
         content, name = read_bytes(beside)
         try:
@@ -165,9 +166,11 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
         )
     voxels = _in_file_order(values.astype(np.uint8, copy=False), layout == "airsim").ravel()
     nx, ny, nz = grid.shape
-    translate, scale = list(grid.origin), grid.res * max(grid.shape)
+    translate = list(grid.origin)
+    scale = grid.res * max(grid.shape)
     if layout == "airsim":
-        translate, scale = [-n * grid.res / 2 for n in grid.shape], 1.0 / (nx * grid.res)
+        translate = [-n * grid.res / 2 for n in grid.shape]
+        scale = 1.0 / (nx * grid.res)
     # so many digits drop the rounding of multiples of the edge; 0 has no minus
     x, y, z, edge = (repr(round(value, DECIMALS) + 0.0) for value in (*translate, scale))
     header = (
@@ -223,10 +226,12 @@ def read_binvox(
     data, name = read_bytes(source, begins=MAGIC, expected="a binvox file that begins with #binvox")
     version, dim, translate, scale, end = _read_header(data, name)
     nx, nz, ny = dim
-    place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
+    place = JsonPath(name)
+    allowance = Allowance(len(data), "max_voxels", max_voxels)
     pairs = np.frombuffer(data, dtype=np.uint8, offset=end)
     # before any array of the header's size is made
-    claimed, held = math.prod(dim), int(pairs[1::2].sum(dtype=np.int64))
+    claimed = math.prod(dim)
+    held = int(pairs[1::2].sum(dtype=np.int64))
     if held != claimed or len(pairs) % 2:
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
         if held != claimed:
@@ -276,7 +281,8 @@ def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> 
     axes: ``count = floor(size / edge)``.
     """
     nx, nz, ny = dim
-    sizes, counts = -2 * np.array(translate), np.array((nx, ny, nz), dtype=np.float64)
+    sizes = -2 * np.array(translate)
+    counts = np.array((nx, ny, nz), dtype=np.float64)
     if (sizes <= 0).any() or not math.isclose(scale * sizes[0], 1.0, rel_tol=NEAR):
         return False
     if (sizes / (counts + 1)).max() > (sizes / counts).min() * (1 + NEAR):

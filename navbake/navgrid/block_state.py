@@ -43,7 +43,9 @@ class BlockState:
         farthest: float | None,
     ) -> None:
         self.count = np.zeros((NUM_LAYERS, *weights.shape), dtype=np.uint16)
-        self.weights, self.occupied, self.farthest = weights, occupied, farthest
+        self.weights = weights
+        self.occupied = occupied
+        self.farthest = farthest
         self.revision = 0
         self._journal: list[Window] = []
 

@@ -147,9 +147,11 @@ def _cells_under(grid: GridBase, p: Float) -> Int:
         floor = np.full(len(p), np.nan)
         floor[inside] = _floors(part, *cells[1:, inside])
         nearer = (floor <= limit) & (floor > highest)  # False for NaN
-        highest[nearer], found[:, nearer] = floor[nearer], cells[:, nearer]
+        highest[nearer] = floor[nearer]
+        found[:, nearer] = cells[:, nearer]
         nearer = inside & np.isnan(floor) & (part.ground <= limit) & (part.ground > highest_ground)
-        highest_ground[nearer], on_ground[:, nearer] = part.ground, cells[:, nearer]
+        highest_ground[nearer] = part.ground
+        on_ground[:, nearer] = cells[:, nearer]
     return np.where(found[0] >= 0, found, on_ground)
 
 
@@ -207,10 +209,13 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
 
 
 def place_in(grid: NavGrid, cell: Cell) -> Place:
-    part, at = grid.levels[cell.level], (cell.row, cell.col)
-    floor, weight = float(part.floor_height[at]), float(part.weights[at])
+    part = grid.levels[cell.level]
+    at = (cell.row, cell.col)
+    floor = float(part.floor_height[at])
+    weight = float(part.weights[at])
     free = math.isfinite(weight)
-    index, area = int(part.room_index[at]), int(part.area_index[at])
+    index = int(part.room_index[at])
+    area = int(part.area_index[at])
     of_table = (r.id for r in grid.stated_rooms or () if (r.level, r.index) == (cell.level, index))
     return Place(
         cell=cell,

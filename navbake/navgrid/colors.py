@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Int
 
-FREE, OCCUPIED, NO_FLOOR = "#f7f3e8", "#3b4252", "#b9c0cc"
+FREE = "#f7f3e8"
+OCCUPIED = "#3b4252"
+NO_FLOOR = "#b9c0cc"
 DOOR = "#c8440a"  # where a door blocks the way
 DOORWAY = "#ff9f5a"  # where a closed door would
 ROUTE = "#1864ab"
@@ -28,7 +30,9 @@ DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
 WALL = 0.6  # rooms with no more than this between them are neighbours [m]
 
 # of links; visible on walls, too
-UP, DOWN, ACROSS = "#3bcb11", "#b870fd", "#889590"
+UP = "#3bcb11"
+DOWN = "#b870fd"
+ACROSS = "#889590"
 LINK = "#ff3d78"  # a lift, a drop, …
 KEEP_OUT = "#f05f7f"  # an area that bars every agent
 
@@ -82,7 +86,8 @@ def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
     found = [np.empty((0, 2), dtype=np.int64)]
     for lines in (index, index.T):
         line, place = np.nonzero(lines[:, 1:] != lines[:, :-1])
-        before, after = lines[line, place], lines[line, place + 1]
+        before = lines[line, place]
+        after = lines[line, place + 1]
         # a gap opens at one change and closes at the next one of the same line
         gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (np.diff(place) <= reach)
         found += [

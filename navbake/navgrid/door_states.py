@@ -61,7 +61,8 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
                 mask[ids] = is_there
     levels = []
     for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
-        is_occupied, was_occupied = mask.reshape(level.shape), level.occupancy.astype(np.bool_)
+        is_occupied = mask.reshape(level.shape)
+        was_occupied = level.occupancy.astype(np.bool_)
         is_solid = solid[number].reshape(level.shape)
         blocks = level.block_state
         if blocks is not None:
@@ -210,7 +211,8 @@ def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     the door is wide: the line follows the axis with obstacles at both ends, or else the longer one,
     and is longer by the agent's radius at each end. None if the door has no cells on the level.
     """
-    level, num_levels = grid.levels[number], len(grid.levels)
+    level = grid.levels[number]
+    num_levels = len(grid.levels)
     cells, leaf = np.empty((2, 0), dtype=np.int64)
     for state in ("closed", door.state, *door.states):
         leaf = door.solid_in(state, num_levels)[number]
@@ -219,29 +221,36 @@ def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
             break
     else:
         return None
-    size, at = level.lattice.cell_size, level.lattice.positions(*np.divmod(cells, level.width))
+    size = level.lattice.cell_size
+    at = level.lattice.positions(*np.divmod(cells, level.width))
     from_middle = at - at.mean(axis=0)
     # the longer principal axis: the eigenvector of the largest eigenvalue
     longer = _upwards(np.linalg.eigh(from_middle.T @ from_middle)[1][:, 1])
     if np.ptp(from_middle @ longer) * np.abs(longer).min() < size / 2:
         # it is along the row of cells, to their resolution
         longer = np.round(longer) + 0.0
-    axis, more = longer, 0.0
+    axis = longer
+    more = 0.0
     if not len(leaf):
         free = np.pad(level.free, 1)  # no cell outside the grid is free
 
         def walls(axis: Float) -> int:
             across = _upwards(np.array([-axis[1], axis[0]]))
-            along, aside = at @ axis, np.median(at @ across) * across
+            along = at @ axis
+            aside = np.median(at @ across) * across
             ends = np.array([[along.min() - size], [along.max() + size]]) * axis + aside
             rows, cols = (v + 1 for v in level.lattice.rows_cols(ends))
-            rows, cols = rows.clip(0, free.shape[0] - 1), cols.clip(0, free.shape[1] - 1)
+            rows = rows.clip(0, free.shape[0] - 1)
+            cols = cols.clip(0, free.shape[1] - 1)
             return int(np.count_nonzero(~free[rows, cols]))
 
         shorter = _upwards(np.array([-longer[1], longer[0]]))
         # max returns the first, longer one of a tie
-        axis, more = max((longer, shorter), key=walls), grid.agent_radius
-    along, more = from_middle @ axis, more + size / 2 / np.abs(axis).max()  # to the outermost edges
+        axis = max((longer, shorter), key=walls)
+        more = grid.agent_radius
+    # to the outermost edges
+    along = from_middle @ axis
+    more = more + size / 2 / np.abs(axis).max()
     ends = at.mean(axis=0) + np.array([[along.min() - more], [along.max() + more]]) * axis
     first, last = (np.round(ends, DECIMALS) + 0.0).tolist()
     return (first[0], first[1]), (last[0], last[1])

@@ -215,7 +215,8 @@ class GridBase:
 
     def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
         """A table of navbake's metadata, or part of it, parsed once for each metadata object."""
-        stated, key = self.navbake.get(name), part or name
+        stated = self.navbake.get(name)
+        key = part or name
         if key not in self._tables or self._tables[key][0] is not stated:
             self._tables[key] = (stated, parse(stated))
         found: Table = self._tables[key][1]
@@ -385,7 +386,8 @@ class SceneGrid2D(GridBase):
     def lattice(self) -> Lattice:
         """The cells' positions in the world [m]."""
         # 0.0 - z, because -z would turn 0.0 into -0.0
-        x_min, y_max = self.min_yup[0] * self.unit, 0.0 - self.min_yup[2] * self.unit
+        x_min = self.min_yup[0] * self.unit
+        y_max = 0.0 - self.min_yup[2] * self.unit
         return Lattice(x_min, y_max, self.cell_size * self.unit, self.width, self.height)
 
     @property

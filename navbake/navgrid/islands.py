@@ -77,10 +77,13 @@ def label_islands(
     """
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)
-    begins, pairs = free.copy(), [steps[free[steps].all(axis=1)]]
+    begins = free.copy()
+    pairs = [steps[free[steps].all(axis=1)]]
     for first, last, columns in zip(start[:-1], start[1:], width, strict=True):
         own = slice(first, last)
-        is_free, height, is_first = (a[own].reshape(-1, columns) for a in (free, floor, begins))
+        is_free = free[own].reshape(-1, columns)
+        height = floor[own].reshape(-1, columns)
+        is_first = begins[own].reshape(-1, columns)
         # an unknown floor is level with its neighbours
         right = is_free[:, 1:] & is_free[:, :-1]
         right &= ~(np.abs(height[:, 1:] - height[:, :-1]) > limit)
@@ -166,7 +169,8 @@ def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.fl
     free = level.free[row0:row1, col0:col1]
     is_open = level.free_for_point[row0:row1, col0:col1]
     # one closed cell beyond each side that is at the grid's edge
-    top, left = int(row0 == 0), int(col0 == 0)
+    top = int(row0 == 0)
+    left = int(col0 == 0)
     sides = (top, int(row1 == level.height)), (left, int(col1 == level.width))
     cells = distance_transform_edt(np.pad(is_open, sides))
     cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
@@ -183,7 +187,8 @@ def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
     for pair in np.unique(steps[:, ::2], axis=0).tolist():
         own = steps[(steps[:, ::2] == pair).all(axis=1)]
         level = grid.levels[pair[0]]
-        marks, cells = np.zeros(level.shape, dtype=np.bool_), np.divmod(own[:, 1], level.width)
+        marks = np.zeros(level.shape, dtype=np.bool_)
+        cells = np.divmod(own[:, 1], level.width)
         marks[cells] = True
         group = ndimage.label(marks, np.ones((3, 3)))[0][cells]
         yield from (own[group == number] for number in np.unique(group).tolist())

@@ -73,8 +73,10 @@ class Lattice(NamedTuple):
         width = num_cells(x1 - x0 + 2 * margin, cell_size, rounding)
         height = num_cells(y1 - y0 + 2 * margin, cell_size, rounding)
         # centre the whole cells on the extent
-        x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
-        x_min, y_max = x_mid - width * cell_size / 2, y_mid + height * cell_size / 2
+        x_mid = (x0 + x1) / 2
+        y_mid = (y0 + y1) / 2
+        x_min = x_mid - width * cell_size / 2
+        y_max = y_mid + height * cell_size / 2
         return cls(x_min, y_max, cell_size, width, height)
 
     @property
@@ -126,7 +128,8 @@ class Lattice(NamedTuple):
         `bounds` are its corners, shape (2, 2) or (2, 3), world frame [m], each moved out by
         `reach` [m]. None for a box outside the lattice.
         """
-        (x0, y0), (x1, y1) = bounds[0, :2] - reach, bounds[1, :2] + reach
+        x0, y0 = bounds[0, :2] - reach
+        x1, y1 = bounds[1, :2] + reach
         row, col = self.rows_cols([[x0, y1], [x1, y0]])
         rows = slice(max(int(row[0]) - 1, 0), min(int(row[1]) + 2, self.height))
         cols = slice(max(int(col[0]) - 1, 0), min(int(col[1]) + 2, self.width))
@@ -191,7 +194,8 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     # running sum along each row; odd sums are inside (scan conversion by edge flags, Ackland and
     # Weste 1981).
     turns = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
-    x, y = lattice.center_x(), lattice.center_y()
+    x = lattice.center_x()
+    y = lattice.center_y()
     for ring in rings:
         corners = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
         for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -220,7 +224,8 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
         at[:, 1] *= -1.0
         for one, other in zip(at, np.roll(at, -1, axis=0), strict=True):
             (c0, r0), (c1, r1) = (one, other) if one[1] <= other[1] else (other, one)
-            first, end = math.floor(r0 + CELL_SLACK), math.ceil(r1 - CELL_SLACK)
+            first = math.floor(r0 + CELL_SLACK)
+            end = math.ceil(r1 - CELL_SLACK)
             rows = np.arange(max(first, 0), min(end, lattice.height))
             # the part of the side in each row, by its ends' columns
             ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], r0, r1)

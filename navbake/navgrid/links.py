@@ -27,7 +27,8 @@ from navbake.navgrid.metadata import (
 )
 from navbake.types import Bool, Float, Int, Json, Vector3
 
-AGENTS, AREAS = "metadata.navbake.agents", "metadata.navbake.areas"
+AGENTS = "metadata.navbake.agents"
+AREAS = "metadata.navbake.areas"
 MAX_AREAS = 255
 SPEED = 1.0  # [m/s] of an agent that states none
 LINKS = "metadata.navbake.links"
@@ -212,7 +213,8 @@ def find_arcs(
         penalty: what passages cost more that aren't allowed, also those against a link of one way
             [m] and [s]; they are left out if None.
     """
-    speed, rows = SPEED if agent is None else agent.speed, []
+    speed = SPEED if agent is None else agent.speed
+    rows = []
     for number, link in enumerate(links):
         cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
         width = math.inf if link.width is None else link.width
@@ -225,7 +227,8 @@ def find_arcs(
             more = 0.0 if is_allowed else float(penalty or 0.0)
             rows.append((cells[one], cells[other], number, width, cost + more, seconds + more))
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
-    ends, numbers = table[:, :2].astype(np.int64), table[:, 2].astype(np.int64)
+    ends = table[:, :2].astype(np.int64)
+    numbers = table[:, 2].astype(np.int64)
     return Arcs(ends, numbers, *table[:, 3:].T.copy())
 
 

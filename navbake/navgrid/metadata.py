@@ -41,7 +41,8 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     for arrays in levels:
         for name, array in arrays.items():
             if name not in described:
-                own, dtype = stated.get(name, {}), array.dtype
+                own = stated.get(name, {})
+                dtype = array.dtype
                 # the array's dtype counts; the file's own name for it is kept
                 kind = own.get("type")
                 if not isinstance(kind, str) or datatype_name(kind) != dtype.name:

@@ -18,7 +18,8 @@ from navbake.navgrid.lattice import Lattice, rounded
 from navbake.navgrid.metadata import read_table
 from navbake.types import Float, Int, Json, Vector3
 
-ROOMS, DOORS = "metadata.navbake.rooms", "metadata.navbake.doors"
+ROOMS = "metadata.navbake.rooms"
+DOORS = "metadata.navbake.doors"
 State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
 STATES: tuple[str, ...] = get_args(State)
 # A door is in an opening if they are at most this far apart [m]
@@ -197,10 +198,8 @@ def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
                         "expected each level once, with [first cell, count, …] within the grid, "
                         f"in state {state} at `{DOORS}[{number}]`"
                     )
-        cells, solid = (
-            {str(state): dict(by_level) for state, by_level in by_state.items()}
-            for by_state in (entry.cells, entry.solid)
-        )
+        cells = {str(state): dict(by_level) for state, by_level in entry.cells.items()}
+        solid = {str(state): dict(by_level) for state, by_level in entry.solid.items()}
         doors[entry.id] = Door(entry.id, entry.joint, entry.rooms, entry.state, cells, solid)
     return tuple(doors.values())
 

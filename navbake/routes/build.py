@@ -118,7 +118,8 @@ class _Builder:
         """
         at = np.round(self.flat.positions(cell), DIGITS) + 0.0
         room = self.search.rooms.id_of(int(self.search.rooms.number[cell]))
-        level, (x, y, z) = int(self.flat.level_of(cell)), at.tolist()
+        level = int(self.flat.level_of(cell))
+        x, y, z = at.tolist()
         node = Node(name, (x, y, z), level, kind, room, door, link or None)
         for number, other in enumerate(self.nodes):
             is_of_other = link and other.link and link != other.link
@@ -135,7 +136,8 @@ class _Builder:
 
     def _add_named_places(self) -> None:
         """Add the stops of links and stairs, doors, and the widest place of each room."""
-        flat, rooms = self.flat, self.search.rooms
+        flat = self.flat
+        rooms = self.search.rooms
         for link in self.links:
             for number, stop in enumerate(link.stops):
                 cell = int(flat.layout.start[stop.level]) + stop.cell
@@ -168,7 +170,8 @@ class _Builder:
         cells = np.concatenate(found)
         order = np.argsort(-np.round(self.clearance[cells], DIGITS), kind="stable")
         for cell in cells[order].tolist():
-            on, at = int(self.flat.level_of(cell)), self.flat.positions(cell)
+            on = int(self.flat.level_of(cell))
+            at = self.flat.positions(cell)
             near = np.flatnonzero(np.hypot(*(self.points - at)[:, :2].T) < APART).tolist()
             if not any(self.nodes[k].level == on and self._sees(self.cells[k], cell) for k in near):
                 self._add(cell, "junction")
@@ -208,12 +211,15 @@ class _Builder:
         """
         from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
-        level, (a, b) = int(self.flat.level_of(one)), self.flat.positions(np.array([one, other]))
-        a, b = np.round(a[:2], DIGITS), np.round(b[:2], DIGITS)
+        level = int(self.flat.level_of(one))
+        a, b = self.flat.positions(np.array([one, other]))
+        a = np.round(a[:2], DIGITS)
+        b = np.round(b[:2], DIGITS)
         if self.search.can_pass(a, b, level):
             return True
         _, (row, to_row), (col, to_col) = self.flat.split(np.array([one, other]))
-        down, across = int(to_row - row), int(to_col - col)
+        down = int(to_row - row)
+        across = int(to_col - col)
         count = max(abs(down), abs(across))
         if not count or not (down == 0 or across == 0 or abs(down) == abs(across)):
             return False
@@ -284,7 +290,8 @@ class _Builder:
 
     def _doors_on(self, one: int, other: int) -> set[str | None]:
         """The doors whose leaves lie on the line between two nodes, and those of its ends; None."""
-        level, (a, b) = self.nodes[one].level, self.points[[one, other], :2]
+        level = self.nodes[one].level
+        a, b = self.points[[one, other], :2]
         on = {self.leaves.get(cell) for cell in self._cells_on(a, b, level).tolist()}
         return on | {None, self.nodes[one].door, self.nodes[other].door}
 
@@ -356,7 +363,8 @@ class _Builder:
         index[cells] = np.arange(len(cells))
         pairs = []
         for level in range(self.flat.num_levels):
-            own, width = self.flat.cells_of(level), int(self.flat.layout.width[level])
+            own = self.flat.cells_of(level)
+            width = int(self.flat.layout.width[level])
             for bit, step in ((EAST, 1), (SOUTH, width)):
                 here = own.start + np.flatnonzero(self.search.graph.moves[own] & bit)
                 pairs.append(np.stack([index[root[here]], index[root[here + step]]], axis=1))
@@ -369,7 +377,8 @@ class _Builder:
         level = self.nodes[one].level
         if level != self.nodes[other].level:
             return
-        start, end = self.points[one, :2], self.points[other, :2]
+        start = self.points[one, :2]
+        end = self.points[other, :2]
         found = find_path(self.search, start, end, level, by="cost", smooth=True)
         if found is None or found.links or (found.levels != level).any():
             return
@@ -379,7 +388,8 @@ class _Builder:
         centers = self.flat.positions(cells)[:, :2]
         turns = np.abs(centers - found.positions[1:-1, :2]).max(axis=1, initial=0.0) < 1e-6
         # corners of the path, without the points where only the floor bends
-        left, corners = [*cells[turns].tolist(), self.cells[other]], [one]
+        left = [*cells[turns].tolist(), self.cells[other]]
+        corners = [one]
         while left:
             here = corners[-1]
             ahead_xy = self.flat.positions(np.array(left))[:, :2]
@@ -416,7 +426,9 @@ class _Builder:
 
     def _graph(self) -> RouteGraph:
         """The graph: nodes have unique names, and lanes their doors and what areas make of them."""
-        taken, nodes, lanes = set[str](), list[Node](), list[Lane]()
+        taken = set[str]()
+        nodes = list[Node]()
+        lanes = list[Lane]()
         for number, node in enumerate(self.nodes):
             name = base = node.name or f"{node.kind} {number}"
             while name in taken:
@@ -425,7 +437,8 @@ class _Builder:
             taken.add(name)
             nodes.append(replace(node, name=name))
         for lane in self.lanes:
-            one, other = nodes[lane.start], nodes[lane.end]
+            one = nodes[lane.start]
+            other = nodes[lane.end]
             fields: dict[str, Any] = {"name": f"{one.name} - {other.name}"}
             for key in ("length", "cost", "seconds"):
                 value = getattr(lane, key)
@@ -462,8 +475,10 @@ def thin_mask(mask: Bool) -> Bool:
         before = np.count_nonzero(padded)
         for first in (True, False):
             count, turns = _around(padded)
-            north, east = padded[:-2, 1:-1], padded[1:-1, 2:]
-            south, west = padded[2:, 1:-1], padded[1:-1, :-2]
+            north = padded[:-2, 1:-1]
+            east = padded[1:-1, 2:]
+            south = padded[2:, 1:-1]
+            west = padded[1:-1, :-2]
             keeps = (north & east & south) | (east & south & west)
             if not first:
                 keeps = (north & east & west) | (north & south & west)

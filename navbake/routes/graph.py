@@ -95,7 +95,8 @@ class RouteGraph:
 
     def route(self, start: int | str, end: int | str) -> list[int] | None:
         """The nodes of the cheapest route between two, by index or name; None if there is none."""
-        first, last = self.index_of(start), self.index_of(end)
+        first = self.index_of(start)
+        last = self.index_of(end)
         _, before = csgraph.dijkstra(self.costs, indices=first, return_predecessors=True)
         way = [last]
         while way[-1] != first:

@@ -50,7 +50,8 @@ class Block:
     def __init__(
         self, grid: NavGrid, layers: list[Layers], arguments: dict[str, Any] | None = None
     ) -> None:
-        self.arguments, self._grid = arguments or {}, grid
+        self.arguments = arguments or {}
+        self._grid = grid
         self.copies: list[Block] = []  # on grids for agents of other sizes
         self.cells = [of_level[BLOCKED] for of_level in layers]
         self._held: list[tuple[SceneGrid2D, BlockState, Layers]] = []
@@ -104,7 +105,9 @@ def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bo
         *((OCCUPIED, level.attributes[name], own, 1.0) for name, own in state.occupied.items()),
     ]
     for layer, array, clean, value in changed:
-        now, before, ids = array.reshape(-1), clean.reshape(-1), cells[layer]
+        now = array.reshape(-1)
+        before = clean.reshape(-1)
+        ids = cells[layer]
         if is_held:
             # the first block reads the arrays again: they are writable
             first = ids[count[layer, ids] == 1]
@@ -204,7 +207,9 @@ def _find_layers(
         ids = [(row * part.width + col)[number == k] for k, part in enumerate(grid.levels)]
         return [[np.unique(of_level)] * NUM_LAYERS for of_level in ids]
     # an upright obstacle; from above, a rectangle dilated by a radius
-    radius, tall, levels = 0.0, 0.0, len(grid.levels)
+    radius = 0.0
+    tall = 0.0
+    levels = len(grid.levels)
     wanted = "a disc's centre and radius" if disc else "a box's lower and upper corner"
     things: Any = disc or box
     try:
@@ -220,11 +225,13 @@ def _find_layers(
             check_radius(height, "height of a disc")
         tall = grid.agent_height if height is None else height
     else:
-        low, high = check_positions(one, levels, level), check_positions(other, levels, level)
+        low = check_positions(one, levels, level)
+        high = check_positions(other, levels, level)
         if low.ndim != 1 or low.shape != high.shape or (low > high).any():
             raise QueryError(f"expected {wanted}, got {low} and {high}")
     bottom, top = (low[2], high[2] + tall) if len(low) == 3 else (-math.inf, math.inf)
-    margins, step = (0.0, *margins_of(grid, margin)), step_limit(grid) * grid.unit
+    margins = (0.0, *margins_of(grid, margin))
+    step = step_limit(grid) * grid.unit
 
     def away(x: Float, y: Float, half: float) -> Float:
         """Distances from the rectangle to squares of half edge `half` round points."""
@@ -241,11 +248,13 @@ def _find_layers(
             layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
             continue
         rows, cols = window
-        x, y = part.lattice.center_x()[cols], part.lattice.center_y()[rows, None]
+        x = part.lattice.center_x()[cols]
+        y = part.lattice.center_y()[rows, None]
         floor = part.floor_of(rows, cols)
         floor = np.where(np.isnan(floor), part.ground, floor)
         in_band = (bottom < floor + grid.agent_height) & (top > floor + step)
-        to_square, gap = away(x, y, size / 2), away(x, y, 0.0)
+        to_square = away(x, y, size / 2)
+        gap = away(x, y, 0.0)
         # a disc is open: it may touch a square. A box is closed, so that a flat one blocks cells.
         meets = in_band & (to_square < radius if radius > 0 else to_square <= 0)
         held = [meets | (in_band & (gap < radius + more)) for more in margins]
@@ -277,7 +286,8 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     """
     if agent is None:
         return grid
-    of, name = f"the grid of {grid.scene_id or 'scene'!r}", f" (agent {agent.name!r})"
+    of = f"the grid of {grid.scene_id or 'scene'!r}"
+    name = f" (agent {agent.name!r})"
     name = name if agent.name else ""
     for what, key, stated, most in (
         ("agents", "height", agent.height, grid.agent_height),
@@ -287,7 +297,8 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
             got = f"got {stated:g} m{name}: bake it with agent.{key}={stated:g}"
             raise QueryError(f"{of} is for {what} up to {most:g} m, {got}")
     clean: NavGrid = grid.without_blocks()
-    fitted, radius = clean, agent.radius
+    fitted = clean
+    radius = agent.radius
     if agent.step is not None and agent.step < grid.max_step - SAME:
         floor = np.concatenate([level.floor.ravel() for level in clean.levels])
         start = np.cumsum([0] + [level.width * level.height for level in clean.levels])

@@ -140,13 +140,15 @@ class DrawQuestions(PlaceQuestions):
         Raises:
             QueryError: as `random_point`.
         """
-        rng, search = as_generator(rng), self.search
+        rng = as_generator(rng)
+        search = self.search
         if target is None:
             cells = np.flatnonzero(search.allowed(level=level))
             place = self._draw(cells, rng, None, False, level=level)
             return Pose(place, float(rng.uniform(-math.pi, math.pi)))
         cells, limits = self._cells_near(target, (min_distance, max_distance), True, level)
-        flat, number = search.flat, search.rooms.number
+        flat = search.flat
+        number = search.rooms.number
         p, home = flat.locate(target, level)
         if same_room:
             cells = cells[(number[cells] == number[home]) & (number[home] > 0)]
@@ -195,7 +197,9 @@ class DrawQuestions(PlaceQuestions):
         Raises:
             QueryError: they don't fit; the message has an upper bound where one is known.
         """
-        rng, search, grid = as_generator(rng), self.search, self.grid
+        rng = as_generator(rng)
+        search = self.search
+        grid = self.grid
         check_level(level, search.flat.num_levels)
         if clearance is not None:
             check_radius(clearance, "clearance")
@@ -209,7 +213,8 @@ class DrawQuestions(PlaceQuestions):
             raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
         if stratify not in (None, *STRATA):
             raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
-        least, radius = 0.0 if min_distance is None else min_distance, grid.radius
+        least = 0.0 if min_distance is None else min_distance
+        radius = grid.radius
         check_distance(least, "min_distance")
         if min_distance is None:
             radius = max(radius, clearance or 0.0)
@@ -267,13 +272,15 @@ class DrawQuestions(PlaceQuestions):
         reaches its end without sliding and the agent's disc is free of obstacles there. The start
         comes first, then positions by number of steps. `spacing` is at least a cell's size [m].
         """
-        flat, radius = self.search.flat, self.grid.radius
+        flat = self.search.flat
+        radius = self.grid.radius
         cell = float(flat.layout.cell_size.max())
         if not isinstance(spacing, REAL) or not cell * (1 - NEAR) <= spacing < np.inf:
             raise QueryError(f"expected a spacing of a cell's {cell:g} m or more, got {spacing!r}")
         p, home = flat.free_cell_at(start, level)
         first = np.append(p[:2], flat.positions(home)[2])
-        places, at = first[None], np.zeros((1, 2), dtype=np.int64)
+        places = first[None]
+        at = np.zeros((1, 2), dtype=np.int64)
         seen = {(int(flat.level_of(home)), 0, 0)}
         found = [places]
         while len(places):
@@ -281,17 +288,21 @@ class DrawQuestions(PlaceQuestions):
             wanted = first[:2] + at * spacing
             ends = self.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
             arrived = (np.abs(ends[:, :2] - wanted) <= NEAR * cell).all(axis=1)
-            at, places = at[arrived], ends[arrived]
+            at = at[arrived]
+            places = ends[arrived]
             cells = flat.cells_at(places)
             points = list(zip(flat.level_of(cells).tolist(), *at.T.tolist(), strict=True))
             new = [p not in seen and seen.add(p) is None for p in points]  # type: ignore[func-returns-value]
-            at, places, cells = at[new], places[new], cells[new]
+            at = at[new]
+            places = places[new]
+            cells = cells[new]
             # free cells' centres are free of obstacles; elsewhere, measure the clearance
             off = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
             is_center = off <= NEAR * flat.layout.cell_size[flat.level_of(cells)]
             clearance = self.clearance(places, max_distance=2.0 * radius + 1.0)
             stands = is_center | (clearance >= radius * (1.0 - TOUCH))
-            at, places = at[stands], places[stands]
+            at = at[stands]
+            places = places[stands]
             found.append(places)
         return np.concatenate(found)
 
@@ -306,7 +317,8 @@ class DrawQuestions(PlaceQuestions):
             given = [f"{name} {v}" for name, v in limits.items() if v not in (None, False)]
             asked = f" with {', '.join(given)}" if given else ""
             raise QueryError(f"no free cell in {self.grid.scene_id!r}{asked}")
-        flat, num = self.search.flat, 1 if count is None else int(count)
+        flat = self.search.flat
+        num = 1 if count is None else int(count)
         chosen = cells[draw_cells(flat, cells, rng, num)]
         positions = flat.positions(chosen)
         if anywhere:
@@ -364,7 +376,8 @@ def place_crowd(
     Each part, an array of flat ids, gets n / len(parts) agents, rounded; agents that don't fit go
     to other parts. `apart` is (`reach`, `height`); `words` name the agents and the area in errors.
     """
-    agents, where = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}", words[1]
+    agents = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}"
+    where = words[1]
     found = most = 0
     for attempt in range(TRIES):
         # the part of each agent
@@ -392,7 +405,8 @@ def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int
     In a honeycomb whose hexagons are `reach` wide, each hexagon holds one agent. The bound is the
     least number of hexagons with cells over several shifted honeycombs.
     """
-    reach, height = apart[0] * (1.0 - 1e-6), apart[1]
+    reach = apart[0] * (1.0 - 1e-6)
+    height = apart[1]
     if reach <= 0.0 or not len(cells):
         return len(cells)
     p = flat.positions(cells)
@@ -404,7 +418,8 @@ def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int
             offset = np.array(shift) * reach / SHIFTS
             # axial coordinates of hexagons whose corners are half of `reach` from their middles,
             # rounded so that q + r + s is 0 again: the one with the largest error gives way
-            u, v = (x + offset[0]) / (reach / 2), (y + offset[1]) / (reach / 2)
+            u = (x + offset[0]) / (reach / 2)
+            v = (y + offset[1]) / (reach / 2)
             exact = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
             exact = np.vstack([exact, -exact.sum(axis=0)])
             near = np.round(exact)
@@ -418,7 +433,8 @@ def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int
 
 def _take(flat: FlatGrid, apart: tuple[float, float], taken: Bool, cell: int) -> None:
     """Mark the cells that are too near to a cell as taken."""
-    (reach, height), here = apart, flat.positions(cell)
+    reach, height = apart
+    here = flat.positions(cell)
     for level in range(flat.num_levels):
         near = cells_in_annulus(flat, level, here, (0.0, reach), flat.free)
         if flat.num_levels > 1 or reach > height:
@@ -432,7 +448,8 @@ def _draw_crowd(
     flat: FlatGrid, parts: list[Int], apart: tuple[float, float], owner: Int, rng: Generator
 ) -> Int:
     """Draw a cell for each agent from its part, else from another; stops early if none is left."""
-    left, chosen = list(parts), np.empty(len(owner), dtype=np.int64)
+    left = list(parts)
+    chosen = np.empty(len(owner), dtype=np.int64)
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
     def throw(cells: Int) -> Int:
@@ -458,7 +475,8 @@ def _pack_crowd(
     flat: FlatGrid, cells: Int, apart: tuple[float, float], n: int, rng: Generator
 ) -> Int:
     """Place up to n agents row by row from a random side, each in the first cell left."""
-    swap, signs = rng.integers(2), rng.choice([-1.0, 1.0], size=2)
+    swap = rng.integers(2)
+    signs = rng.choice([-1.0, 1.0], size=2)
     p = flat.positions(cells)[:, :2] * signs
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
     chosen: list[int] = []
@@ -497,15 +515,20 @@ def parts_of_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]
 def along_hilbert(flat: FlatGrid, cells: Int) -> Int:
     """Sort cells by level and along the curve of Hilbert (1891)."""
     level, row, col = flat.split(cells)
-    x, y, index = col, row, np.zeros_like(row)
+    x = col
+    y = row
+    index = np.zeros_like(row)
     side = 1 << max(int(max(row.max(initial=0), col.max(initial=0))).bit_length() - 1, 0)
     while side:
-        right, lower = (x & side > 0).astype(np.int64), (y & side > 0).astype(np.int64)
+        right = (x & side > 0).astype(np.int64)
+        lower = (y & side > 0).astype(np.int64)
         index += side * side * ((3 * right) ^ lower)
         # each quarter holds the curve of half the size, turned or mirrored to fit
         mirrored = (lower == 0) & (right == 1)
-        x, y = np.where(mirrored, side - 1 - x, x), np.where(mirrored, side - 1 - y, y)
+        x = np.where(mirrored, side - 1 - x, x)
+        y = np.where(mirrored, side - 1 - y, y)
         x, y = np.where(lower == 0, y, x), np.where(lower == 0, x, y)
-        x, y = x & (side - 1), y & (side - 1)
+        x = x & (side - 1)
+        y = y & (side - 1)
         side >>= 1
     return cells[np.lexsort((index, level))]

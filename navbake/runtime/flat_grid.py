@@ -137,9 +137,11 @@ class FlatGrid:
         """
         wide = self.arcs.wide(radius)
         cells, ends = np.unique(self.arcs.ends[wide], return_inverse=True)
-        stops, ends = self.positions(cells)[:, :2], ends.reshape(-1, 2)
+        stops = self.positions(cells)[:, :2]
+        ends = ends.reshape(-1, 2)
         direct = least * octile(stops[:, None] - stops)
-        ways, spent = direct.copy(), (self.arcs.seconds if by_time else self.arcs.cost)[wide]
+        ways = direct.copy()
+        spent = (self.arcs.seconds if by_time else self.arcs.cost)[wide]
         np.minimum.at(ways, tuple(ends.T), spent)
         for k in range(len(cells)):  # Floyd (1962)
             ways = np.minimum(ways, ways[:, k, None] + ways[k])
@@ -160,7 +162,8 @@ class FlatGrid:
 
 def octile(apart: Float) -> Float:
     """Octile lengths of vectors along x and y, shape (..., 2 or more)."""
-    x, y = np.abs(apart[..., 0]), np.abs(apart[..., 1])
+    x = np.abs(apart[..., 0])
+    y = np.abs(apart[..., 1])
     return np.asarray(np.maximum(x, y) + (math.sqrt(2.0) - 1.0) * np.minimum(x, y))
 
 
@@ -203,7 +206,8 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     compiled.ensure_compiled("runtime.")
     levels = grid.levels
     x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
-    width, height = width.astype(np.int64), height.astype(np.int64)
+    width = width.astype(np.int64)
+    height = height.astype(np.int64)
     start = np.append(0, np.cumsum(width * height))
     layout = arrays.Layout(start, width, height, x_min, y_max, cell_size)
     floor = [v.floor if v.uses_cell_floors else np.full(v.shape, v.ground) for v in levels]
@@ -219,8 +223,11 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     slopes = np.zeros(0, dtype=np.uint8)
     if (given[:, 0] == given[:, 2]).any():
         slopes = np.zeros(start[-1], dtype=np.uint8)
-        on, low, step = given[:, 0], ends.min(axis=1), np.ptp(ends, axis=1)
-        own, of_row = on == given[:, 2], (ends - start[on, None]) // width[on, None]
+        on = given[:, 0]
+        low = ends.min(axis=1)
+        step = np.ptp(ends, axis=1)
+        own = on == given[:, 2]
+        of_row = (ends - start[on, None]) // width[on, None]
         slopes[low[own & (step == 1) & (np.diff(of_row)[:, 0] == 0)]] |= np.uint8(arrays.EAST)
         slopes[low[own & (step == width[on])]] |= np.uint8(arrays.SOUTH)
     steps = list_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)), int(start[-1]))
@@ -228,8 +235,10 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     bars = [area.bars(agent) for area in grid.areas]
     prices = [(penalty or np.inf) if no else v.cost for no, v in zip(bars, grid.areas, strict=True)]
     paces = [1.0 / min(speed, area.speed or speed) for area in grid.areas]
-    price, pace = cells_of_areas(grid, prices, 1.0), cells_of_areas(grid, paces, 1.0 / speed)
-    price, pace = (v[:1] if (v == v[0]).all() else v for v in (price, pace))
+    price = cells_of_areas(grid, prices, 1.0)
+    pace = cells_of_areas(grid, paces, 1.0 / speed)
+    price = price[:1] if (price == price[0]).all() else price
+    pace = pace[:1] if (pace == pace[0]).all() else pace
     arcs = find_arcs(grid.links, start, agent, penalty)
     flat = FlatGrid(layout, steps, arcs, floors, np.isfinite(weight), weight, price, pace, slopes)
     weight[:] = flat.priced(weight)
@@ -339,7 +348,8 @@ def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[tuple[int, int, str, Int]
     Returns the lower and the upper level of each, ``stairs`` or ``ramp``, and the flat ids of the
     cells of each step, the lower level's first, shape (n, 2).
     """
-    steps, found = grid.step_array, []
+    steps = grid.step_array
+    found = []
     steps = np.where((steps[:, 0] <= steps[:, 2])[:, None], steps, steps[:, [2, 3, 0, 1]])
     for own in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
         ends = flat.layout.start[own[:, ::2]] + own[:, 1::2]
@@ -381,8 +391,10 @@ class IslandMap:
 
 def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None = None) -> IslandMap:
     """As `navbake.navgrid.islands.find_islands`; with `moves`, diagonal moves join cells, too."""
-    layout, floors = flat.layout, flat.floors
-    steps, passages = [np.stack(flat.step_ends(), axis=1)], flat.arcs.ends[flat.arcs.wide(radius)]
+    layout = flat.layout
+    floors = flat.floors
+    steps = [np.stack(flat.step_ends(), axis=1)]
+    passages = flat.arcs.ends[flat.arcs.wide(radius)]
     if moves is not None:
         for bit, across in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)

@@ -20,8 +20,12 @@ EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
 DIAGONAL = math.sqrt(2.0)  # length of a diagonal step, in cells
 # Directions: east, north, west, south, then north-east, north-west, south-west, south-east. North
 # is row - 1. Bit d of a cell's moves is set where a step leads that way.
-EAST, NORTH, WEST, SOUTH = 1, 2, 4, 8
-SOUTH_WEST, SOUTH_EAST = 64, 128
+EAST = 1
+NORTH = 2
+WEST = 4
+SOUTH = 8
+SOUTH_WEST = 64
+SOUTH_EAST = 128
 ROW_STEP = np.array([0, -1, 0, 1, -1, -1, 1, 1])
 COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
@@ -115,7 +119,8 @@ def level_of(start, cell):
 @subkernel
 def find_slot(link_cell, cell):
     """Where a cell is in ``links.cell``, by binary search; -1 if no link leads from it."""
-    low, high = 0, link_cell.shape[0]
+    low = 0
+    high = link_cell.shape[0]
     while low < high:
         middle = (low + high) >> 1
         if link_cell[middle] < cell:

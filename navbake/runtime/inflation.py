@@ -135,7 +135,8 @@ def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
         return np.where(occupied, np.inf, 1.0)
     steps = np.arange(-reach, reach)
     squares = steps[:, None] ** 2 + steps**2
-    inner, outer = (_to_runs(np.argwhere(squares < size * size) - reach) for size in (radius, far))
+    inner = _to_runs(np.argwhere(squares < radius * radius) - reach)
+    outer = _to_runs(np.argwhere(squares < far * far) - reach)
     masks = (occupied, np.ones_like(occupied), ~np.isnan(level.floor_height))
     hits, within, with_floor = (count_runs(mask, inner) for mask in masks)
     too_few = (within > 0) & (with_floor / np.maximum(within, 1) < surroundings.LEAST_FLOOR)
@@ -151,13 +152,15 @@ def nav2_costs(
     254 on occupied cells, 253 up to the inscribed radius, then ``floor(252 exp(-scaling (d -
     radius)))`` [1/m], 0 beyond the inflation radius [m]; d to the nearest occupied cell's centre.
     """
-    solid, cell = level.solid != 0, level.lattice.cell_size
+    solid = level.solid != 0
+    cell = level.lattice.cell_size
     if not solid.any():
         return np.zeros(level.shape, dtype=np.uint8)
     # squared distances in cells are whole numbers: tabulate their costs
     squares = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
     last = min(int(squares.max()), math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1)
-    distance, slack = np.sqrt(np.arange(last + 1)) * cell, 1e-9 * cell
+    distance = np.sqrt(np.arange(last + 1)) * cell
+    slack = 1e-9 * cell
     falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(distance - radius, 0)) + 1e-9)
     cost = np.where(distance <= radius + slack, 253, falling)
     cost[distance > inflation_radius + slack] = 0
@@ -219,10 +222,12 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
     radius = grid.inflated_radius
     if radius == 0.0:
         return None
-    ledges, masks = ledges_of(grid), []
+    ledges = ledges_of(grid)
+    masks = []
     for number, level in enumerate(grid.levels):
         # not beside a neighbour whose floor is a step higher or lower, not a slope
-        floor, inside = level.floor_height.astype(np.float64), np.ones(level.shape, dtype=np.bool_)
+        floor = level.floor_height.astype(np.float64)
+        inside = np.ones(level.shape, dtype=np.bool_)
         for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
             is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
             inside[near] &= ~is_step
@@ -276,7 +281,8 @@ def inflate_footprint(
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
     masks = []
     for number, level in enumerate(grid.levels):
-        radius, cell = float(np.hypot(*outline.T).max()), level.lattice.cell_size
+        radius = float(np.hypot(*outline.T).max())
+        cell = level.lattice.cell_size
         reach = math.ceil(radius / cell) + 1
         if reach > MAX_REACH:
             raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
@@ -286,7 +292,9 @@ def inflate_footprint(
         around = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
         for k in range(num_headings):
             angle = 2 * math.pi * k / num_headings
-            cos, sin, (x, y) = math.cos(angle), math.sin(angle), outline.T / cell
+            cos = math.cos(angle)
+            sin = math.sin(angle)
+            x, y = outline.T / cell
             turned = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
             offsets = np.ascontiguousarray(np.argwhere(touch_cells([turned], around)) - reach)
             runs = _to_runs(offsets)
@@ -299,7 +307,8 @@ def inflate_footprint(
 
 def count_runs(mask: Bool, runs: Int) -> Int32:
     """Count the marked cells under a shape of runs (row, first column, last column)."""
-    (rows, cols), pad = mask.shape, int(np.abs(runs).max(initial=0)) + 1
+    rows, cols = mask.shape
+    pad = int(np.abs(runs).max(initial=0)) + 1
     before = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
     count = np.zeros(mask.shape, dtype=np.int32)
     for row, first, last in (runs + pad).tolist():

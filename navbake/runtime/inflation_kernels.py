@@ -82,9 +82,11 @@ def block_near_holes(has_floor, near, offsets, squares, least, blocked):
     rows, cols = has_floor.shape
     for row in range(rows):
         for col in range(cols):
-            within, with_floor = 0, 0
+            within = 0
+            with_floor = 0
             for k in range(offsets.shape[0] if near[row, col] else 0):
-                r, c = row + offsets[k, 0], col + offsets[k, 1]
+                r = row + offsets[k, 0]
+                c = col + offsets[k, 1]
                 if 0 <= r < rows and 0 <= c < cols:
                     within += 1
                     with_floor += has_floor[r, c]
@@ -109,10 +111,12 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
     """
     floor, occupied, slopes, level, step, height = stack
     levels, rows, cols = floor.shape
-    overlap, over = height - step, height + SLAB
+    overlap = height - step
+    over = height + SLAB
     for row in range(rows if levels > 1 else 0):
         for col in range(cols):
-            z, meets = floor[level, row, col], False
+            z = floor[level, row, col]
+            meets = False
             for other in range(levels):
                 is_low = lowest[other, row // TILE, col // TILE] - z < overlap
                 is_high = z - highest[other, row // TILE, col // TILE] < overlap
@@ -121,22 +125,29 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                 blocked[row, col] = _meets_any(floor, occupied, level, row, col, offsets, overlap)
     for tile_row in range(lowest.shape[1]):
         for tile_col in range(lowest.shape[2]):
-            least, most = lowest[level, tile_row, tile_col], highest[level, tile_row, tile_col]
+            least = lowest[level, tile_row, tile_col]
+            most = highest[level, tile_row, tile_col]
             differ = False
             for other in range(levels):
                 differ |= highest[other, tile_row, tile_col] - least > step
                 differ |= most - lowest[other, tile_row, tile_col] > step
             for cell in range(TILE * TILE if differ else 0):
-                row, col = tile_row * TILE + cell // TILE, tile_col * TILE + cell % TILE
+                row = tile_row * TILE + cell // TILE
+                col = tile_col * TILE + cell % TILE
                 if row >= rows or col >= cols:
                     continue
                 # what this column is to the cells of the level round it
-                is_wall, is_low, carries = False, False, False
-                bottom, top = np.inf, -np.inf
+                is_wall = False
+                is_low = False
+                carries = False
+                bottom = np.inf
+                top = -np.inf
                 for other in range(levels):
                     z = floor[other, row, col]
-                    bottom, top = z if z < bottom else bottom, z if z > top else top
-                    is_above, is_below = z - least > step, most - z > step
+                    bottom = z if z < bottom else bottom
+                    top = z if z > top else top
+                    is_above = z - least > step
+                    is_below = most - z > step
                     is_wall |= is_above and (other == level or z - most < over)
                     is_low |= is_below
                     # no drop for an agent of any of these heights
@@ -144,7 +155,8 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                 is_wall &= counts_higher
                 is_low &= counts_lower and not carries and levels > 1
                 for k in range(offsets.shape[0] if is_wall or is_low else 0):
-                    r, c = row - offsets[k, 0], col - offsets[k, 1]
+                    r = row - offsets[k, 0]
+                    c = col - offsets[k, 1]
                     if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
                         continue
                     z = floor[level, r, c]
@@ -159,7 +171,8 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                 # of a single level, the high cells beside drops are fewer than the low columns
                 may_fall = levels == 1 and floor[level, row, col] - least > step
                 for k in range(offsets.shape[0] if may_fall and counts_lower else 0):
-                    r, c = row + offsets[k, 0], col + offsets[k, 1]
+                    r = row + offsets[k, 0]
+                    c = col + offsets[k, 1]
                     if blocked[row, col]:
                         break
                     if 0 <= r < rows and 0 <= c < cols:
@@ -176,7 +189,8 @@ def _meets_any(floor, occupied, level, row, col, offsets, overlap):
     levels, rows, cols = floor.shape
     height = floor[level, row, col]
     for k in range(offsets.shape[0]):
-        r, c = row + offsets[k, 0], col + offsets[k, 1]
+        r = row + offsets[k, 0]
+        c = col + offsets[k, 1]
         if r < 0 or r >= rows or c < 0 or c >= cols:
             continue
         is_covered = False
@@ -198,14 +212,18 @@ def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
     It is where some level's floor lies more than a step below the cell's, no level's within a step
     of it, and no slope leads to the highest of the floors below.
     """
-    height, highest, below, is_below = floor[level, row, col], -np.inf, -1, False
+    height = floor[level, row, col]
+    highest = -np.inf
+    below = -1
+    is_below = False
     for other in range(floor.shape[0]):
         lower = floor[other, to_row, to_col]
         if abs(lower - height) <= step:
             return False
         is_below |= lower - height < -step
         if highest < lower < height:
-            highest, below = lower, other
+            highest = lower
+            below = other
     return is_below and (
         slopes.shape[0] == 0
         or not _is_slope(floor, slopes, step, level, row, col, below, to_row, to_col)
@@ -219,25 +237,32 @@ def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     From cell to cell along the line (Bresenham 1965), it must lead over steps and slopes, and over
     one slope at least: steps alone make a stair, on which a larger agent meets the next riser.
     """
-    down, across = to_row - row, to_col - col
+    down = to_row - row
+    across = to_col - col
     count = max(abs(down), abs(across))
-    num_slopes, r, c = 0, row, col
+    num_slopes = 0
+    r = row
+    c = col
     for k in range(1, count + 1):
         # halves are rounded away from the start, so that turning a grid turns the lines
         next_r = row + np.sign(down) * ((2 * abs(down) * k + count) // (2 * count))
         next_c = col + np.sign(across) * ((2 * abs(across) * k + count) // (2 * count))
-        reached, is_slope = np.int64(-1), -1
+        reached = np.int64(-1)
+        is_slope = -1
         for turn in range(2):  # over a corner, there are two ways, of which one on a slope counts
             by_r, by_c = (next_r, c) if turn == 0 else (r, next_c)
             between, one = _walk_edge(floor, slopes, step, level, r, c, by_r, by_c)
             if between >= 0:
                 end, two = _walk_edge(floor, slopes, step, between, by_r, by_c, next_r, next_c)
                 if end >= 0 and max(one, two) > is_slope:
-                    reached, is_slope = end, max(one, two)
+                    reached = end
+                    is_slope = max(one, two)
         if reached < 0:
             return False
         num_slopes += is_slope
-        level, r, c = reached, next_r, next_c
+        level = reached
+        r = next_r
+        c = next_c
     return level == other and num_slopes > 0
 
 

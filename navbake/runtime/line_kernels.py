@@ -36,20 +36,31 @@ def is_walkable(a, b, layout, level, moves, anywhere):
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
     """
-    (u0, v0), (u1, v1) = a, b
-    first, width = layout.start[level], layout.width[level]
-    top, bottom = math.floor(min(v0, v1) - TOUCH), math.floor(max(v0, v1) + TOUCH)
+    u0, v0 = a
+    u1, v1 = b
+    first = layout.start[level]
+    width = layout.width[level]
+    top = math.floor(min(v0, v1) - TOUCH)
+    bottom = math.floor(max(v0, v1) + TOUCH)
     if top < 0 or bottom >= layout.height[level]:
         return False
-    above0, above1 = 0, -1  # columns touched in the row before
+    # columns touched in the row before
+    above0 = 0
+    above1 = -1
     for row in range(top, bottom + 1):
-        low, high = min(u0, u1), max(u0, u1)
+        low = min(u0, u1)
+        high = max(u0, u1)
         if v0 != v1:  # the part of the line in the row
-            one, other = (row - TOUCH - v0) / (v1 - v0), (row + 1 + TOUCH - v0) / (v1 - v0)
-            enter, leave = min(max(min(one, other), 0.0), 1.0), max(min(max(one, other), 1.0), 0.0)
-            ua, ub = u0 + enter * (u1 - u0), u0 + leave * (u1 - u0)
-            low, high = min(ua, ub), max(ua, ub)
-        col0, col1 = math.floor(low - TOUCH), math.floor(high + TOUCH)
+            one = (row - TOUCH - v0) / (v1 - v0)
+            other = (row + 1 + TOUCH - v0) / (v1 - v0)
+            enter = min(max(min(one, other), 0.0), 1.0)
+            leave = max(min(max(one, other), 1.0), 0.0)
+            ua = u0 + enter * (u1 - u0)
+            ub = u0 + leave * (u1 - u0)
+            low = min(ua, ub)
+            high = max(ua, ub)
+        col0 = math.floor(low - TOUCH)
+        col1 = math.floor(high + TOUCH)
         if col0 < 0 or col1 >= width:
             return False
         for col in range(col0, col1 + 1):
@@ -61,7 +72,8 @@ def is_walkable(a, b, layout, level, moves, anywhere):
                 return False
             if above0 <= col <= above1 and not moves[cell - width] & SOUTH:
                 return False
-        above0, above1 = col0, col1
+        above0 = col0
+        above1 = col1
     return True
 
 
@@ -71,12 +83,17 @@ def crossed_cells(a, b, layout, level):
 
     Cells that the line only touches at a corner are left out.
     """
-    (u0, v0), (u1, v1) = a, b
-    du, dv = u1 - u0, v1 - v0
-    row, col = math.floor(v0), math.floor(u0)
+    u0, v0 = a
+    u1, v1 = b
+    du = u1 - u0
+    dv = v1 - v0
+    row = math.floor(v0)
+    col = math.floor(u0)
     most = abs(math.floor(u1) - col) + abs(math.floor(v1) - row) + 2
-    cells, enter = np.empty(most, np.int64), np.zeros(most + 1)
-    count, leave = 0, 0.0
+    cells = np.empty(most, np.int64)
+    enter = np.zeros(most + 1)
+    count = 0
+    leave = 0.0
     while leave < 1.0:
         # where the line leaves the cell, over an edge or at its end
         to_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
@@ -114,19 +131,25 @@ def disc_passes(a, b, layout, level, solid_before, radius, is_closed):
 
     `solid_before` and `is_closed`: see `navbake.runtime.grid_arrays.OffCenter`.
     """
-    (u0, v0), (u1, v1) = a, b
-    rows, cols = layout.height[level], layout.width[level]
+    u0, v0 = a
+    u1, v1 = b
+    rows = layout.height[level]
+    cols = layout.width[level]
     reach = radius * (1.0 - TOUCH)
-    first_v, last_v = min(v0, v1) - reach, max(v0, v1) + reach
+    first_v = min(v0, v1) - reach
+    last_v = max(v0, v1) + reach
     for row in range(math.floor(first_v), math.ceil(last_v)):
-        low, high = max(float(row), first_v), min(row + 1.0, last_v)
+        low = max(float(row), first_v)
+        high = min(row + 1.0, last_v)
         left = -_farthest(-u0, v0, -u1, v1, low, high, reach)
         right = _farthest(u0, v0, u1, v1, low, high, reach)
-        col0, col1 = math.floor(left), math.ceil(right)
+        col0 = math.floor(left)
+        col1 = math.ceil(right)
         is_beside = row < 0 or row >= rows
         if is_closed and (is_beside or col0 < 0 or col1 > cols):
             return False
-        col0, col1 = max(col0, 0), min(col1, cols)
+        col0 = max(col0, 0)
+        col1 = min(col1, cols)
         if is_beside or col0 >= col1:
             continue
         here = layout.start[level] + row * cols
@@ -144,7 +167,8 @@ def _farthest(u0, v0, u1, v1, low, high, reach):
     if u0 == u1:  # all along the line it is as far
         peak = min(max(low, min(v0, v1)), max(v0, v1))
     v = min(max(peak, low), high)
-    du, dv = u1 - u0, v1 - v0
+    du = u1 - u0
+    dv = v1 - v0
     t = 1.0 if u1 > u0 else 0.0
     if dv != 0.0:
         # the disc that reaches the farthest at v touches the edge where its radius is upright on
@@ -163,8 +187,10 @@ def can_pass(a, b, level, graph, off_center):
     It may be anywhere in all cells that the line touches; or nothing but squares is near these, and
     its disc meets none.
     """
-    layout, moves = graph.layout, graph.moves
-    start, end = in_cells(layout, level, a[0], a[1]), in_cells(layout, level, b[0], b[1])
+    layout = graph.layout
+    moves = graph.moves
+    start = in_cells(layout, level, a[0], a[1])
+    end = in_cells(layout, level, b[0], b[1])
     if is_walkable(start, end, layout, level, moves, off_center.anywhere):
         return True
     if off_center.radius == 0.0:
@@ -172,7 +198,8 @@ def can_pass(a, b, level, graph, off_center):
     if not is_walkable(start, end, layout, level, moves, off_center.by_squares):
         return False
     radius = off_center.radius / layout.cell_size[level]
-    before, is_closed = off_center.solid_before, off_center.is_closed
+    before = off_center.solid_before
+    is_closed = off_center.is_closed
     return disc_passes(start, end, layout, level, before, radius, is_closed)
 
 
@@ -187,8 +214,10 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
     the cost is no higher. It begins and ends at `start` and `end`, x, y in the first and last cell;
     at the cell's centre where they are NaN, or where obstacles are too near.
     """
-    layout, num = graph.layout, route.shape[0]
-    points, levels = np.empty((num + 2, 2)), np.empty(num + 2, np.int64)
+    layout = graph.layout
+    num = route.shape[0]
+    points = np.empty((num + 2, 2))
+    levels = np.empty(num + 2, np.int64)
     # the place of the cell that a link leads to from a point to the next, 0 for none
     is_link = np.zeros(num + 1, np.int64)
     for i in range(num):
@@ -198,17 +227,23 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
     levels[0], levels[num + 1] = levels[1], levels[num]
     kept = np.ones(num + 2, np.bool_)
     for at, beside, given in ((0, 1, start), (num + 1, num, end)):
-        points[at, 0], points[at, 1] = given[0], given[1]
+        points[at, 0] = given[0]
+        points[at, 1] = given[1]
         # False for NaN
         is_apart = max(abs(given[0] - points[beside, 0]), abs(given[1] - points[beside, 1])) > SAME
         kept[at] = is_apart and can_pass(
             points[min(at, beside)], points[max(at, beside)], levels[at], graph, off_center
         )
-    first, last = 1 - kept[0], num + 1 + kept[num + 1]
-    points, levels, is_link = points[first:last], levels[first:last], is_link[first : last - 1]
+    first = 1 - kept[0]
+    last = num + 1 + kept[num + 1]
+    points = points[first:last]
+    levels = levels[first:last]
+    is_link = is_link[first : last - 1]
     if is_smooth:
         some = np.flatnonzero(_pull_string(points, levels, is_link, graph, off_center))
-        points, levels, is_link = points[some], levels[some], is_link[some[:-1]]
+        points = points[some]
+        levels = levels[some]
+        is_link = is_link[some[:-1]]
     return _lay_on_floor(points, levels, is_link, layout, floors)
 
 
@@ -234,10 +269,14 @@ def _pull_string(points, levels, is_link, graph, off_center):
             last += 1
         # `good` can be reached, `bad` can't. Sight is not monotonous, so the point found need not
         # be the very farthest.
-        good, bad, reach = here + 1, last + 1, 2
+        good = here + 1
+        bad = last + 1
+        reach = 2
         while bad - good > 1:
             there = min(here + reach, last) if bad > last else (good + bad) // 2
-            a, b, level = points[here], points[there], levels[here]
+            a = points[here]
+            b = points[there]
+            level = levels[here]
             if can_pass(a, b, level, graph, off_center) and (
                 graph.same_weight > 0.0
                 or line_cost(a, b, level, graph) <= (spent[there] - spent[here]) * (1.0 + GAIN)
@@ -249,12 +288,14 @@ def _pull_string(points, levels, is_link, graph, off_center):
         here = good
         kept[here] = True
     # points on the straight line between those before and after go, but for ends of links
-    before, here = 0, -1
+    before = 0
+    here = -1
     for after in range(1, num):
         if not kept[after]:
             continue
         if here >= 0:
-            way, part = points[after] - points[before], points[here] - points[before]
+            way = points[after] - points[before]
+            part = points[here] - points[before]
             length = math.hypot(way[0], way[1])
             off = abs(way[0] * part[1] - way[1] * part[0])
             share = way[0] * part[0] + way[1] * part[1]
@@ -276,12 +317,15 @@ def _lay_on_floor(points, levels, is_link, layout, floors):
     halfway over a link. Points within BEND of the line through the remaining ones are dropped.
     """
     num = points.shape[0]
-    out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
+    out = np.empty((4 * num + 16, 3))
+    on = np.empty(4 * num + 16, np.int64)
+    count = 0
     by = np.zeros(4 * num + 16, np.int64)
     for i in range(num):
         level = levels[i]
         start = in_cells(layout, level, points[i, 0], points[i, 1])
-        end, way = start, np.zeros(2)
+        end = start
+        way = np.zeros(2)
         if i + 1 < num and not is_link[i]:
             end = in_cells(layout, level, points[i + 1, 0], points[i + 1, 1])
             way = points[i + 1] - points[i]
@@ -289,11 +333,13 @@ def _lay_on_floor(points, levels, is_link, layout, floors):
         here = 0
         while here == 0 or here < profile.shape[0] - 1:
             if count + 3 > out.shape[0]:
-                out, on = np.concatenate((out, out)), np.concatenate((on, on))
+                out = np.concatenate((out, out))
+                on = np.concatenate((on, on))
                 by = np.concatenate((by, np.zeros_like(by)))
             for axis in range(2):
                 out[count, axis] = points[i, axis] + profile[here, 0] * way[axis]
-            out[count, 2], on[count] = profile[here, 1], level
+            out[count, 2] = profile[here, 1]
+            on[count] = level
             count += 1
             here = _next_bend(profile, here)
         if i + 1 < num and is_link[i]:
@@ -304,10 +350,14 @@ def _lay_on_floor(points, levels, is_link, layout, floors):
             if abs(z - out[count - 1, 2]) > layout.cell_size[level] * STEEP:
                 for axis in range(2):
                     middle = (points[i, axis] + points[i + 1, axis]) / 2.0
-                    out[count, axis], out[count + 1, axis] = middle, middle
-                out[count, 2], out[count + 1, 2] = out[count - 1, 2], z
-                on[count], on[count + 1] = level, after
-                by[count], by[count + 1] = is_link[i], is_link[i]
+                    out[count, axis] = middle
+                    out[count + 1, axis] = middle
+                out[count, 2] = out[count - 1, 2]
+                out[count + 1, 2] = z
+                on[count] = level
+                on[count + 1] = after
+                by[count] = is_link[i]
+                by[count + 1] = is_link[i]
                 count += 2
     return out[:count].copy(), on[:count].copy(), by[:count].copy()
 
@@ -318,20 +368,27 @@ def _profile(a, b, level, layout, floors):
     cells, enter = crossed_cells(a, b, layout, level)
     last = cells.shape[0] - 1
     # ends on edges are in the cells they were found in
-    cells[last], cells[0] = _cell_of(layout, level, b), _cell_of(layout, level, a)
+    cells[last] = _cell_of(layout, level, b)
+    cells[0] = _cell_of(layout, level, a)
     line = np.empty((3 * last + 4, 2))
-    count, before = 0, 0.0
+    count = 0
+    before = 0.0
     for k in range(last + 1):
         z = floor_at(floors, level, cells[k])
         if k > 0 and abs(z - before) > layout.cell_size[level] * STEEP:
-            line[count, 0], line[count, 1] = enter[k], before
-            line[count + 1, 0], line[count + 1, 1] = enter[k], z
+            line[count, 0] = enter[k]
+            line[count, 1] = before
+            line[count + 1, 0] = enter[k]
+            line[count + 1, 1] = z
             count += 2
         share = (enter[k] + enter[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
-        line[count, 0], line[count, 1] = share, z
-        count, before = count + 1, z
+        line[count, 0] = share
+        line[count, 1] = z
+        count = count + 1
+        before = z
     if last == 0 and (a[0] != b[0] or a[1] != b[1]):
-        line[count, 0], line[count, 1] = 1.0, before
+        line[count, 0] = 1.0
+        line[count, 1] = before
         count += 1
     return line[:count]
 
@@ -348,9 +405,11 @@ def _next_bend(profile, here):
     Its slope from `here` is in the ranges of slopes that each of these allows (cone intersection,
     Sklansky and Gonzalez 1980).
     """
-    low, high = -np.inf, np.inf
+    low = -np.inf
+    high = np.inf
     for there in range(here + 1, profile.shape[0]):
-        run, rise = profile[there, 0] - profile[here, 0], profile[there, 1] - profile[here, 1]
+        run = profile[there, 0] - profile[here, 0]
+        rise = profile[there, 1] - profile[here, 1]
         if run <= 0.0 or not low <= rise / run <= high:
             return max(there - 1, here + 1)
         low = max(low, (rise - BEND) / run)

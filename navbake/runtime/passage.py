@@ -61,7 +61,9 @@ def find_passage(
 ) -> Passage | None:
     """`PathFinder.max_radius`."""
     inflation.check_word(ledges, inflation.LEDGES, "ledges")
-    grid, flat, corners = deflated(search.grid), search.flat, search.cut_corners
+    grid = deflated(search.grid)
+    flat = search.flat
+    corners = search.cut_corners
     standable = free_for(grid, 0.0, ledges)
 
     def reason(inside: bool) -> str:
@@ -95,7 +97,8 @@ def find_widest(
 
     None if not even a point passes. Links and areas are as `search` has them.
     """
-    flat, is_barred = search.flat, ~np.isfinite(search.flat.price)
+    flat = search.flat
+    is_barred = ~np.isfinite(search.flat.price)
 
     def passes(radius: float) -> bool:
         free = free_for(grid, radius, ledges) & ~is_barred
@@ -114,22 +117,26 @@ def find_widest(
         return None
     # the largest radius is in [low, high)
     size = float(flat.layout.cell_size.min())
-    low, high = 0.0, size
+    low = 0.0
+    high = size
     while passes(high):
         if high == MAX_RADIUS:
             free = free_for(grid, high, ledges)
             return math.inf, free, free
-        low, high = high, min(2.0 * high, MAX_RADIUS)
+        low = high
+        high = min(2.0 * high, MAX_RADIUS)
     while high - low > size:  # so that few radii are left
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
     told_apart = [np.array([grid.agent_radius]), search.flat.arcs.width / 2.0]
     for cell in set(flat.layout.cell_size.tolist()):
-        first, last = math.floor((2 * low / cell) ** 2), math.ceil((2 * high / cell) ** 2)
+        first = math.floor((2 * low / cell) ** 2)
+        last = math.ceil((2 * high / cell) ** 2)
         told_apart.append(np.sqrt(np.arange(first, last + 1)) * (cell / 2))
     listed = np.unique(np.concatenate(told_apart))
     radii = [*listed[(listed >= low) & (listed < high)].tolist(), high]
-    good, bad = 0, len(radii) - 1
+    good = 0
+    bad = len(radii) - 1
     while bad - good > 1:
         half = (good + bad) // 2
         good, bad = (half, bad) if passes(radii[half]) else (good, half)
@@ -144,11 +151,13 @@ def find_cuts(before: Search, after: Search) -> list[tuple[str, Int]]:
     is closed where none of its leaf's cells is free, a link where it is too narrow, or where fewer
     than two of its stops are. Both searches are on the same cells.
     """
-    flat, found = before.flat, list[tuple[str, Int]]()
+    flat = before.flat
+    found = list[tuple[str, Int]]()
     for low, high, what, ends in find_stairs(before.grid, flat):
         leads = []  # whether a step is free, and leads to enough of both levels
         for search in (before, after):
-            number, count = search.islands.number, np.zeros(ends.shape, dtype=np.int64)
+            number = search.islands.number
+            count = np.zeros(ends.shape, dtype=np.int64)
             for side, level in enumerate((low, high)):
                 on_level = np.bincount(number[flat.cells_of(level)])
                 count[:, side] = on_level[number[ends[:, side]]]
@@ -160,10 +169,8 @@ def find_cuts(before: Search, after: Search) -> list[tuple[str, Int]]:
             found.append((name, ends.ravel()))
     for link in before.grid.links:
         cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
-        was_fit, is_fit = (
-            search.flat.free[cells].sum() > 1 and link.fits(search.radius)
-            for search in (before, after)
-        )
+        was_fit = before.flat.free[cells].sum() > 1 and link.fits(before.radius)
+        is_fit = after.flat.free[cells].sum() > 1 and link.fits(after.radius)
         if was_fit and not is_fit:
             found.append((f"the link {link.name!r} ({link.kind})", cells))
     for door in before.grid.doors:
@@ -217,7 +224,8 @@ def find_bottleneck(
     middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
     diagonal step.
     """
-    flat, (radius, free, for_larger) = search.flat, widest
+    flat = search.flat
+    radius, free, for_larger = widest
     lost = free & ~for_larger
     weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
     like = search_as(with_weights(grid, weights), search, cut_corners=corners, radius=radius)
@@ -267,7 +275,8 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         on, row, col = flat.split(cells)
         count = int(np.abs(np.diff([row, col])).max()) + 1
         line = np.rint(np.linspace((row[0], col[0]), (row[1], col[1]), count)).astype(np.int64)
-        first, width = flat.layout.start[on[0]], flat.layout.width[on[0]]
+        first = flat.layout.start[on[0]]
+        width = flat.layout.width[on[0]]
         names = _names(search, first + line @ [width, 1])
         because = f"between them: {names}" if names else None
     return f"{apart}; {because}" if because else apart
@@ -275,10 +284,12 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
 
 def _why_not_free(search: Search, position: Float, cell: int) -> str:
     """Say why a position isn't free, and where the nearest free cell is."""
-    grid, flat = search.grid, search.flat
+    grid = search.grid
+    flat = search.flat
     if cell < 0:
         boxes = np.array([level.lattice.bounds for level in grid.levels])
-        (x0, y0), (x1, y1) = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+        x0, y0 = boxes[:, :2].min(axis=0)
+        x1, y1 = boxes[:, 2:].max(axis=0)
         what = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
             what = "has no floor below it"
@@ -307,23 +318,24 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
 
 def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
     """Name the two islands, and find their two nearest cells on one level."""
-    flat, islands = search.flat, search.islands
+    flat = search.flat
+    islands = search.islands
     home = islands.number[origin]
     away = np.unique(islands.number[goals])
     edge = flat.free & (search.graph.moves != 255)
-    ones, others = (np.flatnonzero(edge & np.isin(islands.number, which)) for which in (home, away))
+    ones = np.flatnonzero(edge & np.isin(islands.number, home))
+    others = np.flatnonzero(edge & np.isin(islands.number, away))
     # One tree for all levels: as a third coordinate, each level is farther from the next than any
     # two cells of one level can be.
     reach = 10.0 * float(flat.layout.start[-1])
-    here, there = (
-        np.column_stack([flat.positions(c)[:, :2], flat.level_of(c) * reach])
-        for c in (ones, others)
-    )
+    here = np.column_stack([flat.positions(ones)[:, :2], flat.level_of(ones) * reach])
+    there = np.column_stack([flat.positions(others)[:, :2], flat.level_of(others) * reach])
     distance, index = spatial.cKDTree(there).query(here)
     one = int(np.argmin(distance))
     cells = np.array([ones[one], others[index[one]]])
     goal = int(islands.number[cells[1]])
-    its, own = (f"{number} ({islands.areas[number]:.2f} m²)" for number in (goal, home))
+    its = f"{goal} ({islands.areas[goal]:.2f} m²)"
+    own = f"{home} ({islands.areas[home]:.2f} m²)"
     text = f"the goal is in island {its}, the start in island {own}"
     if distance[one] >= reach:
         return f"{text}, which have no level in common", None
@@ -333,7 +345,8 @@ def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
 
 def name_blocks(search: Search, origin: int, goals: Int) -> str | None:
     """Name the current blocks on the route that a grid without them has."""
-    grid, flat = search.grid, search.flat
+    grid = search.grid
+    flat = search.flat
     clean = grid.without_blocks()
     route = None if clean is grid else find_route(clean, search, origin, goals)
     if route is None:
@@ -353,7 +366,8 @@ def name_blocks(search: Search, origin: int, goals: Int) -> str | None:
 
 def name_doors(search: Search, origin: int, goals: Int) -> str | None:
     """Name the doors on the route through the fewest cells that doors block."""
-    grid, flat = search.grid, search.flat
+    grid = search.grid
+    flat = search.flat
     if not grid.doors:
         return None
     radius = grid.inflated_radius
@@ -383,14 +397,17 @@ def name_gap(search: Search, origin: int, goals: Int) -> str | None:
 
     None if the grid isn't inflated, or no smaller radius passes.
     """
-    grid, flat, agent = search.grid, search.flat, search.grid.inflated_radius
+    grid = search.grid
+    flat = search.flat
+    agent = search.grid.inflated_radius
     if not agent:
         return None
     plain = search_as(deflated(grid.without_blocks()), search)
     widest = find_widest(plain.grid, search, origin, goals, inflation.ledges_of(grid))
     if widest is None:
         return None
-    radius, width = widest[0], 2 * widest[0]
+    radius = widest[0]
+    width = 2 * widest[0]
     weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
     route = find_route(with_weights(plain.grid, weights), search, origin, goals)
     way = NO_CELLS if route is None else route
@@ -404,12 +421,16 @@ def name_gap(search: Search, origin: int, goals: Int) -> str | None:
     cell = find_bottleneck(plain.grid, search, origin, goals, widest, False)
     # the occupied squares round it
     number, row, col = flat.cell(cell)
-    level, size = plain.grid.levels[number], flat.layout.cell_size[number]
+    level = plain.grid.levels[number]
+    size = flat.layout.cell_size[number]
     span = int(4 * radius / size) + 2
-    row0, col0 = max(row - span, 0), max(col - span, 0)
+    row0 = max(row - span, 0)
+    col0 = max(col - span, 0)
     rows, cols = np.nonzero(level.solid[row0 : row + span + 1, col0 : col + span + 1])
     centers = level.lattice.positions(rows + row0, cols + col0)
-    here, low, high = level.lattice.positions(row, col), centers - size / 2, centers + size / 2
+    here = level.lattice.positions(row, col)
+    low = centers - size / 2
+    high = centers + size / 2
     nearest = np.clip(here, low, high) - here
     distance = np.linalg.norm(nearest, axis=1)
     if len(distance):
@@ -426,7 +447,8 @@ def name_gap(search: Search, origin: int, goals: Int) -> str | None:
 
 def name_links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
     """Name the first link or area that the agent can't use on the route with all of them open."""
-    grid, flat = search.grid, search.flat
+    grid = search.grid
+    flat = search.flat
     if not (grid.links or grid.areas):
         return None
     is_open = search_as(grid, search, radius=0.0, penalty=SHUT)
@@ -434,7 +456,8 @@ def name_links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
     if found is None:
         return None
     numbers = dict(is_open.measure(found, flat.split(found.cells), "cost")[2])
-    by_name, radius = {link.name: link for link in grid.links}, search.radius
+    by_name = {link.name: link for link in grid.links}
+    radius = search.radius
     for at, cell in enumerate(found.cells.tolist()):
         if at in numbers:
             link = by_name[numbers[at]]
@@ -457,7 +480,8 @@ def name_links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
 
 def _barring_area(search: Search, cell: int) -> tuple[str, str] | None:
     """The area of a cell that bars the agent, as "area 'lab'", and whom it bars; None for none."""
-    price, agent = search.flat.price, search.agent
+    price = search.flat.price
+    agent = search.agent
     if len(price) == 1 or math.isfinite(price[cell]):
         return None
     level, row, col = search.flat.cell(cell)
@@ -483,9 +507,11 @@ def name_steps(search: Search, origin: int, goals: Int) -> str | None:
 
 def _closed_steps(search: Search) -> list[str]:
     """Describe each pair of levels whose steps are all blocked."""
-    flat, closed = search.flat, []
+    flat = search.flat
+    closed = []
     source, target = flat.step_ends()
-    low, high = flat.level_of(source), flat.level_of(target)
+    low = flat.level_of(source)
+    high = flat.level_of(target)
     is_open = flat.free[source] & flat.free[target]
     for a, b in np.unique(np.stack([low, high], axis=1)[low < high], axis=0).tolist():
         of_pair = (low == a) & (high == b)
@@ -501,9 +527,11 @@ CAUSES = (name_blocks, name_doors, name_links_and_areas, name_gap, name_steps)
 
 def _names(search: Search, cells: Int) -> str:
     """The names of the things that block cells, if the file has them."""
-    grid, flat = search.grid, search.flat
+    grid = search.grid
+    flat = search.flat
     blocked = cells[~flat.free[cells]]
-    levels, (x, y, _) = flat.level_of(blocked), flat.positions(blocked).T
+    levels = flat.level_of(blocked)
+    x, y, _ = flat.positions(blocked).T
     ways = zip(x.tolist(), y.tolist(), levels.tolist(), strict=True)
     listed = list(dict.fromkeys(name for at in ways for name in grid.blockers(*at)))
     return list_first(listed, MAX_NAMES)

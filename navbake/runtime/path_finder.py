@@ -83,7 +83,8 @@ class PathFinder(DrawQuestions):
         cut_corners: bool = False,
         agent: str | Agent | None = None,
     ) -> None:
-        self._cut_corners, self._agent = cut_corners, agent
+        self._cut_corners = cut_corners
+        self._agent = agent
         self.use(grid)
 
     def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
@@ -105,7 +106,8 @@ class PathFinder(DrawQuestions):
         raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{meant}")
 
     def __repr__(self) -> str:
-        count, area = self.islands.count, self.navigable_area
+        count = self.islands.count
+        area = self.navigable_area
         return f"PathFinder({self.grid.scene_id!r}, {area:.1f} m² free, islands: {count})"
 
     def _repr_html_(self) -> str:

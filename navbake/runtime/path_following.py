@@ -18,7 +18,10 @@ from navbake.runtime.places import snap
 from navbake.runtime.search import Search
 from navbake.types import Float
 
-DRIVING, WAITING, RIDING, ARRIVED = "driving", "waiting", "riding", "arrived"
+DRIVING = "driving"
+WAITING = "waiting"
+RIDING = "riding"
+ARRIVED = "arrived"
 TURN_FIRST = math.radians(20.0)  # bearing of the point ahead over which a base turns on the spot
 TURN_GAIN = 4.0  # [1/s] how fast it turns there, by the bearing
 CLOSER = (1.0, 0.5, 0.25)  # shares of the lookahead that are tried
@@ -58,11 +61,17 @@ class Follower:
         for name, value in limits.items():
             if not isinstance(value, REAL) or isinstance(value, bool) or not 0 < value < math.inf:
                 raise QueryError(f"expected a {name} > 0, got {value!r}")
-        self._search, self._goal = search, path.positions[-1]
+        self._search = search
+        self._goal = path.positions[-1]
         self._speed, self._acceleration, self._turn_rate = list(limits.values())[:3]
-        self._lookahead, self._tolerance = limits["lookahead"], limits["tolerance"]
-        self.state, self.num_replans = DRIVING, 0
-        self._version, self._length, self._distance, self._taken = -1, 0.0, 0.0, 0
+        self._lookahead = limits["lookahead"]
+        self._tolerance = limits["tolerance"]
+        self.state = DRIVING
+        self.num_replans = 0
+        self._version = -1
+        self._length = 0.0
+        self._distance = 0.0
+        self._taken = 0
         self._take(path)
 
     @property
@@ -127,20 +136,24 @@ class Follower:
 
     def _advance(self, position: ArrayLike) -> Float:
         """Update the progress along the path, changes of the grid, and the state."""
-        p, search = self._check(position), self._search
+        p = self._check(position)
+        search = self._search
         if self.state == RIDING:  # drive on where the base is at the link's next stop
             here, there = self.path.positions[self.path.stops[self._taken]]
-            off, rise = float(np.hypot(*(p - there)[:2])), abs(p[2] - there[2])
+            off = float(np.hypot(*(p - there)[:2]))
+            rise = abs(p[2] - there[2])
             is_nearer = np.linalg.norm(p - there) < np.linalg.norm(p - here)
             if not is_nearer or off > self._lookahead or rise > search.flat.floors.max_step:
                 return p
             self._distance = float(self._run[self.path.stops[self._taken, 1]])
-            self.state, self._taken = DRIVING, self._taken + 1
+            self.state = DRIVING
+            self._taken = self._taken + 1
         self._distance = self._nearest(p)
         if search.version != self._version:  # look at the path again
             self._version = search.version
             self._free_until = self._find_free(self._distance)
-            is_blocked, path = self._free_until < self._length, self._plan(p)
+            is_blocked = self._free_until < self._length
+            path = self._plan(p)
             if path is not None and (is_blocked or path.length < (1.0 - WORTH) * self.left):
                 self._take(path)
                 self.num_replans += 1
@@ -166,11 +179,14 @@ class Follower:
     def _take(self, path: Path) -> None:
         """Set the path, and split it into legs; the level of a leg over a link is -1."""
         self._search.update()
-        self.path, self._version = path, self._search.version
+        self.path = path
+        self._version = self._search.version
         self._points = p = path.positions[:, :2]
         self._run = run_of(path.positions)  # of the points along the path [m]
-        self._length, self._distance = float(self._run[-1]), 0.0
-        one, other = path.levels[:-1], path.levels[1:]
+        self._length = float(self._run[-1])
+        self._distance = 0.0
+        one = path.levels[:-1]
+        other = path.levels[1:]
         self._leg_level = np.where(one == other, one, -1)
         for begin, end in path.stops.tolist():
             self._leg_level[begin:end] = -1
@@ -187,9 +203,12 @@ class Follower:
             return 0.0
         stop = self._next_stop
         end = self._length if stop is None else float(self._run[stop])
-        low, high = self._distance, min(self._distance + 2.0 * self._lookahead, end)
-        start, run = self._points[:-1], self._run
-        ways, lengths = np.diff(self._points, axis=0), np.diff(run)
+        low = self._distance
+        high = min(self._distance + 2.0 * self._lookahead, end)
+        start = self._points[:-1]
+        run = self._run
+        ways = np.diff(self._points, axis=0)
+        lengths = np.diff(run)
         along = ((position[:2] - start) * ways).sum(axis=1) / np.maximum(lengths, LEAST)
         distance = np.clip(run[:-1] + np.clip(along, 0.0, lengths), low, high)
         share = (distance - run[:-1]) / np.maximum(lengths, LEAST)
@@ -215,8 +234,11 @@ class Follower:
 
     def _is_free(self, leg: int, begin: float, end: float) -> bool:
         """Whether a leg is free between two shares of its length."""
-        search, flat, level = self._search, self._search.flat, int(self._leg_level[leg])
-        start, way = self._points[leg], self._points[leg + 1] - self._points[leg]
+        search = self._search
+        flat = self._search.flat
+        level = int(self._leg_level[leg])
+        start = self._points[leg]
+        way = self._points[leg + 1] - self._points[leg]
         if level < 0:
             return True  # the legs beside it end in the link's cells
         if self._is_swept[leg]:
@@ -249,10 +271,12 @@ class Follower:
         stop = self._next_stop
         if self.state == RIDING:
             return np.asarray(self.path.positions[self.path.stops[self._taken, 1]])
-        level, target = self._level_at(self._distance), p
+        level = self._level_at(self._distance)
+        target = p
         for share in CLOSER:
             distance = self._distance + share * self._lookahead
-            target, is_same = self.path.at(distance), self._level_at(distance) == level
+            target = self.path.at(distance)
+            is_same = self._level_at(distance) == level
             if stop is not None and distance >= self._run[stop]:
                 target = self.path.positions[stop]
             if is_same and self._search.can_pass(p[:2], target[:2], level):

@@ -67,7 +67,8 @@ class Path:
 
     def at(self, distance: ArrayLike) -> Float:
         """World x, y, z [m] at distances [m] from the start, seen from above: shape (..., 3)."""
-        run, along = run_of(self.positions), np.asarray(distance, dtype=np.float64)
+        run = run_of(self.positions)
+        along = np.asarray(distance, dtype=np.float64)
         return np.stack([np.interp(along, run, axis) for axis in self.positions.T], axis=-1)
 
 
@@ -115,7 +116,10 @@ def cells_around(search: Search, name: str) -> Int:
     without obstacles; an object enclosed by others, as on a table, is left over these. Each
     island's nearest ring and the next one count.
     """
-    grid, flat, islands, found = search.grid, search.flat, search.islands.number, []
+    grid = search.grid
+    flat = search.flat
+    islands = search.islands.number
+    found = []
     named = cells_named(grid, flat, name)
     for number, level in enumerate(grid.levels):
         part = flat.cells_of(number)
@@ -128,7 +132,8 @@ def cells_around(search: Search, name: str) -> Int:
             for v, size in zip(np.divmod(cells, level.width), level.shape, strict=True)
         )
         ids = rows[:, None] * level.width + cols
-        island, own = islands[part.start + ids], np.isin(ids, cells)
+        island = islands[part.start + ids]
+        own = np.isin(ids, cells)
         passable = own | (island > 0) | (level.solid.take(ids) == 0)
         is_goal = np.zeros(ids.shape, dtype=np.bool_)
         for over_objects in (False, True):
@@ -159,7 +164,8 @@ def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     """The flat ids of a named object's, door's or wall's cells, at least one."""
     if not isinstance(name, str):
         raise QueryError(f"expected the name of an object, got {name!r}")
-    found, known = list[Int](), set[str]()
+    found = list[Int]()
+    known = set[str]()
     for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
         cells, number, entries = UserData.of(level.user_data).shared()
         names = [{n for key in NAMES for n in names_in(entry, key)} for entry in entries]
@@ -176,7 +182,8 @@ def find_path(
 ) -> Path | None:
     """`PathFinder.find_path`."""
     check_word(by, BY, "by")
-    flat, rooms = search.flat, search.rooms
+    flat = search.flat
+    rooms = search.rooms
     p, origin = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
     goals = target.free_cells(flat)

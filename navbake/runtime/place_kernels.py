@@ -19,7 +19,9 @@ BLOCK = 512  # positions; what a block needs stays in the processor's first cach
 MAX_DROP = 0.5  # metres that a position may be above the floor of an agent that stands there
 # What is measured: on the map to a cell's centre; in space to the centre, on the floor; on the map
 # to the square, except of cells over or under which another level goes on at the point's height.
-TO_CENTER, IN_SPACE, TO_OBSTACLE = 0, 1, 2
+TO_CENTER = 0
+IN_SPACE = 1
+TO_OBSTACLE = 2
 
 
 @kernel
@@ -45,7 +47,8 @@ def locate(layout, floors, level, positions):
 def stand_on(layout, floors, free, max_drop, positions):
     """Mark the positions, shape (n, 3), that are at most `max_drop` above a free floor [m]."""
     answers = np.zeros(len(positions), dtype=np.bool_)
-    cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
+    cells = np.empty(BLOCK, dtype=np.int64)
+    z = np.empty(BLOCK)
     for begin in range(0, len(positions), BLOCK):
         end = min(begin + BLOCK, len(positions))
         _locate_block(layout, floors, positions[begin:end], cells, z)
@@ -60,29 +63,40 @@ def stand_on(layout, floors, free, max_drop, positions):
 def _locate_block(layout, floors, positions, cells, z):
     """Locate at most BLOCK positions: writes their cells and floors."""
     at = np.empty(BLOCK, dtype=np.int64)
-    on_ground, highest_ground = np.full(BLOCK, -1, dtype=np.int64), np.full(BLOCK, -np.inf)
-    floor, ground, slack = floors.z, floors.ground, floors.max_step
+    on_ground = np.full(BLOCK, -1, dtype=np.int64)
+    highest_ground = np.full(BLOCK, -np.inf)
+    floor = floors.z
+    ground = floors.ground
+    slack = floors.max_step
     count = len(positions)
-    cells[:count], z[:count] = -1, -np.inf
+    cells[:count] = -1
+    z[:count] = -np.inf
     for level in range(len(layout.width)):
         _locate_on(layout, level, positions, at)
         for i in range(count):  # few branches: where positions are can't be predicted
-            height, limit = floor[max(at[i], 0)], positions[i, 2] + slack
+            height = floor[max(at[i], 0)]
+            limit = positions[i, 2] + slack
             is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
             cells[i] = at[i] if is_nearer else cells[i]
             z[i] = height if is_nearer else z[i]
             if at[i] >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
-                on_ground[i], highest_ground[i] = at[i], ground[level]
+                on_ground[i] = at[i]
+                highest_ground[i] = ground[level]
     for i in range(count):
         if cells[i] < 0:
-            cells[i], z[i] = on_ground[i], highest_ground[i]
+            cells[i] = on_ground[i]
+            z[i] = highest_ground[i]
 
 
 @subkernel
 def _locate_on(layout, level, positions, cells):
     """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
-    first, rows, cols = layout.start[level], layout.height[level], layout.width[level]
-    x0, y1, size = layout.x_min[level], layout.y_max[level], layout.cell_size[level]
+    first = layout.start[level]
+    rows = layout.height[level]
+    cols = layout.width[level]
+    x0 = layout.x_min[level]
+    y1 = layout.y_max[level]
+    size = layout.cell_size[level]
     for i in range(len(positions)):
         col = np.floor((positions[i, 0] - x0) / size)
         row = np.floor((y1 - positions[i, 1]) / size)
@@ -97,16 +111,21 @@ def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
     All positions, shape (n, 3), are on a `level`; for -1, each on that of the floor below it.
     Returns world x, y, z [m], shape (n, 3), NaN for none; and flat ids, -1 for none.
     """
-    cells, found = locate(layout, floors, level, positions), np.full((len(positions), 3), np.nan)
+    cells = locate(layout, floors, level, positions)
+    found = np.full((len(positions), 3), np.nan)
     for i in range(len(positions)):
-        home, point = cells[i], (positions[i, 0], positions[i, 1], positions[i, 2])
+        home = cells[i]
+        point = (positions[i, 0], positions[i, 1], positions[i, 2])
         on = level_of(layout.start, home) if home >= 0 else level
         if home >= 0 and allowed[home]:
             z = floor_at(floors, on, home)
             if level >= 0 or point[2] - z <= MAX_DROP:
-                found[i, 0], found[i, 1], found[i, 2] = point[0], point[1], z
+                found[i, 0] = point[0]
+                found[i, 1] = point[1]
+                found[i, 2] = z
                 continue
-        best, nearest = farthest, np.int64(-1)
+        best = farthest
+        nearest = np.int64(-1)
         is_here = same_level and on >= 0
         for other in range(on, on + 1) if is_here else range(len(layout.width)):
             measure, ground = (TO_CENTER, 0.0) if is_here else (IN_SPACE, floors.ground[other])
@@ -114,7 +133,8 @@ def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
                 layout, allowed, floors.z, measure, ground, other, point, best
             )
             if cell >= 0 and (nearest < 0 or distance < best):
-                nearest, best = cell, distance
+                nearest = cell
+                best = distance
         cells[i] = nearest
         if nearest >= 0:
             found[i, 0], found[i, 1] = center(layout, nearest)
@@ -130,7 +150,8 @@ def find_obstacles(layout, floors, occupied, overlap, level, farthest, positions
     the obstacles', by flat id, -1 for none; and distances [m].
     """
     homes = locate(layout, floors, level, positions)
-    cells, distances = np.full(len(homes), -1, dtype=np.int64), np.empty(len(homes))
+    cells = np.full(len(homes), -1, dtype=np.int64)
+    distances = np.empty(len(homes))
     for i in range(len(homes)):
         if homes[i] >= 0:
             on = level_of(layout.start, homes[i])
@@ -149,21 +170,28 @@ def nearest_cell(layout, mask, floor, measure, height, level, point, farthest):
     point, and floors less than `height` apart are at one height; for IN_SPACE, cells without floor
     are taken to be at `height`.
     """
-    rows, cols, size = layout.height[level], layout.width[level], layout.cell_size[level]
+    rows = layout.height[level]
+    cols = layout.width[level]
+    size = layout.cell_size[level]
     u, v = in_cells(layout, level, point[0], point[1])
     # in rings round the level's cell that is nearest to the point
-    row0, col0 = int(min(max(v, 0.0), rows - 1.0)), int(min(max(u, 0.0), cols - 1.0))
+    row0 = int(min(max(v, 0.0), rows - 1.0))
+    col0 = int(min(max(u, 0.0), cols - 1.0))
     beside = max(0.0, -u, u - cols) ** 2 + max(0.0, -v, v - rows) ** 2
-    best, ring = (farthest * farthest, np.int64(-1)), 0
+    best = (farthest * farthest, np.int64(-1))
+    ring = 0
     last = max(row0, rows - 1 - row0, col0, cols - 1 - col0)
     # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
     # a whole cell nearer to the squares
     inside = 1.0 if measure == TO_OBSTACLE else 0.5
     while ring <= last and (max(0.0, ring - inside) ** 2 + beside) * size * size <= best[0]:
         for row in range(max(0, row0 - ring), min(rows - 1, row0 + ring) + 1):
-            left, right, stride = col0 - ring, col0 + ring, 2 * ring
+            left = col0 - ring
+            right = col0 + ring
+            stride = 2 * ring
             if abs(row - row0) == ring:  # the top or the bottom row of the ring: all of it
-                left, stride = max(0, left), 1
+                left = max(0, left)
+                stride = 1
             elif left < 0:
                 left = right
             span = (row, left, min(cols - 1, right), stride)
@@ -177,7 +205,9 @@ def _look(layout, mask, floor, measure, height, level, point, span, best):
     """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
     row, first, last, stride = span
     d2_best, found = best
-    size, x_min, y_max = layout.cell_size[level], layout.x_min[level], layout.y_max[level]
+    size = layout.cell_size[level]
+    x_min = layout.x_min[level]
+    y_max = layout.y_max[level]
     begin = layout.start[level] + row * layout.width[level]
     for col in range(first, last + 1, stride):
         cell = begin + col
@@ -186,7 +216,8 @@ def _look(layout, mask, floor, measure, height, level, point, span, best):
         dx = abs(x_min + (col + 0.5) * size - point[0])
         dy = abs(y_max - (row + 0.5) * size - point[1])
         if measure == TO_OBSTACLE:
-            dx, dy = max(0.0, dx - 0.5 * size), max(0.0, dy - 0.5 * size)
+            dx = max(0.0, dx - 0.5 * size)
+            dy = max(0.0, dy - 0.5 * size)
         d2 = dx * dx + dy * dy
         if measure == IN_SPACE:
             z = height if math.isnan(floor[cell]) else floor[cell]
@@ -196,7 +227,8 @@ def _look(layout, mask, floor, measure, height, level, point, span, best):
                 layout, mask, floor, height, level, cell, point[2]
             ):
                 continue
-            d2_best, found = d2, cell
+            d2_best = d2
+            found = cell
     return d2_best, found
 
 

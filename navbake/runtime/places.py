@@ -78,7 +78,8 @@ class PlaceQuestions:
 
     def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether both positions are on one island, so that paths lead from each to the other."""
-        one, other = (self.island_at(p, level=level) for p in (a, b))
+        one = self.island_at(a, level=level)
+        other = self.island_at(b, level=level)
         return one is not None and one == other
 
     def island_area(self, island: int) -> float:
@@ -92,14 +93,16 @@ class PlaceQuestions:
 
     def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether both positions are in one room."""
-        one, other = (self.room_at(p, level=level) for p in (a, b))
+        one = self.room_at(a, level=level)
+        other = self.room_at(b, level=level)
         return one is not None and one == other
 
     def room_near(
         self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
     ) -> str | None:
         """The id of the room nearest on the level, None if none is within `max_distance` [m]."""
-        flat, number = self.search.flat, self.rooms.number
+        flat = self.search.flat
+        number = self.rooms.number
         p, home = flat.locate(position, level)
         flat_grid.check_distance(max_distance)
         if home < 0:
@@ -222,7 +225,8 @@ class PlaceQuestions:
         the positions is outside the grid or occupied.
         """
         search = self.search
-        (p, one), (q, other) = (search.flat.locate(end, level) for end in (a, b))
+        p, one = search.flat.locate(a, level)
+        q, other = search.flat.locate(b, level)
         if one < 0 or other < 0:
             return False
         ends = np.array([other]), q[None]
@@ -243,7 +247,8 @@ class PlaceQuestions:
         (home,), (cell,), (distance,) = _find_obstacles(self._search, p, level, max_distance)
         if cell < 0:
             return None
-        half, center = flat.layout.cell_size[flat.level_of(home)] / 2, flat.positions(cell)[:2]
+        half = flat.layout.cell_size[flat.level_of(home)] / 2
+        center = flat.positions(cell)[:2]
         point = np.clip(p[:2], center - half, center + half)
         return Obstacle(float(distance), np.append(point, flat.positions(home)[2]))
 
@@ -270,7 +275,8 @@ class PlaceQuestions:
         if level is None:
             raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
         check_level(level, flat.num_levels)
-        cells, shape = flat.cells_of(level), self.grid.levels[level].shape
+        cells = flat.cells_of(level)
+        shape = self.grid.levels[level].shape
         has_floor = ~np.isnan(flat.floors.z[cells])
         kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
         if metres_per_pixel is not None:
@@ -311,7 +317,8 @@ def _snap_in_sight(
     search: Search, allowed: Bool, p: Float, level: int | None, same_level: bool, farthest: float
 ) -> Float | None:
     """`PathFinder.snap` in sight; searches growing radii, as lines cost more than distances."""
-    flat, home = search.flat, int(search.flat.cells_at(p, level))
+    flat = search.flat
+    home = int(search.flat.cells_at(p, level))
     place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=farthest)
     if home < 0 or cell < 0:
         return None
@@ -362,14 +369,16 @@ def cells_in_annulus(
 ) -> Int:
     """The allowed cells of a level with centres in an annulus round a point, ascending."""
     layout = flat.layout
-    size, shape = layout.cell_size[level], (layout.height[level], layout.width[level])
+    size = layout.cell_size[level]
+    shape = (layout.height[level], layout.width[level])
     at = (layout.y_max[level] - point[1], point[0] - layout.x_min[level])
     off = [
         (np.arange(count) + 0.5) * size - middle for count, middle in zip(shape, at, strict=True)
     ]
     rows, cols = (np.flatnonzero(np.abs(v) <= distances[1] + SLACK) for v in off)
     squared = (off[0][rows, None] ** 2) + off[1][cols] ** 2
-    low, high = max(distances[0] - SLACK, 0.0), distances[1] + SLACK
+    low = max(distances[0] - SLACK, 0.0)
+    high = distances[1] + SLACK
     near = (squared >= low**2) & (squared <= high**2)
     cells: Int = (layout.start[level] + rows[:, None] * shape[1] + cols)[near]
     return cells[allowed[cells]]

@@ -72,7 +72,8 @@ class Search:
         self.agent = find_agent(grid, agent)
         self.grid = grid = fit_grid(grid, self.agent)
         clean = grid.without_blocks()
-        self.cut_corners, self.version = cut_corners, 0
+        self.cut_corners = cut_corners
+        self.version = 0
         self.radius = grid.radius if radius is None else radius
         self.flat = flat = flat_grid.flatten(clean, self.agent, penalty)
         self._kept: dict[str, dict[Any, Any]] = {}
@@ -115,16 +116,20 @@ class Search:
         return self.keep("graphs", (by, backwards), make)
 
     def _make_graph(self, by: str, backwards: bool) -> Graph:
-        flat, weight, weights = self.flat, self.flat.weight, np.ones(1)
+        flat = self.flat
+        weight = self.flat.weight
+        weights = np.ones(1)
         if by == "time":
             weights = flat.pace
             if len(flat.pace) > 1:
-                weight, weights = np.where(flat.free, flat.pace, np.inf), flat.pace[flat.free]
+                weight = np.where(flat.free, flat.pace, np.inf)
+                weights = flat.pace[flat.free]
         elif by == "cost":
             weights = flat.weight[flat.free]
         least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
         links = flat.links(self.radius, by_time=by == "time", backwards=backwards)
-        size, longest = float(flat.layout.cell_size.min()), float(links.length.max(initial=0))
+        size = float(flat.layout.cell_size.min())
+        longest = float(links.length.max(initial=0))
         wide = flat.arcs.wide(self.radius)
         one, other = flat.positions(flat.arcs.ends[wide].T)
         covered = least * octile(one - other)
@@ -143,8 +148,10 @@ class Search:
                 continue
             whole = [(0, level.height, 0, level.width)]
             for row0, row1, col0, col1 in state.windows_since(self._seen[number]) or whole:
-                inside, first = np.s_[row0:row1, col0:col1], self.flat.cells_of(number).start
-                rows, cols = np.arange(row0, row1)[:, None], np.arange(col0, col1)
+                inside = np.s_[row0:row1, col0:col1]
+                first = self.flat.cells_of(number).start
+                rows = np.arange(row0, row1)[:, None]
+                cols = np.arange(col0, col1)
                 cells = first + rows * level.width + cols
                 weight = level.weights[inside].astype(np.float64)
                 self.flat.weight[cells] = self.flat.priced(weight, cells)
@@ -159,7 +166,8 @@ class Search:
             self.version += 1
 
     def _find_moves(self, level: int, window: Window) -> None:
-        flat, layout = self.flat, self.flat.layout
+        flat = self.flat
+        layout = self.flat.layout
         routes.find_moves(
             flat.free, self.free_diagonally, flat.floors, flat.slopes, self.cut_corners, layout,
             level, window, self._moves,
@@ -167,7 +175,8 @@ class Search:
 
     def keep(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
         """Return `make()`, cached per kind, key and grid version; keeps the `most` last used."""
-        kept, key = self._kept.setdefault(kind, {}), (self.version, key)
+        kept = self._kept.setdefault(kind, {})
+        key = (self.version, key)
         value: Kept = kept.pop(key) if key in kept else make()
         kept[key] = value  # most recently used last
         for old in list(kept)[:-most]:
@@ -214,7 +223,8 @@ class Search:
         allowed = self.flat.free
         if level is not None:
             check_level(level, self.flat.num_levels)
-            inside, allowed = self.flat.cells_of(level), np.zeros_like(allowed)
+            inside = self.flat.cells_of(level)
+            allowed = np.zeros_like(allowed)
             allowed[inside] = self.flat.free[inside]
         if room is not None:
             allowed = allowed & (self.rooms.number == self.rooms.find(room))
@@ -247,12 +257,14 @@ class Search:
         graph = self.graph_by(by)
         if len(self.flat.arcs.ends):
             # by how much links may make a way cheaper than the octile distance to the goals' box
-            flat, least = self.flat, graph.least_weight
+            flat = self.flat
+            least = graph.least_weight
             find = partial(flat.ways_by_links, self.radius, least, by_time=by == "time")
             stops, ways = self.keep("ways by links", by, find)
             if len(stops):
                 places = flat.positions(goals)[:, :2]
-                low, high = places.min(axis=0), places.max(axis=0)
+                low = places.min(axis=0)
+                high = places.max(axis=0)
                 direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
                 graph = graph._replace(lead=float((direct - (ways + direct).min(axis=1)).max()))
         cells = self._find(graph, np.array([origin]), goals)
@@ -269,7 +281,8 @@ class Search:
         `places` are its cells' levels, rows and columns. Links are named after the place in the
         route of the cell that they lead to.
         """
-        flat, graph = self.flat, self.graph
+        flat = self.flat
+        graph = self.graph
         is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not route.by_link.any()
         if by == "cost" and is_plain:
             return route.spent, route.spent / graph.same_weight * float(flat.pace[0]), []
@@ -280,7 +293,9 @@ class Search:
         pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
         if by == "cost" and not route.by_link.any():
             return route.spent, float((length * pace).sum()), []
-        cost, seconds, names = np.zeros_like(length), np.zeros_like(length), list[tuple[int, str]]()
+        cost = np.zeros_like(length)
+        seconds = np.zeros_like(length)
+        names = list[tuple[int, str]]()
         sources, targets = flat.step_ends()
         for k in np.flatnonzero(route.by_link).tolist():
             ends = route.cells[k - 1 : k + 1]
@@ -295,8 +310,11 @@ class Search:
             of_step = length[k] * (price.same_weight or price.weight[ends[1]])
             if not len(step) or spent[arc] < of_step:
                 names.append((k, self.grid.links[flat.arcs.link[arc]].name))
-                length[k], cost[k], seconds[k] = 0.0, flat.arcs.cost[arc], flat.arcs.seconds[arc]
-        cost, seconds = cost + length * flat.weight[route.cells], seconds + length * pace
+                length[k] = 0.0
+                cost[k] = flat.arcs.cost[arc]
+                seconds[k] = flat.arcs.seconds[arc]
+        cost = cost + length * flat.weight[route.cells]
+        seconds = seconds + length * pace
         return route.spent if by == "cost" else float(cost.sum()), float(seconds.sum()), names
 
     def field(self, goals: Int, *, by: str = "cost", backwards: bool = True) -> Float:
@@ -308,7 +326,8 @@ class Search:
 
     def onward(self, goals: Int) -> tuple[Float, Int]:
         """The `field` by cost, and the next cell of each route: itself at a goal, -1 for none."""
-        flat, links = self.flat, self.graph.links
+        flat = self.flat
+        links = self.graph.links
         cost, way = self._flood(goals, "cost", True)
         cells = np.arange(flat.num_cells)
         # the field grew from the goals: the next cell is the reversed move
@@ -324,7 +343,8 @@ class Search:
     def _flood(self, goals: Int, by: str, backwards: bool) -> tuple[Float, Int32]:
         """Search from goals; returns each cell's cost and the move that reached it."""
         self._find(self.graph_by(by, backwards=backwards), goals, NO_CELLS)
-        mark, cost = self._visits.mark, self._visits.cost
+        mark = self._visits.mark
+        cost = self._visits.cost
         return np.where(mark >= self._number * routes.SEARCH, cost, np.inf), mark & routes.WAY
 
     def _find(self, graph: Any, sources: Int, goals: Int) -> Int:

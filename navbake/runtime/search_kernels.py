@@ -38,16 +38,26 @@ from navbake.runtime.grid_arrays import (
 BESIDE = np.array([0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST])  # a corner
 SHARE = 0.5  # of the cheapest step that a bucket is wide: up to 1, few cells are expanded twice
 MAX_BUCKETS = 1 << 16
-SPARE, USED, OPEN = 0, 1, 2  # first entry to use again, entries ever used, entries in the queue
+# first entry to use again, entries ever used, entries in the queue
+SPARE = 0
+USED = 1
+OPEN = 2
 
 # The bits of a cell's `mark`:
 #   0 to 3   the way it was reached: a direction, START, LINK or NONE
 #   4        whether it is a goal
 #   5        whether it was expanded
 #   6 on     the number of the search that wrote it, so that nothing is cleared between searches
-WAY, GOAL, CLOSED, SEARCH = 15, 16, 32, 64
-START, LINK, NONE = 8, 9, 15
-DONE, NO_ROOM = 0, 1  # what comes of a search
+WAY = 15
+GOAL = 16
+CLOSED = 32
+SEARCH = 64
+START = 8
+LINK = 9
+NONE = 15
+# what comes of a search
+DONE = 0
+NO_ROOM = 1
 
 
 @kernel
@@ -59,18 +69,24 @@ def find_moves(free, diagonal, floors, slopes, cut, layout, level, window, moves
     steps over either of them, and clearance (`diagonal`, by cell) at both its ends, unless corners
     may be `cut`.
     """
-    floor, max_step = floors.z, floors.max_step
-    first, width, height = layout.start[level], layout.width[level], layout.height[level]
+    floor = floors.z
+    max_step = floors.max_step
+    first = layout.start[level]
+    width = layout.width[level]
+    height = layout.height[level]
     row0, row1, col0, col1 = window
     for row in range(max(row0, 0), min(row1, height)):
         for col in range(max(col0, 0), min(col1, width)):
             cell = first + row * width + col
             found = 0
             for way in range(8 if free[cell] else 0):
-                down, across = ROW_STEP[way] * width, COL_STEP[way]
+                down = ROW_STEP[way] * width
+                across = COL_STEP[way]
                 if not (0 <= row + ROW_STEP[way] < height and 0 <= col + across < width):
                     continue
-                one, other, target = cell + across, cell + down, cell + down + across
+                one = cell + across
+                other = cell + down
+                target = cell + down + across
                 is_steep = False
                 if way >= 4:
                     if not free[target]:
@@ -144,7 +160,8 @@ def _push(head, state, entry_cell, entry_next, bucket, cell):
     else:
         entry = state[USED]
         state[USED] += 1
-    entry_cell[entry], entry_next[entry] = cell, head[slot]
+    entry_cell[entry] = cell
+    entry_next[entry] = head[slot]
     head[slot] = entry
     state[OPEN] += 1
 
@@ -168,35 +185,56 @@ def find_route(graph, sources, goals, number, visits):
     Returns DONE, or NO_ROOM if there are too few entries for the open cells; and the route's flat
     ids from source to goal, none where there is no route.
     """
-    layout, route = graph.layout, np.empty(256, np.int64)
-    start, width, cell_size = layout.start, layout.width, layout.cell_size
+    layout = graph.layout
+    route = np.empty(256, np.int64)
+    start = layout.start
+    width = layout.width
+    cell_size = layout.cell_size
     link_cell, link_start, link_target, link_length, link_cost, is_end = graph.links
-    moves, weight = graph.moves, graph.weight
-    same_weight, least_weight, bucket = graph.same_weight, graph.least_weight, graph.bucket
+    moves = graph.moves
+    weight = graph.weight
+    same_weight = graph.same_weight
+    least_weight = graph.least_weight
+    bucket = graph.bucket
     mark, cost, link_from, entry_cell, entry_next = visits
-    head, state = np.full(graph.num_buckets, -1, np.int32), np.array([-1, 0, 0])
+    head = np.full(graph.num_buckets, -1, np.int32)
+    state = np.array([-1, 0, 0])
     last_slot = head.shape[0] - 1
-    per_bucket, slack = 1.0 / bucket, 1e-9 * bucket  # a smaller gain is rounding
-    mine, has_goals = number * SEARCH, goals.shape[0] > 0
-    best, reached = np.inf, np.int64(-1)
-    x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
+    # a smaller gain is rounding
+    per_bucket = 1.0 / bucket
+    slack = 1e-9 * bucket
+    mine = number * SEARCH
+    has_goals = goals.shape[0] > 0
+    best = np.inf
+    reached = np.int64(-1)
+    x0 = np.inf
+    x1 = -np.inf
+    y0 = np.inf
+    y1 = -np.inf
     for goal in goals:
-        mark[goal], cost[goal] = mine | GOAL | NONE, np.inf
+        mark[goal] = mine | GOAL | NONE
+        cost[goal] = np.inf
         x, y = center(layout, goal)
-        x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+        x0 = min(x0, x)
+        x1 = max(x1, x)
+        y0 = min(y0, y)
+        y1 = max(y1, y)
     # the box round the goals by level: first and last row, first and last column
     box = np.empty((width.shape[0], 4))
     for level in range(width.shape[0]):
         left, top = in_cells(layout, level, x0, y1)
         right, bottom = in_cells(layout, level, x1, y0)
-        box[level, 0], box[level, 1] = top - 0.5, bottom - 0.5
-        box[level, 2], box[level, 3] = left - 0.5, right - 0.5
+        box[level, 0] = top - 0.5
+        box[level, 1] = bottom - 0.5
+        box[level, 2] = left - 0.5
+        box[level, 3] = right - 0.5
     at = np.int64(0)
     for source in sources:
         if state[USED] == entry_cell.shape[0]:
             return NO_ROOM, route[:0]
         if mark[source] < mine:  # a source may be given twice
-            mark[source], cost[source] = mine | START, 0.0
+            mark[source] = mine | START
+            cost[source] = 0.0
             if has_goals:
                 level = level_of(start, source)
                 row, col = divmod(source - start[level], width[level])
@@ -204,7 +242,9 @@ def find_route(graph, sources, goals, number, visits):
                 at = np.int64(bound * per_bucket)
             _push(head, state, entry_cell, entry_next, at, source)
     level = 0
-    first, columns, size = start[0], width[0], cell_size[0]
+    first = start[0]
+    columns = width[0]
+    size = cell_size[0]
     while state[OPEN] > 0:
         entry = head[at & last_slot]
         if entry < 0:
@@ -215,32 +255,42 @@ def find_route(graph, sources, goals, number, visits):
                 break
             continue
         head[at & last_slot] = entry_next[entry]
-        entry_next[entry], state[SPARE] = state[SPARE], entry
+        entry_next[entry] = state[SPARE]
+        state[SPARE] = entry
         state[OPEN] -= 1
         cell = np.int64(entry_cell[entry])
         if mark[cell] & (CLOSED | GOAL):  # over a goal, no other is cheaper
             continue
         mark[cell] |= CLOSED
-        here, ways = cost[cell], moves[cell]
+        here = cost[cell]
+        ways = moves[cell]
         if cell < first or cell >= start[level + 1]:
             level = level_of(start, cell)
-            first, columns, size = start[level], width[level], cell_size[level]
+            first = start[level]
+            columns = width[level]
+            size = cell_size[level]
         slot = find_slot(link_cell, cell) if is_end.shape[0] > 0 and is_end[cell] else -1
         num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
         if state[USED] + 8 + num_links > entry_cell.shape[0]:
             return NO_ROOM, route[:0]
         row, col = divmod(cell - first, columns) if has_goals else (np.int64(0), np.int64(0))
         for way in range(8 + num_links):
-            r, c, on, extra = row, col, level, 0.0
+            r = row
+            c = col
+            on = level
+            extra = 0.0
             if way < 8:
                 if not (ways >> way) & 1:
                     continue
-                r, c = row + ROW_STEP[way], col + COL_STEP[way]
+                r = row + ROW_STEP[way]
+                c = col + COL_STEP[way]
                 target = cell + ROW_STEP[way] * columns + COL_STEP[way]
                 length = size if way < 4 else size * DIAGONAL
             else:
                 link = link_start[slot] + way - 8
-                target, length, extra = link_target[link], link_length[link], link_cost[link]
+                target = link_target[link]
+                length = link_length[link]
+                extra = link_cost[link]
                 if not math.isfinite(weight[target]):
                     continue
                 if has_goals:
@@ -263,14 +313,17 @@ def find_route(graph, sources, goals, number, visits):
             if way >= 8:
                 link_from[find_slot(link_cell, target)] = cell
             # without CLOSED: a cell that got cheaper is expanded again
-            mark[target], cost[target] = mine | goal | (way if way < 8 else LINK), there
+            mark[target] = mine | goal | (way if way < 8 else LINK)
+            cost[target] = there
             if goal and there < best:
-                best, reached = there, target
+                best = there
+                reached = target
             if has_goals:
                 total += _lower_bound(r, c, box[on], cell_size[on] * least_weight)
             bucket_at = max(np.int64(total * per_bucket), at)
             _push(head, state, entry_cell, entry_next, bucket_at, target)
-    count, cell = 0, reached
+    count = 0
+    cell = reached
     while cell >= 0:  # back along the ways that the cells were reached by
         if count == route.shape[0]:
             route = np.append(route, np.empty_like(route))

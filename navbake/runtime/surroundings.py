@@ -102,11 +102,13 @@ def block_by_others(
     # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
     has_solid = bool(level.navbake) and "solid" in level.attributes
     counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
-    least, most = (extreme.reduce(stack.floor, axis=None) for extreme in (np.fmin, np.fmax))
+    least = np.fmin.reduce(stack.floor, axis=None)
+    most = np.fmax.reduce(stack.floor, axis=None)
     if len(stack.floor) == 1 and not most - least > stack.step:
         return  # neither higher nor lower floors
     # the lowest and the highest floors in the tiles that offsets lead to from each tile
-    tile, ranges = kernels.TILE, []
+    tile = kernels.TILE
+    ranges = []
     window = 2 * -(-int(np.abs(offsets).max()) // tile) + 1
     pads = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
     floor = np.pad(stack.floor, pads, constant_values=np.nan)
@@ -150,17 +152,21 @@ def find_surroundings(
     grid: NavGrid, number: int, reach: int
 ) -> tuple[LevelStack, tuple[slice, slice]]:
     """The cells near an agent on a level, and the level's own rectangle among them."""
-    level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
-    placed, (x_min, y_max, size, *_) = dict[int, tuple[int, int]](), level.lattice
+    level = grid.levels[number]
+    agent = (step_limit(grid) * grid.unit, grid.agent_height)
+    placed = dict[int, tuple[int, int]]()
+    x_min, y_max, size, *_ = level.lattice
     for k, other in enumerate(part.lattice for part in grid.levels):
         # row and column of its cell (0, 0) in the level's lattice, whose cells must coincide
-        row, col = (y_max - other.y_max) / size, (other.x_min - x_min) / size
+        row = (y_max - other.y_max) / size
+        col = (other.x_min - x_min) / size
         growth = abs(other.cell_size / size - 1) * max(*level.shape, *other.shape)
         if max(abs(row - round(row)), abs(col - round(col)), growth) < ALIGNED:
             placed[k] = round(row), round(col)
     top = left = 0
     if len(grid.levels) == 1:
-        floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
+        floor = _floor(level)[None]
+        occupied = np.ascontiguousarray(level.solid)[None]
     else:
         ends = np.array([[*at, *np.add(at, grid.levels[k].shape)] for k, at in placed.items()])
         top, left = (max(-reach, int(least)) - 1 for least in ends[:, :2].min(axis=0))
@@ -183,7 +189,8 @@ def _find_slopes(
     grid: NavGrid, at: dict[int, tuple[int, int, int]], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
     """The `slopes` of LevelStack; `at` has each level's index, row and column in them."""
-    links, none = grid.step_array, np.zeros((0, 0, 0), dtype=np.uint8)
+    links = grid.step_array
+    none = np.zeros((0, 0, 0), dtype=np.uint8)
     links = links[np.isin(links[:, ::2], list(at)).all(axis=1)]
     if not len(links):
         return none
@@ -195,7 +202,8 @@ def _find_slopes(
     )
     size = np.array(floor.shape)[:, None]
     inside = ((one >= 0) & (one < size) & (other >= 0) & (other < size)).all(axis=0)
-    one, other = one[:, inside], other[:, inside]
+    one = one[:, inside]
+    other = other[:, inside]
     is_slope = np.abs(floor[tuple(one)] - floor[tuple(other)]) > step
     is_slope &= np.abs(other - one)[1:].sum(axis=0) == 1
     if not is_slope.any():
@@ -203,7 +211,8 @@ def _find_slopes(
     slopes = np.zeros(floor.shape, dtype=np.uint8)
     toward = np.zeros((3, 3), dtype=np.uint8)  # by step down and across, the middle is none
     toward[[1, 0, 1, 2], [2, 1, 0, 1]] = arrays.EAST, arrays.NORTH, arrays.WEST, arrays.SOUTH
-    one, other = one[:, is_slope], other[:, is_slope]
+    one = one[:, is_slope]
+    other = other[:, is_slope]
     for here, there in ((one, other), (other, one)):
         np.bitwise_or.at(slopes, tuple(here), toward[tuple((there - here)[1:] + 1)])
     return slopes
@@ -219,5 +228,6 @@ def _paste(canvas: NDArray, piece: NDArray, row: int, col: int) -> None:  # type
     """Copy a piece to a position on a canvas; only the overlap is copied."""
     height, width = canvas.shape
     inside = piece[max(-row, 0) : max(height - row, 0), max(-col, 0) : max(width - col, 0)]
-    row, col = max(row, 0), max(col, 0)
+    row = max(row, 0)
+    col = max(col, 0)
     canvas[row : row + inside.shape[0], col : col + inside.shape[1]] = inside

@@ -37,20 +37,26 @@ def step_each(layout, links, floors, passable, level, starts, ends, sliding):
     start whose cell is not passable, -1 for none.
     """
     no_rooms = np.empty(0, dtype=np.int32)
-    cells, found = locate(layout, floors, level, starts), np.empty((len(starts), 3))
+    cells = locate(layout, floors, level, starts)
+    found = np.empty((len(starts), 3))
     for i in range(len(starts)):
         cell = cells[i]
         if cell < 0 or not passable[cell]:
             return found, i
-        x0, y0, x1, y1 = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
+        x0 = starts[i, 0]
+        y0 = starts[i, 1]
+        x1 = ends[i, 0]
+        y1 = ends[i, 1]
         farthest = max(abs(x1 - x0), abs(y1 - y0))
         if farthest > FARTHEST:
-            x1, y1 = x0 + (x1 - x0) * (FARTHEST / farthest), y0 + (y1 - y0) * (FARTHEST / farthest)
+            x1 = x0 + (x1 - x0) * (FARTHEST / farthest)
+            y1 = y0 + (y1 - y0) * (FARTHEST / farthest)
         cell, share = walk_line(layout, links, floors, passable, no_rooms, cell, x0, y0, x1, y1)
         x, y = put_into(layout, cell, x0 + share * (x1 - x0), y0 + share * (y1 - y0))
         if share < 1.0 and sliding:
             cell, x, y = _slide(layout, links, floors, passable, cell, x, y, x1, y1)
-        found[i, 0], found[i, 1] = x, y
+        found[i, 0] = x
+        found[i, 1] = y
         found[i, 2] = floor_at(floors, level_of(layout.start, cell), cell)
     return found, -1
 
@@ -84,9 +90,12 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
     by cell, is not empty, the line may start in cells that are not passable, and continue in them
     as long as they are of the first one's room, until it leaves them.
     """
-    dx, dy = x1 - x0, y1 - y0
-    across, down = 1 if dx > 0 else -1, 1 if dy < 0 else -1
-    home, leaving = cell, len(room) > 0 and not passable[cell]
+    dx = x1 - x0
+    dy = y1 - y0
+    across = 1 if dx > 0 else -1
+    down = 1 if dy < 0 else -1
+    home = cell
+    leaving = len(room) > 0 and not passable[cell]
     share = 0.0
     while True:
         level = level_of(layout.start, cell)
@@ -134,7 +143,9 @@ def _cross(layout, links, passable, floors, cell, down, across):
         return np.int64(-1)
     size = layout.cell_size[level_of(layout.start, cell)]
     x, y = center(layout, cell)
-    x, y, near = x + across * size, y - down * size, 0.25 * size
+    x = x + across * size
+    y = y - down * size
+    near = 0.25 * size
     for i in range(links.start[slot], links.start[slot + 1]):
         other = links.target[i]
         if passable[other]:
@@ -167,28 +178,39 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
     limit = ROUNDING * left + 1.5 * size
     # the cells of each level within reach: first row and column, number of rows and of columns,
     # and the slot of the first one in the arrays of this search
-    reach, slots = np.int64(math.ceil(limit / size) + 1), 0
+    reach = np.int64(math.ceil(limit / size) + 1)
+    slots = 0
     window = np.zeros((5, len(layout.width)), dtype=np.int64)
     for level in range(len(layout.width)):
         u, v = in_cells(layout, level, x0, y0)
-        row, col = np.int64(math.floor(v)), np.int64(math.floor(u))
-        row0, col0 = max(row - reach, np.int64(0)), max(col - reach, np.int64(0))
+        row = np.int64(math.floor(v))
+        col = np.int64(math.floor(u))
+        row0 = max(row - reach, np.int64(0))
+        col0 = max(col - reach, np.int64(0))
         row1 = max(row0, min(layout.height[level], row + reach + 1))
         col1 = max(col0, min(layout.width[level], col + reach + 1))
-        window[0, level], window[1, level] = row0, col0
-        window[2, level], window[3, level] = row1 - row0, col1 - col0
+        window[0, level] = row0
+        window[1, level] = col0
+        window[2, level] = row1 - row0
+        window[3, level] = col1 - col0
         window[4, level] = slots
         slots += window[2, level] * window[3, level]
-    length, queued = np.full(slots, np.inf), np.zeros(slots, dtype=np.bool_)
+    length = np.full(slots, np.inf)
+    queued = np.zeros(slots, dtype=np.bool_)
     queue = np.empty(slots, dtype=np.int64)  # a circle; no cell is in it twice, so all fit
     at = _slot(layout, window, cell)
-    length[at], queue[0], queued[at] = 0.0, cell, True
-    steps, around = ((0, 1), (-1, 0), (0, -1), (1, 0)), np.empty(4, dtype=np.int64)
-    head, count = 0, 1
+    length[at] = 0.0
+    queue[0] = cell
+    queued[at] = True
+    steps = ((0, 1), (-1, 0), (0, -1), (1, 0))
+    around = np.empty(4, dtype=np.int64)
+    head = 0
+    count = 1
     best = (np.inf, cell, x0, y0)
     while count > 0:
         here = queue[head]
-        head, count = (head + 1) % len(queue), count - 1
+        head = (head + 1) % len(queue)
+        count = count - 1
         at = _slot(layout, window, here)
         queued[at] = False
         # the better of the best point so far and the nearest one in this cell
@@ -201,9 +223,11 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
             down, across = steps[way % 4]
             if way < 4:
                 other = _cross(layout, links, passable, floors, here, down, across)
-                around[way], there = other, length[at] + edge
+                around[way] = other
+                there = length[at] + edge
             else:
-                one, other = around[way - 4], around[(way - 3) % 4]
+                one = around[way - 4]
+                other = around[(way - 3) % 4]
                 if one < 0 or other < 0:
                     continue
                 dr, dc = steps[(way - 3) % 4]
@@ -217,7 +241,8 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
                 length[slot] = there
                 if not queued[slot]:
                     queue[(head + count) % len(queue)] = other
-                    queued[slot], count = True, count + 1
+                    queued[slot] = True
+                    count = count + 1
     return best[1], best[2], best[3]
 
 
@@ -226,7 +251,8 @@ def _slot(layout, window, cell):
     """Index of a cell in the windows of all levels, -1 outside."""
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
-    row, col = row - window[0, level], col - window[1, level]
+    row = row - window[0, level]
+    col = col - window[1, level]
     if not (0 <= row < window[2, level] and 0 <= col < window[3, level]):
         return np.int64(-1)
     return window[4, level] + row * window[3, level] + col

@@ -160,8 +160,10 @@ def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
             raise QueryError(f"{dtype} can't tell cells of {size:g} m apart {where}: use float64")
         x_edge = first_in_cell(x_min, size, width, dtype)
         y_edge = -first_in_cell(-y_max, size, height, dtype)  # the same formula, bit for bit
-        found["x_edge"][at][: width + 1], found["y_edge"][at][: height + 1] = x_edge, y_edge
-        found["num_rows"][at], found["num_cols"][at] = height, width
+        found["x_edge"][at][: width + 1] = x_edge
+        found["y_edge"][at][: height + 1] = y_edge
+        found["num_rows"][at] = height
+        found["num_cols"][at] = width
         sides = x_edge[0], x_edge[-1], y_edge[0], y_edge[-1]
         for name, value in zip(names, (x_min, y_max, 1 / size, *sides), strict=True):
             found[name][at] = value
@@ -174,7 +176,9 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
     ground = np.zeros((shape.scenes, shape.levels))
     num_islands = 0
     for number, search in enumerate(searches):
-        flat, levels, z = search.flat, search.grid.levels, search.flat.floors.z
+        flat = search.flat
+        levels = search.grid.levels
+        z = search.flat.floors.z
         ground[number, : len(levels)] = flat.floors.ground
         own = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
         stand = np.where(np.isnan(z), own, z)
@@ -246,7 +250,8 @@ def smallest_true(
     holds: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
     """The smallest number of a dtype at which each of monotone conditions holds, by bisection."""
-    false, true = low.astype(dtype), high.astype(dtype)
+    false = low.astype(dtype)
+    true = high.astype(dtype)
     while True:
         middle = false + (true - false) / 2
         is_open = (middle > false) & (middle < true)

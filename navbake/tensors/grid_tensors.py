@@ -102,8 +102,11 @@ def register_pytree(xp: Any) -> None:
 
 def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
     """Ids of the cells and levels of checked positions, 0 for none, and whether there is one."""
-    xp, first = t.xp, first_level(t, scene_id)
-    x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
+    xp = t.xp
+    first = first_level(t, scene_id)
+    x = positions[..., 0]
+    y = positions[..., 1]
+    z = positions[..., 2]
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # unknown scenes
     best = level = xp.zeros_like(x, dtype=t.index)
@@ -128,8 +131,12 @@ def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Ar
     `first` is the level's number among those of all scenes. Rounding finds the nearest edge, and an
     exact comparison the position's side of it.
     """
-    xp, shape = t.xp, t.shape
-    west, east, north, south = t.west[first], t.east[first], t.north[first], t.south[first]
+    xp = t.xp
+    shape = t.shape
+    west = t.west[first]
+    east = t.east[first]
+    north = t.north[first]
+    south = t.south[first]
     in_cols = (x >= west) & (x < east)  # False for NaN
     x = xp.where(in_cols, x, west)
     col = xp.astype(xp.round((x - t.x_first[first]) * t.scale[first]), t.index)
@@ -148,7 +155,8 @@ def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
     """Level among those of all scenes, row and column of cells."""
-    level, rest = cell // (t.shape.rows * t.shape.cols), cell % (t.shape.rows * t.shape.cols)
+    level = cell // (t.shape.rows * t.shape.cols)
+    rest = cell % (t.shape.rows * t.shape.cols)
     return level, rest // t.shape.cols, rest % t.shape.cols
 
 

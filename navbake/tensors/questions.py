@@ -99,7 +99,8 @@ def clearance(
         raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
     if mode == "nearest":
         return _value(t, t.clearance, t.xp.nan, positions, scene_id)
-    xp, shape = t.xp, t.shape
+    xp = t.xp
+    shape = t.shape
 
     def answer(p: Array, scenes: Array) -> Array:
         _, on, inside = locate(t, p, scenes)
@@ -109,7 +110,8 @@ def clearance(
         y = xp.where(inside, p[..., 1], t.y_first[level])
         across = (x - t.x_first[level]) * t.scale[level] - 0.5
         down = (t.y_first[level] - y) * t.scale[level] - 0.5
-        last_col, last_row = t.num_cols[level] - 1, t.num_rows[level] - 1
+        last_col = t.num_cols[level] - 1
+        last_row = t.num_rows[level] - 1
         col0 = bounded(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
         row0 = bounded(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
         col1 = xp.minimum(col0 + 1, last_col)
@@ -188,7 +190,9 @@ def patch(
     rows, cols = shape
     if rows < 1 or cols < 1 or not 0 < cell < math.inf:
         raise QueryError(f"expected rows, columns and a cell > 0, got {shape} and {cell!r}")
-    xp, device, cell = t.xp, device_of(t), float(cell)
+    xp = t.xp
+    device = device_of(t)
+    cell = float(cell)
     ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
     left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
     grid = xp.reshape(xp.stack(xp.meshgrid(ahead, left, indexing="ij"), axis=-1), (-1, 2))
@@ -201,13 +205,17 @@ def _turned(
 ) -> tuple[Array, Array]:
     """World positions of a pattern's points round agents, shape (..., k, 3), and their scenes."""
     xp = t.xp
-    p, turn, points = check_positions(t, positions), as_array(t, yaw), as_array(t, pattern)
+    p = check_positions(t, positions)
+    turn = as_array(t, yaw)
+    points = as_array(t, pattern)
     if points.ndim != 2 or points.shape[-1] != 2:
         raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(points.shape)}")
-    shape, given = tuple(p.shape[:-1]), tuple(turn.shape)
+    shape = tuple(p.shape[:-1])
+    given = tuple(turn.shape)
     if given != shape:
         raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {given}")
-    cos, sin = xp.cos(turn)[..., None], xp.sin(turn)[..., None]
+    cos = xp.cos(turn)[..., None]
+    sin = xp.sin(turn)[..., None]
     x = p[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
     y = p[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
     world = xp.stack([x, y, xp.broadcast_to(p[..., 2, None], x.shape)], axis=-1)
@@ -238,7 +246,8 @@ def distances(
 
     `goals` are their numbers, shape (m,); all goals of the tensors in their order unless given.
     """
-    count, num_cells = _num_goals(t), int(t.floor.shape[0])
+    count = _num_goals(t)
+    num_cells = int(t.floor.shape[0])
     given = list(range(count)) if goals is None else goals
     numbers = check_numbers(t, given, "goal", count, (len(given),))
 
@@ -280,7 +289,9 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
 def _ask_goal(
     t: GridTensors, answer: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
 ) -> Array:
-    xp, p, num_cells = t.xp, check_positions(t, positions), int(t.floor.shape[0])
+    xp = t.xp
+    p = check_positions(t, positions)
+    num_cells = int(t.floor.shape[0])
     shape = p.shape[:-1]
     if isinstance(goal, int | np.integer):
         first = check_number(goal, "goal", _num_goals(t)) * num_cells
@@ -332,7 +343,8 @@ def sample(
     first = xp.where(is_known, numbers[..., 0], 0.0)
     if reachable_from is None:
         group = xp.zeros_like(first, dtype=t.index) if scenes is None else scenes
-        cells, keys = t.by_room, t.room_key
+        cells = t.by_room
+        keys = t.room_key
         is_known = is_known & (group >= 0)
     else:
         start = as_array(t, reachable_from)
@@ -340,14 +352,17 @@ def sample(
             start = broadcast(t, start, (*shape, 3), "reachable_from")
         home = broadcast(t, island(t, start, scenes), shape, "reachable_from")
         group = xp.astype(home, t.index)
-        cells, keys = t.by_island, t.island_key
+        cells = t.by_island
+        keys = t.island_key
         is_known = is_known & (group > 0)
     if cells.shape[0] == 0:
         return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
-    low, high = group * base, (group + 1) * base
+    low = group * base
+    high = (group + 1) * base
     if room is not None:
         number = check_numbers(t, room, "room", base, shape)
-        is_known, low = is_known & (number >= 0), group * base + number
+        is_known = is_known & (number >= 0)
+        low = group * base + number
         high = low + 1
 
     def find(keys: Array, wanted: Array) -> Array:
@@ -356,8 +371,10 @@ def sample(
         found = xp.searchsorted(keys, flat, side="left")
         return xp.reshape(xp.astype(found, t.index), wanted.shape)
 
-    begin, end = find(keys, low), find(keys, high)
-    count, before = end - begin, None
+    begin = find(keys, low)
+    end = find(keys, high)
+    count = end - begin
+    before = None
     if min_clearance is not None:
         if getattr(min_clearance, "ndim", 0) != 0:
             raise QueryError("expected one number as min_clearance [m], got an array of them")
@@ -372,10 +389,12 @@ def sample(
     level, row, col = split(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
-    column, line = level * (t.shape.cols + 1) + col, level * (t.shape.rows + 1) + row
-    west, east, north, south = (
-        t.x_edge[column], t.x_edge[column + 1], t.y_edge[line], t.y_edge[line + 1]
-    )  # fmt: skip
+    column = level * (t.shape.cols + 1) + col
+    line = level * (t.shape.rows + 1) + row
+    west = t.x_edge[column]
+    east = t.x_edge[column + 1]
+    north = t.y_edge[line]
+    south = t.y_edge[line + 1]
     across, down = (0.5, 0.5) if numbers.shape[-1] == 1 else (numbers[..., 1], numbers[..., 2])
     # the eastern and the southern edge belong to the next cells
     x = xp.minimum(west + across * (east - west), xp.nextafter(east, xp.full_like(east, -xp.inf)))

@@ -32,7 +32,9 @@ MOST_PLACES = 20_000  # of one search
 # its outline has walls, and where clearly less than a quarter of it drops, as a top's would. A
 # ground may be over a cellar or a pipe, up to the same share
 CLEARLY_LARGE = 1.25
-WALLED, DROPS, COVERS = 0.5, 0.2, 0.2
+WALLED = 0.5
+DROPS = 0.2
+COVERS = 0.2
 MIN_WALL = 1.5  # parapets are lower than walls [m]
 REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
 
@@ -60,7 +62,8 @@ class FloorCheck:
     def __init__(
         self, grid: GridBase, probes: Probes, body: AgentSizes, config: BakeConfig | None
     ) -> None:
-        self._body, self._probes = body, probes
+        self._body = body
+        self._probes = probes
         self._settings = FloorSettings() if config is None else config.floors
         self._lattice = grid.levels[0].lattice
         shifts = [shift_between(self._lattice, level.lattice) for level in grid.levels]
@@ -69,8 +72,10 @@ class FloorCheck:
         self._are_asked = not leaves_out or all(np.isnan(floor).all() for floor, *_ in self._levels)
         self._stride = max(1, round(STRIDE / self._lattice.cell_size))
         self._edge = self._stride * self._lattice.cell_size
-        self._seen, self._lost = set[Node](), set[Node]()
-        self.num_left, self.area_left = 0, 0.0
+        self._seen = set[Node]()
+        self._lost = set[Node]()
+        self.num_left = 0
+        self.area_left = 0.0
         self._line_at = lru_cache(200_000)(lambda row, col: probes.line(*self._center(row, col)))
         self._standable_at = lru_cache(200_000)(
             lambda row, col: self._line_at(row, col).standable(body.height, body.min_up)
@@ -82,13 +87,15 @@ class FloorCheck:
         A floor may lie inside of a solid, as under things lower than a step, which block nothing.
         Columns whose floor is off, or beside the centre, aren't searched.
         """
-        findings, shift = list[Finding](), shift_between(sample.level.lattice, self._lattice)
+        findings = list[Finding]()
+        shift = shift_between(sample.level.lattice, self._lattice)
         unknown: list[tuple[int, int, float]] = []  # places that no level has
         # floors over holes of a scan are no surfaces
         unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
         for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
             x, y, z = place = sample.place(k)
-            line, off = self._probes.line(x, y), rounding(x, y, z)
+            line = self._probes.line(x, y)
+            off = rounding(x, y, z)
             standable = line.standable(self._body.height, self._body.min_up)
             # at the edge of a crack, floors that slope have any height
             is_gap = all(abs(s.z - z) > self._body.step for s in standable)
@@ -96,7 +103,8 @@ class FloorCheck:
             counts.floors += not has_none
             has_none |= bool(unseen[sample.rows[k], sample.cols[k]])
             if has_none or line.faces_up(z - off, z + off):
-                row, col = int(sample.rows[k]) + shift[0], int(sample.cols[k]) + shift[1]
+                row = int(sample.rows[k]) + shift[0]
+                col = int(sample.cols[k]) + shift[1]
                 for s in standable:
                     if not self._is_known(row, col, s.z):
                         unknown.append((row, col, s.z))
@@ -133,7 +141,8 @@ class FloorCheck:
         )
         is_step = is_step and self._is_sure(*place)
         if not is_step:
-            row, col = (v - v % self._stride for v in (row, col))
+            row = row - row % self._stride
+            col = col - col % self._stride
         start = self._near(row, col, place[2])
         if start is None:
             return []
@@ -156,7 +165,8 @@ class FloorCheck:
         around = [*product(span, span)]
         num_inner = sum(all((r + i, c + j) in places for i, j in around) for r, c in places)
         over = {(r, c) for r, c, n in own if any((r, c, below) not in own for below in range(n))}
-        area, walls = len(places) * self._edge**2, ends.count(None)
+        area = len(places) * self._edge**2
+        walls = ends.count(None)
         # what drops to the sheet itself, as beside its own stairs, makes it no top
         drops = sum(end is not None and end[2] >= 0 and end not in own for end in ends)
         is_floor = num_inner * self._edge**2 >= CLEARLY_LARGE * self._settings.min_area
@@ -168,7 +178,8 @@ class FloorCheck:
         elif is_floor and len(over) <= COVERS * len(places):
             how = "there is nothing to stand on under it"
         else:
-            self.num_left, self.area_left = self.num_left + 1, self.area_left + area
+            self.num_left = self.num_left + 1
+            self.area_left = self.area_left + area
             return []
         self._lost |= own
         geom = self._probes.obstacles.name(first.number)
@@ -182,13 +193,17 @@ class FloorCheck:
         Returns the places that no level has; whether the search reached as much of the grid's
         floors as makes steps that lead there; and how the outline ends at each edge, see `_end_at`.
         """
-        own, known, queue = {start}, set[Node](), deque([start])
-        ends, is_reached = list[Node | None](), False
+        own = {start}
+        known = set[Node]()
+        queue = deque([start])
+        ends = list[Node | None]()
+        is_reached = False
         while queue and len(own) < MOST_PLACES and not is_reached:
             row, col, number = here = queue.popleft()
             z = self._standable_at(row, col)[number].z
             for dr, dc in SIDES:
-                r, c = row + dr * self._stride, col + dc * self._stride
+                r = row + dr * self._stride
+                c = col + dc * self._stride
                 # of what lies beside the grid, no floors are known
                 beside = self._near(r, c, z) if self._levels_at(r, c) else None
                 if beside is None:
@@ -219,9 +234,11 @@ class FloorCheck:
 
     def _end_at(self, row: int, col: int, dr: int, dc: int, z: float) -> Node | None:
         """The place that a sheet drops to, of number -1 if there is none; None at a wall."""
-        low, high = z + self._body.step, z + max(self._body.height, MIN_WALL)
+        low = z + self._body.step
+        high = z + max(self._body.height, MIN_WALL)
         for _ in range(self._stride):
-            row, col = row + dr, col + dc
+            row = row + dr
+            col = col + dc
             if any(begin < low and end > high for begin, end in self._line_at(row, col).solid):
                 return None
         return row, col, sum(s.z < z for s in self._standable_at(row, col)) - 1
@@ -240,7 +257,8 @@ class FloorCheck:
         """The floor [m], NaN for none, and whether it is free, of each level that has a cell."""
         found = []
         for floor, free, (down, right) in self._levels:
-            r, c = row + down, col + right
+            r = row + down
+            c = col + right
             if 0 <= r < len(floor) and 0 <= c < floor.shape[1]:
                 found.append((float(floor[r, c]), bool(free[r, c])))
         return found
@@ -272,8 +290,11 @@ class OccupancyCheck:
     def __init__(
         self, probes: Probes, body: AgentSizes, tolerance: float, reach: float = 0.0
     ) -> None:
-        self._probes, self._body = probes, body
-        self._obstacles, self._tolerance, self._reach = probes.obstacles, tolerance, reach
+        self._probes = probes
+        self._body = body
+        self._obstacles = probes.obstacles
+        self._tolerance = tolerance
+        self._reach = reach
         self._found: Counter[str] = Counter()
         self.num_groundless = 0
 
@@ -288,7 +309,8 @@ class OccupancyCheck:
         text = "is free, though it has no floor"
         bare = np.flatnonzero(sample.free & ~asked).tolist()
         findings = [sample.finding(report.NO_FLOOR, cell, text) for cell in bare]
-        is_apart, step = asked & (by < 0), self._body.step + self._tolerance
+        is_apart = asked & (by < 0)
+        step = self._body.step + self._tolerance
         text = f"is free, but no floor is within {self._body.step:g} m of its level's ground"
         for cell in np.flatnonzero(is_apart & (not sample.states_floors)).tolist():
             # a floor is a surface that faces up, also beside a crack or a rim
@@ -301,7 +323,8 @@ class OccupancyCheck:
         counts.free_touches += int((by >= 0).sum())
         counts.free_free += int((is_apart & ~disputed).sum())
         for cell in np.flatnonzero(by >= 0).tolist():
-            number, depth = int(by[cell]), None
+            number = int(by[cell])
+            depth = None
             name = self._obstacles.name(number)
             text = f"is free, but {name!r} reaches into it"
             if within[cell] >= 0:
@@ -323,7 +346,9 @@ class OccupancyCheck:
         apart &= self._inside(sample, apart, volume[0]) < 0
         for cell in np.flatnonzero(apart & (not sample.states_floors)).tolist():
             # where the scene has no place to stand within a step of the ground, it may be blocked
-            line, body, z = self._probes.line(*sample.xy[cell]), self._body, sample.floor[cell]
+            line = self._probes.line(*sample.xy[cell])
+            body = self._body
+            z = sample.floor[cell]
             places = line.standable(body.height, body.min_up)
             apart[cell] = any(abs(s.z - z) <= body.step for s in places)
             self.num_groundless += not apart[cell]
@@ -331,13 +356,16 @@ class OccupancyCheck:
         for _, cell, leaves, enters in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
             unclear[cell] |= (leaves + enters) % 2 == 1
         apart &= ~unclear
-        num_unclear, num_apart = int(unclear.sum()), int(apart.sum())
+        num_unclear = int(unclear.sum())
+        num_apart = int(apart.sum())
         counts.disputed += num_unclear
         counts.blocked_apart += num_apart
         counts.blocked_blocked += int((~sample.free).sum()) - num_unclear - num_apart
         findings = []
         for cell in np.flatnonzero(apart).tolist():
-            name, gap, text = None, None, "is blocked, but touches nothing"
+            name = None
+            gap = None
+            text = "is blocked, but touches nothing"
             if self._reach > 0 and not sample.occupied[cell]:
                 text = f"is blocked for {self._reach:g} m, but nothing within that radius is "
                 text += "in the way"
@@ -364,7 +392,8 @@ class OccupancyCheck:
 
         Returns the obstacle, -1 for none, the part of the volume, and where libraries disagree.
         """
-        by, which = np.full(len(asked), -1), np.zeros(len(asked), np.int64)
+        by = np.full(len(asked), -1)
+        which = np.zeros(len(asked), np.int64)
         disputed = np.zeros_like(asked)
         for k, part in enumerate(volume):
             asked_here = asked & (part.high > part.low)
@@ -374,12 +403,14 @@ class OccupancyCheck:
                     answer = self._probes.touches(number, *part.put_over(sample, cell), margin)
                     disputed[cell] |= answer == DISPUTED
                     if answer == TOUCHES:
-                        by[cell], which[cell] = number, k
+                        by[cell] = number
+                        which[cell] = k
         return by, which, disputed
 
     def _inside(self, sample: LevelSample, asked: Bool, part: Part) -> Int:
         """The enclosing obstacle that the middle of a cell's volume lies in, -1 for none."""
-        found, depth = np.full(len(asked), -1), np.zeros(len(asked), dtype=np.int64)
+        found = np.full(len(asked), -1)
+        depth = np.zeros(len(asked), dtype=np.int64)
         for number, cell, leaves, enters in self._crossings(sample, asked, part, ENCLOSING):
             depth[cell] += leaves - enters  # less than 0 in a cavity
             if leaves > enters:
@@ -403,12 +434,15 @@ def _near(
     sample: LevelSample, asked: Bool, item: PlacedPiece, part: Part, beyond: float = 0.0
 ) -> Int:
     """The asked cells over which a part, larger by `beyond` [m], meets an obstacle's box."""
-    lattice, reach = sample.level.lattice, part.half + beyond
+    lattice = sample.level.lattice
+    reach = part.half + beyond
     # rows ascend in a sample; those that may meet it
     ends = lattice.y_max - np.array([item.high[1] + reach, item.low[1] - reach])
     first, last = np.clip(ends / lattice.cell_size, 0, lattice.height).astype(np.int64)
     own = slice(*np.searchsorted(sample.rows, [first - 1, last + 1]))
-    (x, y), low, high = sample.xy[own].T, part.low[own] - beyond, part.high[own] + beyond
+    x, y = sample.xy[own].T
+    low = part.low[own] - beyond
+    high = part.high[own] + beyond
     kept = asked[own] & (low < item.high[2]) & (high > item.low[2])
     kept &= (x + reach > item.low[0]) & (x - reach < item.high[0])
     kept &= (y + reach > item.low[1]) & (y - reach < item.high[1])

@@ -29,8 +29,13 @@ trimesh = lazy("trimesh")
 GEOM = mujoco.mjtGeom
 # What an obstacle is: convex solid or hull, endless plane, or height field; or a part of a mesh: a
 # sheet that encloses nothing, a closed part that faces out or in, or one that may enclose something
-CONVEX, HALF_SPACE, HEIGHT_FIELD = "convex", "half-space", "height field"
-SHEET, SOLID, CAVITY, UNCLEAR = "sheet", "solid", "cavity", "unclear"
+CONVEX = "convex"
+HALF_SPACE = "half-space"
+HEIGHT_FIELD = "height field"
+SHEET = "sheet"
+SOLID = "solid"
+CAVITY = "cavity"
+UNCLEAR = "unclear"
 ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # their surface alone doesn't show what is inside
 MOST_OPEN = 0.05  # share of open edges up to which a part may be a closed one with a flaw
 THINNEST = 1e-6  # volume by area of what is a sheet with two sides [m]
@@ -89,7 +94,8 @@ class Obstacles:
     """
 
     def __init__(self, scene: Scene, data: Any, left_out: Collection[int] = ()) -> None:
-        self._scene, self._spec = scene, mujoco.MjSpec()
+        self._scene = scene
+        self._spec = mujoco.MjSpec()
         self.items: list[PlacedPiece] = []
         self._heights: list[Float] = []  # of height fields
         self._meshes: dict[tuple[int, str], list[_Piece]] = {}
@@ -98,9 +104,11 @@ class Obstacles:
         for geom, choice in enumerate(scene.choices):
             if not choice.counted or geom in left_out:
                 continue
-            mat, pos = data.geom_xmat[geom].reshape(3, 3).copy(), data.geom_xpos[geom]
+            mat = data.geom_xmat[geom].reshape(3, 3).copy()
+            pos = data.geom_xpos[geom]
             if geom in scene.parts:  # in the world's frame
-                mat, pos = np.eye(3), np.zeros(3)
+                mat = np.eye(3)
+                pos = np.zeros(3)
             for piece in self._pieces_of(geom, choice.mesh):
                 self._put(geom, piece, mat, pos)
         self.names = [report.name for report in scene.geoms]
@@ -109,7 +117,8 @@ class Obstacles:
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
-        count, self.facing = len(self.items) + 2, dict[int, list[int]]()
+        count = len(self.items) + 2
+        self.facing = dict[int, list[int]]()
         for number, halves in self._facing.items():
             self.facing[number] = list(range(count, count + len(halves)))
             count += len(halves)
@@ -126,7 +135,9 @@ class Obstacles:
         self.data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
         # MuJoCo makes these arrays anew whenever they are asked for
-        self.size, self.pos, self.mat = model.geom_size, self.data.geom_xpos, self.data.geom_xmat
+        self.size = model.geom_size
+        self.pos = self.data.geom_xpos
+        self.mat = self.data.geom_xmat
 
     def name(self, number: int) -> str:
         """The name of the geom that an obstacle belongs to."""
@@ -143,7 +154,8 @@ class Obstacles:
         item = self.items[number]
         if item.points is not None:
             return float((item.points @ way).max())
-        pos, mat = self.pos[number], self.mat[number].reshape(3, 3)
+        pos = self.pos[number]
+        mat = self.mat[number].reshape(3, 3)
         if item.kind == HALF_SPACE:
             return float(pos @ way) if way @ mat[:, 2] > 1 - 1e-12 else np.inf
         kind = int(self.model.geom_type[number])
@@ -151,8 +163,10 @@ class Obstacles:
 
     def _pieces_of(self, geom: int, mode: str) -> list[_Piece]:
         """What a geom of the scene is made of; a mesh may have several parts."""
-        model, part = self._scene.model, self._scene.parts.get(geom)
-        kind, size = int(model.geom_type[geom]), model.geom_size[geom].copy()
+        model = self._scene.model
+        part = self._scene.parts.get(geom)
+        kind = int(model.geom_type[geom])
+        size = model.geom_size[geom].copy()
         if part is not None:
             return self._mesh(part.vertices, part.faces.astype(np.int64), part.vertices, mode)
         if kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_SDF):
@@ -181,22 +195,27 @@ class Obstacles:
         self._spec.worldbody.add_geom(**place, **piece.geom)
         points = None if piece.points is None else piece.points @ mat.T + pos
         if points is not None:
-            low, high = points.min(axis=0), points.max(axis=0)
+            low = points.min(axis=0)
+            high = points.max(axis=0)
         elif piece.kind == HALF_SPACE:
-            low, high = np.full(3, -np.inf), np.full(3, np.inf)
+            low = np.full(3, -np.inf)
+            high = np.full(3, np.inf)
             if mat[2, 2] > 1 - 1e-12:  # nothing over a level one needs to be asked about
                 high[2] = pos[2]
         else:
-            reach, size = SOLIDS[piece.geom["type"]][1], piece.geom["size"]
+            reach = SOLIDS[piece.geom["type"]][1]
+            size = piece.geom["size"]
             half = np.array([reach(size, axis) for axis in mat])
-            low, high = pos - half, pos + half
+            low = pos - half
+            high = pos + half
         if piece.triangles is not None and piece.points is not None:
             # meshes of what faces up of it, and of what faces down
             key = id(piece.shape), mat[2].tobytes()
             if key not in self._halves:
                 a, b, c = (piece.points[piece.triangles[:, k]] for k in range(3))
                 normal = np.cross(b - a, c - a)
-                rise, least = normal @ mat[2], UPRIGHT * np.linalg.norm(normal, axis=1)
+                rise = normal @ mat[2]
+                least = UPRIGHT * np.linalg.norm(normal, axis=1)
                 halves = [piece.triangles[rise > least], piece.triangles[rise < -least]]
                 meshes = [_used(piece.points, half) for half in halves if len(half)]
                 self._halves[key] = [self._name_mesh(*mesh) for mesh in meshes]
@@ -210,7 +229,8 @@ class Obstacles:
         if mode == "hull":
             with suppress(QhullError, ValueError):  # a flat one has none
                 hull = trimesh.convex.convex_hull(on_hull)
-                points, triangles = np.array(hull.vertices), np.array(hull.faces, dtype=np.int64)
+                points = np.array(hull.vertices)
+                triangles = np.array(hull.faces, dtype=np.int64)
                 counted = np.insert(triangles, 0, 3, axis=1).ravel()
                 name = self._name_mesh(points, triangles)
                 geom = {"type": GEOM.mjGEOM_MESH, "meshname": name}
@@ -225,25 +245,31 @@ class Obstacles:
 
     def _height_field(self, number: int) -> _Piece:
         model = self._scene.model
-        rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-        first, size = int(model.hfield_adr[number]), model.hfield_size[number]
+        rows = int(model.hfield_nrow[number])
+        cols = int(model.hfield_ncol[number])
+        first = int(model.hfield_adr[number])
+        size = model.hfield_size[number]
         heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols).copy()
         name = f"field {len(self._heights)}"
         self._heights.append(heights)
         self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
         geom: Json = {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
         # its closed surface; squares are halved as MuJoCo's documentation says
-        x, y = np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows)
+        x = np.linspace(-size[0], size[0], cols)
+        y = np.linspace(-size[1], size[1], rows)
         x, y = np.meshgrid(x, y)
-        top, bottom = heights.astype(np.float64) * size[2], np.full_like(x, -size[3])
+        top = heights.astype(np.float64) * size[2]
+        bottom = np.full_like(x, -size[3])
         points = np.concatenate([np.stack([x, y, z], axis=-1) for z in (top, bottom)])
         points = points.reshape(-1, 3)
-        index, under = np.arange(rows * cols).reshape(rows, cols), rows * cols
+        index = np.arange(rows * cols).reshape(rows, cols)
+        under = rows * cols
         squares = np.stack(
             [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1
         ).reshape(-1, 4)
         rim = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
-        p, q = rim[:-1], rim[1:]
+        p = rim[:-1]
+        q = rim[1:]
         sides = np.stack([p + under, q + under, q, p], axis=-1)
         quads = np.concatenate([squares, squares[:, ::-1] + under, sides])
         surface = _surface(points, trimesh.geometry.triangulate_quads(quads))
@@ -255,7 +281,8 @@ class Obstacles:
             points = np.concatenate([points, points.mean(axis=0, keepdims=True)])
         name = f"mesh {len(self._spec.meshes)}"
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        points, triangles = points.ravel(), triangles.ravel()
+        points = points.ravel()
+        triangles = triangles.ravel()
         self._spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=shell)
         return name
 
@@ -299,7 +326,9 @@ def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
 def _mesh_arrays(model: Any, number: int) -> tuple[Float, Int, Float]:
     """Vertices and faces of a mesh, and the vertices of MuJoCo's hull of it, geom's frame."""
     mesh = model.mesh(number)
-    vert, face, address = int(mesh.vertadr[0]), int(mesh.faceadr[0]), int(mesh.graphadr[0])
+    vert = int(mesh.vertadr[0])
+    face = int(mesh.faceadr[0])
+    address = int(mesh.graphadr[0])
     vertices = model.mesh_vert[vert : vert + int(mesh.vertnum[0])].astype(np.float64)
     faces = model.mesh_face[face : face + int(mesh.facenum[0])].astype(np.int64)
     if address < 0:
@@ -319,10 +348,12 @@ def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
     _, point = np.unique(vertices, axis=0, return_inverse=True)
     corner = point.reshape(-1)[faces]
     whole = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
-    faces, corner = faces[whole], corner[whole]
+    faces = faces[whole]
+    corner = corner[whole]
     if not len(faces):
         return []
-    first, second = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    first = corner.ravel()
+    second = np.roll(corner, -1, axis=1).ravel()
     ends = np.sort(np.stack([first, second], axis=1), axis=1)
     _, edge, met = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     edge = edge.reshape(-1)
@@ -340,7 +371,8 @@ def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
         way = np.where(turned[face], -way, way)
     surplus = np.bincount(edge, way)
     is_turned = np.bincount(of_edge, surplus != 0, count) > 0
-    open_edges, all_edges = np.bincount(of_edge, met % 2, count), np.bincount(of_edge)
+    open_edges = np.bincount(of_edge, met % 2, count)
+    all_edges = np.bincount(of_edge)
     # volume as seen from the first corner of each part [m³], and area [m²]
     origin = vertices[faces[np.unique(part, return_index=True)[1], 0]][part]
     a, b, c = (vertices[faces[:, k]] - origin for k in range(3))

@@ -19,7 +19,8 @@ from navbake.types import Float, Vector3
 from navbake.verifier.obstacles import CAVITY, CONVEX, HALF_SPACE, HEIGHT_FIELD, SOLID, Obstacles
 
 GEOM = mujoco.mjtGeom
-UP, DOWN = 1, -1
+UP = 1
+DOWN = -1
 WAY = {UP: np.array([0.0, 0.0, 1.0]), DOWN: np.array([0.0, 0.0, -1.0])}
 NEXT = 1e-6  # how far behind one hit of a mesh the next one is looked for [m]
 MOST_HITS = 200
@@ -31,7 +32,10 @@ SPACING = 1 / 3  # of reach: no place within it is farther than this from a line
 AROUND = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
 BEYOND = 1.0  # how far from all geometry a line begins [m]
 
-APART, TOUCHES, DISPUTED = 0, 1, 2  # a dispute counts as a touch where margins are measured
+# a dispute counts as a touch where margins are measured
+APART = 0
+TOUCHES = 1
+DISPUTED = 2
 SEPARATED = 1e-7  # least width of a gap that a plane proves [m]
 REACH = 1.0  # how far from a column the nearest obstacle is looked for [m]
 HALVINGS = 14  # of an interval of at most `REACH`: to a tenth of a millimetre
@@ -85,7 +89,8 @@ class Column(NamedTuple):
 def _make(column: Column) -> tuple[Any, Float]:
     """A column as FCL's object, and its frame."""
     x, y, z, is_round, yaw = column
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     mat = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     shape = fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
     return fcl.CollisionObject(shape, fcl.Transform(mat, np.zeros(3))), mat
@@ -95,9 +100,12 @@ class Probes:
     """Casts vertical lines among obstacles, and puts one column after the other there."""
 
     def __init__(self, obstacles: Obstacles) -> None:
-        self.obstacles, self._column = obstacles, Column(0.0, 0.0, 0.0, False)
-        self._made, self._kind = lru_cache(4096)(_make), obstacles.model.geom_type.tolist()
-        self._normal, self._point = np.zeros(3), np.zeros(3)
+        self.obstacles = obstacles
+        self._column = Column(0.0, 0.0, 0.0, False)
+        self._made = lru_cache(4096)(_make)
+        self._kind = obstacles.model.geom_type.tolist()
+        self._normal = np.zeros(3)
+        self._point = np.zeros(3)
 
     def line(self, x: float, y: float) -> Line:
         """All that the vertical line at x, y meets [m]."""
@@ -116,7 +124,8 @@ class Probes:
                 # what faces down is the underside of something solid, also of what is over a cavity
                 inside += [(surface.z, 1 if surface.up < 0 else -1) for surface in found]
         # where the line is inside of more solids than cavities
-        depth, begin = 0, 0.0
+        depth = 0
+        begin = 0.0
         for z, step in sorted(inside):
             if depth <= 0 < depth + step:
                 begin = z
@@ -157,7 +166,8 @@ class Probes:
         """The crossings with one obstacle, lowest first."""
         kind = self.obstacles.items[number].kind
         if kind == HALF_SPACE:
-            pos, normal = self.obstacles.pos[number], self.obstacles.mat[number, 2::3]
+            pos = self.obstacles.pos[number]
+            normal = self.obstacles.mat[number, 2::3]
             if abs(normal[2]) < 1e-9:
                 return []
             z = pos[2] - ((x - pos[0]) * normal[0] + (y - pos[1]) * normal[1]) / normal[2]
@@ -182,7 +192,8 @@ class Probes:
 
     def _ray(self, geom: int, x: float, y: float, z: float, way: int) -> tuple[float, float] | None:
         """Where a vertical ray first meets a geom of the model: z [m], and z of the unit normal."""
-        own, kind = self.obstacles, self._kind[geom]
+        own = self.obstacles
+        kind = self._kind[geom]
         self._point[:] = x, y, z
         ray = self._point, WAY[way]
         if kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_HFIELD):
@@ -207,7 +218,8 @@ class Probes:
             self._column, (self._object, self._mat) = column, self._made(column)
             self._geom = geom = len(obstacles.items) + column.is_round
             size = np.array([x, z, 0.0] if column.is_round else [x, y, z])
-            obstacles.size[geom], obstacles.mat[geom] = size, self._mat.ravel()
+            obstacles.size[geom] = size
+            obstacles.mat[geom] = self._mat.ravel()
             obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
         self._center = obstacles.pos[self._geom] = center
         self._object.setTranslation(center)
@@ -225,8 +237,10 @@ class Probes:
 
     def _is_separated(self, number: int) -> bool:
         """Whether one of a few planes provably lies between the column and an obstacle."""
-        ends, obstacles = np.zeros((2, 3)), self.obstacles
-        model, data = obstacles.model, obstacles.data
+        ends = np.zeros((2, 3))
+        obstacles = self.obstacles
+        model = obstacles.model
+        data = obstacles.data
         mujoco.mj_geomDistance(model, data, self._geom, number, 10.0, ends.ravel())
         result = fcl.DistanceResult()
         request = fcl.DistanceRequest(enable_nearest_points=True)
@@ -254,10 +268,12 @@ class Probes:
     def nearest(self, column: Column, center: Float) -> tuple[float, int] | None:
         """By how much a column has to grow to touch anything within `REACH` [m], and what."""
         reach = np.array(column[:3]) + REACH
-        nearest, gap = None, REACH
+        nearest = None
+        gap = REACH
         for number in self.obstacles.meeting(center - reach, center + reach):
             if self.touches(number, column, center, gap):
-                nearest, gap = number, self._margin(column, center, number, 0.0, gap)
+                nearest = number
+                gap = self._margin(column, center, number, 0.0, gap)
         return None if nearest is None else (gap, nearest)
 
     def _margin(self, column: Column, center: Float, number: int, low: float, high: float) -> float:

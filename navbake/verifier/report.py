@@ -36,7 +36,8 @@ class Finding:
     def to_json(self) -> Json:
         """The finding as JSON."""
         size = None if self.size is None else round(self.size, 6)
-        position, cell = [round(v, 6) for v in self.position], self.cell and list(self.cell)
+        position = [round(v, 6) for v in self.position]
+        cell = self.cell and list(self.cell)
         return {**vars(self), "cell": cell, "position": position, "size": size}
 
 

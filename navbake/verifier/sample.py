@@ -31,7 +31,8 @@ class AgentSizes(NamedTuple):
     @classmethod
     def of(cls, grid: GridBase) -> AgentSizes:
         """The agent that a grid states, with the format's defaults for what it doesn't state."""
-        wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope", 45.0)
+        wrong = list(find_wrong_sizes(grid).values())
+        slope = grid.navbake.get("maxSlope", 45.0)
         if not is_within(slope, 0, 90):
             shown = shorten(repr(slope))
             wrong.append(f"`maxSlope` is {shown}, which is no slope of 0 to 90 degrees")
@@ -97,7 +98,8 @@ class LevelSample:
 
     def place(self, k: int) -> Vector3:
         """The centre of a cell, at its floor, or at the level's ground if it has none [m]."""
-        (x, y), z = self.xy[k].tolist(), float(self.floor[k])
+        x, y = self.xy[k].tolist()
+        z = float(self.floor[k])
         return x, y, self.level.ground if np.isnan(z) else z
 
     def finding(
@@ -124,7 +126,8 @@ def take_sample(
     `with_floors` is what `states_floors` said of each level before the grid was inflated.
     """
     sizes = [level.width * level.height for level in grid.levels]
-    chosen, start = np.arange(sum(sizes)), np.cumsum([0, *sizes])
+    chosen = np.arange(sum(sizes))
+    start = np.cumsum([0, *sizes])
     if number is not None and number < len(chosen):
         chosen = np.sort(np.random.default_rng(seed).choice(len(chosen), number, replace=False))
     samples = []
@@ -133,14 +136,16 @@ def take_sample(
         rows, cols = np.divmod(cells, level.width)
         floor = level.floor_of(rows, cols) if has_own else np.full(len(cells), level.ground)
         xy = level.lattice.positions(rows, cols).reshape(-1, 2)
-        free, occupied = level.free[rows, cols], level.occupancy[rows, cols] != 0
+        free = level.free[rows, cols]
+        occupied = level.occupancy[rows, cols] != 0
         samples.append(LevelSample(k, level, rows, cols, xy, floor, free, occupied, has_own))
     return samples
 
 
 def shift_between(one: Lattice, two: Lattice) -> tuple[int, int]:
     """What to add to row and column of a cell on one lattice to have those on another."""
-    down, right = two.y_max - one.y_max, one.x_min - two.x_min
+    down = two.y_max - one.y_max
+    right = one.x_min - two.x_min
     return round(down / one.cell_size), round(right / one.cell_size)
 
 
@@ -148,7 +153,8 @@ class Neighbourhood:
     """The floors of all levels; cells are closed by what is occupied (`by_centres`) or solid."""
 
     def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
-        self._step, self._lattices = step, [level.lattice for level in grid.levels]
+        self._step = step
+        self._lattices = [level.lattice for level in grid.levels]
         self._floors = [level.floor for level in grid.levels]
         # what is a reason has to be blocked itself, so that it is judged in its turn
         self._occupied = [
@@ -160,7 +166,8 @@ class Neighbourhood:
         self, number: int, rows: Int, cols: Int, floor: Float, radius: float
     ) -> tuple[Float, Float]:
         """The lowest and highest floor within a step of a disc's own, of any level, (n,) [m]."""
-        low, high = floor.copy(), floor.copy()
+        low = floor.copy()
+        high = floor.copy()
         for _, there, *_ in self._around(number, rows, cols, radius):
             near = np.abs(there - floor) <= self._step + SLACK
             low = np.where(near, np.fmin(low, there), low)
@@ -197,9 +204,11 @@ class Neighbourhood:
         """Floor (else NaN) and occupancy of another level at cells of one; whether it has them."""
         two = self._lattices[other]
         down, right = shift_between(self._lattices[number], two)
-        r, c = rows + down, cols + right
+        r = rows + down
+        c = cols + right
         inside = two.holds(r, c)
-        r, c = np.where(inside, r, 0), np.where(inside, c, 0)
+        r = np.where(inside, r, 0)
+        c = np.where(inside, c, 0)
         floor = np.where(inside, self._floors[other][r, c], np.nan)
         return floor, inside & self._occupied[other][r, c], inside
 
@@ -214,7 +223,8 @@ class Part(NamedTuple):
 
     def put_over(self, sample: LevelSample, k: int) -> tuple[Column, Float]:
         """Its column over a cell, to the micrometre, so that few differ; and its centre [m]."""
-        low, high = self.low[k], self.high[k]
+        low = self.low[k]
+        high = self.high[k]
         column = Column(self.half, self.half, round(float(high - low) / 2, 6), self.is_round)
         return column, np.array([*sample.xy[k], (low + high) / 2])
 
@@ -227,7 +237,8 @@ def volume_over(
     The disc is the bake's; or one for the radius of a larger agent [m], between the heights that
     all floors under it leave free.
     """
-    half, floor = sample.level.lattice.cell_size / 2, sample.floor
+    half = sample.level.lattice.cell_size / 2
+    floor = sample.floor
     square = Part(half, False, floor + body.step, floor + body.height)
     if radius is None:
         disc = square._replace(half=body.radius, is_round=True)

@@ -63,7 +63,8 @@ def find_source(
     if given is None:
         given = _find_file(grid, own.get("path"), grid_path)
     is_file = isinstance(given, str | PathLike) and not is_settings(given)
-    opened, in_memory = None, is_in_memory(given)
+    opened = None
+    in_memory = is_in_memory(given)
     if data is not None:
         if not in_memory:
             text = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
@@ -82,7 +83,8 @@ def find_source(
         config = as_config(given)
     scene = load_scene(config, opened=opened)
     notes = []
-    digest, version = grid.navbake.get("sceneDigest"), grid.navbake.get("mujoco", "another version")
+    digest = grid.navbake.get("sceneDigest")
+    version = grid.navbake.get("mujoco", "another version")
     if digest is None:
         notes.append("the grid has no digest of its scene, so nothing says that it is this one")
     elif digest != scene.digest:
@@ -117,7 +119,8 @@ def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
     )
 
 
-HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 class DoorPose(NamedTuple):
@@ -131,12 +134,14 @@ class DoorPose(NamedTuple):
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     """Move the doors of a scene into the states that a grid states."""
-    model, data = scene.model, copy.copy(scene.data)
+    model = scene.model
+    data = copy.copy(scene.data)
     numbered = [(body_name(model, body), body) for body in range(1, model.nbody)]
     # doors whose name others share state their number, too
     bodies = dict(numbered) | {f"{name} (body {body})": body for name, body in numbered}
     ends = find_subtree_ends(model)
-    removed, unknown = set[int](), list[str]()
+    removed = set[int]()
+    unknown = list[str]()
     no_floors = set(np.flatnonzero(~scene.is_structure).tolist())
     # a grid doesn't state how its lifts were found; their cars carry floors
     for link in grid.links:
@@ -166,7 +171,8 @@ def _position(model: Any, body: int, door: Door) -> float | None:
         return None
     if (kind := int(model.jnt_type[joint])) not in (HINGE, SLIDE):
         return None
-    low, high = 0.0, np.pi / 2 if kind == HINGE else 1.0
+    low = 0.0
+    high = np.pi / 2 if kind == HINGE else 1.0
     if model.jnt_limited[joint]:
         low, high = model.jnt_range[joint].tolist()
     closed = min(max(0.0, low), high)

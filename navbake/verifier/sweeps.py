@@ -51,14 +51,19 @@ class Sweep:
     def __init__(
         self, grid: NavGrid, probes: Probes, body: AgentSizes, radius: float, tolerance: float
     ) -> None:
-        self._grid, self._probes, self._body = grid, probes, body
-        self._radius, self._tolerance = radius, tolerance
+        self._grid = grid
+        self._probes = probes
+        self._body = body
+        self._radius = radius
+        self._tolerance = tolerance
         self._around = Neighbourhood(grid, body.step)
 
     def run(self, number: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
         """Plan so many paths between random places, and sweep along each."""
-        counts, findings = SweepCounts(self._radius), list[Finding]()
-        finder, rng = PathFinder(self._grid), np.random.default_rng(seed)
+        counts = SweepCounts(self._radius)
+        findings = list[Finding]()
+        finder = PathFinder(self._grid)
+        rng = np.random.default_rng(seed)
         for _ in range(number * MOST_TRIES):
             start = finder.random_point(rng) if counts.paths < number else None
             if start is None:
@@ -72,23 +77,28 @@ class Sweep:
             counts.length += path.length
             counts.beside += beside
             findings += found
-        counts.touching, counts.length = len(findings), round(counts.length, 6)
+        counts.touching = len(findings)
+        counts.length = round(counts.length, 6)
         return counts, findings
 
     def _along(self, positions: Float, levels: Int) -> tuple[list[Finding], bool]:
         """The first touch along a path, and whether it meets anything within a step of its ends."""
-        beside, step, height = False, self._body.step, self._body.height
+        beside = False
+        step = self._body.step
+        height = self._body.height
         for piece in self._pieces(positions, levels):
             sure = piece.high + step, piece.low + height
             whole = piece.floor + step, piece.floor + height
             if touched := self._touch(piece, sure):
-                name, depth = self._probes.obstacles.name(touched[0]), touched[1] + self._tolerance
+                name = self._probes.obstacles.name(touched[0])
+                depth = touched[1] + self._tolerance
                 x, y = ((piece.a + piece.b) / 2).tolist()
                 lattice = self._grid.levels[piece.level].lattice
                 row, col = (int(v) for v in lattice.rows_cols([x, y]))
                 text = f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into "
                 text += f"{name!r}, between {sure[0]:.3f} and {sure[1]:.3f} m"
-                cell, place = (piece.level, (row, col)), (x, y, piece.floor)
+                cell = (piece.level, (row, col))
+                place = (x, y, piece.floor)
                 return [Finding(PATH_TOUCHES, *cell, place, text, name, depth)], beside
             beside = beside or (sure != whole and self._touch(piece, whole) is not None)
         return [], beside
@@ -103,7 +113,8 @@ class Sweep:
             lattice = lattices[int(levels[k])]
             times = _cuts(lattice, a, b)
             points = a[:2] + np.outer(times, b[:2] - a[:2])
-            middles, between = (points[1:] + points[:-1]) / 2, (times[1:] + times[:-1]) / 2
+            middles = (points[1:] + points[:-1]) / 2
+            between = (times[1:] + times[:-1]) / 2
             between = a[2] + between * (b[2] - a[2])
             on = sorted({int(levels[k]), int(levels[k + 1])})
             cells = [(number, *lattices[number].rows_cols(middles)) for number in on]
@@ -128,14 +139,19 @@ class Sweep:
     def _touch(self, piece: Stretch, band: tuple[float, float]) -> tuple[int, float] | None:
         """The first obstacle that the cylinder touches on a piece, and how deep [m]."""
         half_z = (band[1] - band[0]) / 2 - self._tolerance
-        radius, z = self._radius - self._tolerance, (band[0] + band[1]) / 2
+        radius = self._radius - self._tolerance
+        z = (band[0] + band[1]) / 2
         if half_z <= 0:
             return None
-        way, middle = piece.b - piece.a, (piece.a + piece.b) / 2
-        disc, yaw = Column(radius, radius, half_z, True), float(np.arctan2(way[1], way[0]))
+        way = piece.b - piece.a
+        middle = (piece.a + piece.b) / 2
+        disc = Column(radius, radius, half_z, True)
+        yaw = float(np.arctan2(way[1], way[0]))
         between = Column(float(np.hypot(*way)) / 2, radius, half_z, False, yaw)
-        low, high = np.minimum(piece.a, piece.b) - radius, np.maximum(piece.a, piece.b) + radius
-        box_low, box_high = np.array([*low, z - half_z]), np.array([*high, z + half_z])
+        low = np.minimum(piece.a, piece.b) - radius
+        high = np.maximum(piece.a, piece.b) + radius
+        box_low = np.array([*low, z - half_z])
+        box_high = np.array([*high, z + half_z])
         for number in self._probes.obstacles.meeting(box_low, box_high):
             for column, at in ((disc, piece.a), (disc, piece.b), (between, middle)):
                 center = np.array([*at, z])
@@ -170,7 +186,9 @@ def check_links(
         links = grid.links
     except FormatError:  # what an audit reports
         return [], []
-    findings, notes, model = list[Finding](), list[str](), scene.model
+    findings = list[Finding]()
+    notes = list[str]()
+    model = scene.model
     names = [body_name(model, number) for number in range(model.nbody)] if links else []
     for link in links:
         if link.kind in CROSSED and len(link.stops) == 2:
@@ -202,7 +220,8 @@ def _check_crossing(
     for level, places in zip(levels, (line, line[::-1]), strict=True):
         rows, cols = level.lattice.rows_cols(places)
         inside = level.lattice.holds(rows, cols)
-        rows, cols = rows[inside], cols[inside]
+        rows = rows[inside]
+        cols = cols[inside]
         floor = level.floor_of(rows, cols)
         step = np.abs(np.diff(floor, prepend=floor[:1])) > body.step + SLACK
         stops = ~level.free[rows, cols] | np.isnan(floor) | step
@@ -218,7 +237,8 @@ def _check_crossing(
     half = cell_size / 2
     for (x, y), low in zip(crossed.tolist(), lows.tolist(), strict=True):
         band = low + body.step + tolerance, top + body.height - tolerance
-        center, half_z = np.array([x, y, sum(band) / 2]), (band[1] - band[0]) / 2
+        center = np.array([x, y, sum(band) / 2])
+        half_z = (band[1] - band[0]) / 2
         columns = [Column(half, half, half_z, False)]
         columns += [Column(body.radius, body.radius, half_z, True)] if body.radius > half else []
         reach = np.array([max(half, body.radius)] * 2 + [half_z])
@@ -240,7 +260,9 @@ def _check_shaft(
     link: Link, body: int, grid: GridBase, scene: Scene, probes: Probes, tolerance: float
 ) -> Iterator[Finding]:
     """Move the car over its range, and ask FCL what it meets on the way."""
-    model, obstacles, up = scene.model, probes.obstacles, np.array([0.0, 0.0, 1.0])
+    model = scene.model
+    obstacles = probes.obstacles
+    up = np.array([0.0, 0.0, 1.0])
     joint = int(model.body_jntadr[body])
     own = geoms_of_bodies(model, body, int(find_subtree_ends(model)[body])).tolist()
     axis = float(scene.data.xaxis[joint, 2])

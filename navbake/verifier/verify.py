@@ -75,7 +75,8 @@ def verify(
         SceneError, ConfigError, FormatError: the scene, settings or grid can't be read, or the
             grid's metadata state sizes that no agent can have.
     """
-    whole, number = int | np.integer, int | float | np.integer | np.floating
+    whole = int | np.integer
+    number = int | float | np.integer | np.floating
     asked: list[tuple[Any, Any, float, str]] = [
         (sample, whole, 1, "a sample of at least 1 cell"),
         (seed, whole, 0, "a whole number >= 0 as seed"),
@@ -114,7 +115,8 @@ def verify_scene(
     Notes come first in the report. Raises as `verify`.
     """
     content: Any = grid.without_blocks()
-    body, notes = AgentSizes.of(content), list(notes)
+    body = AgentSizes.of(content)
+    notes = list(notes)
     doors = pose_doors(scene, content)
     most = min(content.levels[0].lattice.cell_size, body.height - body.step) / 4
     if tolerance > most:
@@ -129,8 +131,10 @@ def verify_scene(
         notes.append(f"{note}: a larger agent's cylinder may touch it")
     if grid.is_blocked:
         notes.append("what was blocked at run time is left out")
-    num_cells, levels = sum(level.width * level.height for level in content.levels), []
-    obstacles, findings = Obstacles(scene, doors.data, doors.removed), list[Finding]()
+    num_cells = sum(level.width * level.height for level in content.levels)
+    levels = []
+    obstacles = Obstacles(scene, doors.data, doors.removed)
+    findings = list[Finding]()
     probes = Probes(obstacles)
     check = OccupancyCheck(probes, body, tolerance, reach)
     around = Neighbourhood(content, body.step, by_centres=by_centres)
@@ -165,7 +169,8 @@ def verify_scene(
     if check.num_groundless:
         why = "the scene has no place to stand there within a step of their level's ground"
         notes.append(f"{check.num_groundless} blocked cells touch nothing, but {why}")
-    swept, width = None, body.radius if cylinder is None else cylinder
+    swept = None
+    width = body.radius if cylinder is None else cylinder
     if paths and width <= tolerance:
         notes.append("no paths were swept: the agent's radius isn't above the tolerance")
     elif paths:

@@ -30,7 +30,8 @@ AGENT = {
     "maxSlope": "max_slope",
 }
 INFLATION = ("radius", "clearance", "mode")
-STAIR, STEEP = "stair", "steep"
+STAIR = "stair"
+STEEP = "steep"
 BULGE = 0.15  # how far an arc bends from the straight line, by its length
 ARC = 17  # points of an arc
 
@@ -47,8 +48,10 @@ def describe(grid: NavGrid) -> Json:
     ``inflated`` has radius and clearance [m] and mode of each inflation since the
     bake. For ``doors`` see `navbake.navgrid.rooms.Door.to_json`.
     """
-    islands, levels = find_islands(grid), []
-    stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")
+    islands = find_islands(grid)
+    levels = []
+    stated = {**grid.metadata, **grid.navbake}
+    noted = grid.metadata.get("inflation")
     for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True):
         area = level.lattice.cell_size**2
         floor = level.floor[np.isfinite(level.floor)]
@@ -124,7 +127,8 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {span}")
     number, row, col = place.cell
     here = grid.levels[number]
-    cell, index = row * here.width + col, int(here.room_index[row, col])
+    cell = row * here.width + col
+    index = int(here.room_index[row, col])
     entry = here.user_data.get(cell, {})
     names = {key: sorted(names_in(entry, key)) for key in NAMES}
     standing = sorted(set().union(*names.values()))
@@ -159,7 +163,8 @@ def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
     Raises a QueryError if the position is no number, or beside all levels.
     """
     check_positions((x, y), 1)
-    found, beside = [], []
+    found = []
+    beside = []
     for level in range(len(grid.levels)):
         try:
             found.append(describe_cell(grid, x, y, level))
@@ -223,7 +228,8 @@ def bend(start: Float, end: Float) -> Float:
 
     Between heights it bends to the side, else up.
     """
-    along, side = end - start, np.array([0.0, 0.0, 1.0])
+    along = end - start
+    side = np.array([0.0, 0.0, 1.0])
     flat = float(np.hypot(along[0], along[1]))
     if abs(along[2]) > flat:
         side = np.array([-along[1], along[0], 0.0]) / flat if flat > 1e-6 else -np.eye(3)[1]
@@ -243,7 +249,8 @@ def describe_area(area: Area) -> str:
 
 def stair_table(grid: NavGrid) -> Table:
     """A row for each stair, and each steep ramp: its steps side by side, and their middle."""
-    names, rows = grid.level_names, []
+    names = grid.level_names
+    rows = []
     for way in find_ways(grid):
         if way.link is None:
             (one, x, y, _), (other, *_) = way.places

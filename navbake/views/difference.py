@@ -47,7 +47,8 @@ Row = tuple[str, str, str]
 
 def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
     """The sheet of two grids' difference, as a report has one of a grid."""
-    grids, warnings = (first, second), []
+    grids = (first, second)
+    warnings = []
     pairs = match_levels(first, second)
     levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
     called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
@@ -137,7 +138,8 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
     apart = []
     for i, one in enumerate(first.levels):
         for j, other in enumerate(second.levels):
-            both, own = _cover_both(one.lattice, other.lattice), one.free.size + other.free.size
+            both = _cover_both(one.lattice, other.lattice)
+            own = one.free.size + other.free.size
             distance = abs(one.ground - other.ground)
             is_near = both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
             apart += [(distance, i, j)] if distance <= MOST_APART and is_near else []
@@ -158,7 +160,8 @@ def compare_levels(
     lattice = _cover_both(first.lattice, second.lattice)
     sampled = _sample(first, lattice), _sample(second, lattice)
     there, free, floor, room, weight = zip(*sampled, strict=True)
-    rooms, both = _match_rooms(*room), there[0] & there[1]
+    rooms = _match_rooms(*room)
+    both = there[0] & there[1]
     same_room = np.zeros([int(of_one.max(initial=0)) + 1 for of_one in room], bool)
     same_room[0, 0] = True
     for a, b, _ in rooms:
@@ -209,7 +212,8 @@ def _cover_both(lattice: Lattice, other: Lattice) -> Lattice:
 def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
     """Pair rooms each of which overlaps the other the most, with intersection over union."""
     pairs, common = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1, return_counts=True)
-    all_one, all_other = np.bincount(one.ravel()), np.bincount(other.ravel())
+    all_one = np.bincount(one.ravel())
+    all_other = np.bincount(other.ravel())
     share = common / (all_one[pairs[0]] + all_other[pairs[1]] - common)
     # the largest share last; of equal ones the lowest rooms
     order = [k for k in np.lexsort((-pairs[1], -pairs[0], share)).tolist() if pairs[:, k].all()]

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 RELIEF = 0.04  # a step that is lit or shaded well [m]
 RELIEF_SLOPE = 0.3  # or one of a cell, at this slope, so that large cells of hills aren't all dark
-LIT, SHADED = 0.3, 0.35  # most that relief mixes white or black into a colour
+# most that relief mixes white or black into a colour
+LIT = 0.3
+SHADED = 0.35
 MAX_SIDE = 400  # cells of a room that are looked at for a name's place, along its longer side
 OCCUPANCY = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
@@ -171,7 +173,8 @@ def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -
     if high > low:
         step = nice_step((high - low) / MAX_TICKS)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
-        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        first = math.ceil(low / step - 1e-9)
+        last = math.floor(high / step + 1e-9)
         ticks = [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
     widen = max(0.0, MIN_RANGE - (high - low)) / 2
     low, high = (low, high + 2 * widen) if dark_high else (low - widen, high + widen)
@@ -194,14 +197,16 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     """
     if not heights.size:
         return linear_scale(heights, label)
-    low, high = float(heights.min()), float(heights.max())
+    low = float(heights.min())
+    high = float(heights.max())
     step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
     counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
     steps = np.flatnonzero(counts)
     length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
     spread = max(float(length[-1]), MIN_LENGTH)
-    positions, values = 0.5 + (length - length[-1] / 2) / spread, low + steps * step
+    positions = 0.5 + (length - length[-1] / 2) / spread
+    values = low + steps * step
     order = np.argsort(-counts[steps], kind="stable").tolist()
     ticks: list[Tick] = []
     for number in [order[0], 0, len(steps) - 1, *order]:
@@ -265,7 +270,8 @@ def _show_weights(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
-    islands, level = islands_of(grid), grid.levels[number]
+    islands = islands_of(grid)
+    level = grid.levels[number]
     count = max(int(each.max(initial=0)) for each in islands)
     reach = math.ceil(colors.WALL / level.lattice.cell_size)
     # an island may span several levels, and has one colour on all of them
@@ -296,8 +302,11 @@ def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> None:
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    index, free, no_floor = level.room_index, level.free, np.isnan(level.floor_height)
-    doors, doorways = (doorway_cells(grid, number, blocked=blocked) for blocked in (True, False))
+    index = level.room_index
+    free = level.free
+    no_floor = np.isnan(level.floor_height)
+    doors = doorway_cells(grid, number, blocked=True)
+    doorways = doorway_cells(grid, number, blocked=False)
     outdoors = [r.index for r in grid.rooms if r.level == number and r.outdoors]
     entries = {
         ("outdoors", colors.OUTDOORS): np.isin(index, outdoors),
@@ -310,7 +319,8 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
     }
     legend = tuple(entry for entry, cells in entries.items() if cells.any())
     names = [(r.index, r.name, f"{number}:{r.index}") for r in grid.rooms if r.level == number]
-    labels, lines = _label_parts(level, index, names), find_door_lines(grid, number)
+    labels = _label_parts(level, index, names)
+    lines = find_door_lines(grid, number)
     return Panel("rooms", paint_rooms(grid, number), legend=legend, labels=labels, doors=lines)
 
 
@@ -337,7 +347,8 @@ def _label_parts(
             continue
         mask = index[box] == which
         stride = max(1, -(-max(mask.shape) // MAX_SIDE))
-        mask, edge = mask[::stride, ::stride], level.lattice.cell_size * stride
+        mask = mask[::stride, ::stride]
+        edge = level.lattice.cell_size * stride
         space = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
         row, col = (int(v) for v in np.unravel_index(np.argmax(space), space.shape))
         first, last = ends_of_run(mask[row], col)
@@ -353,7 +364,8 @@ def _label_parts(
 def _show_doors(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
-    lines, labels = find_door_lines(grid, number), []
+    lines = find_door_lines(grid, number)
+    labels = []
     for place, line in enumerate(lines, 1):
         width = f"{line.width:.1f} m"
         labels.append(Label(f"{line.id} {width}", width, *line.middle, 0.0, 0.0, place))
@@ -369,7 +381,8 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
     for color, sign in zip(colored.values(), (1, -1, 0), strict=True):
         cells = ends[np.sign(ends[:, 2] - number) == sign, 1]
         rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
-    ways, labels = find_ways(grid), []
+    ways = find_ways(grid)
+    labels = []
     for place, way in enumerate(ways, 1):
         here = [(x, y) for level, x, y, _ in way.places if level == number]
         labels += [Label(way.label(), str(place), *at, 0.0, 0.0, place) for at in here[:1]]
@@ -379,13 +392,16 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_areas(grid: NavGrid, number: int) -> Panel:
-    level, index, names = grid.levels[number], grid.levels[number].area_index, []
+    level = grid.levels[number]
+    index = grid.levels[number].area_index
+    names = []
     rgb, legend = _occupancy(level)
     entries = []
     for place, area in enumerate(grid.areas, 1):
         color = colors.ROOMS[place % len(colors.ROOMS)]
         color = colors.KEEP_OUT if math.isinf(area.cost) else color
-        here, tint = index == place, np.array(colors.rgb_of(color), dtype=np.uint8)
+        here = index == place
+        tint = np.array(colors.rgb_of(color), dtype=np.uint8)
         rgb[here & level.free] = tint
         rgb[here & ~level.free] = colors.darkened(tint)
         entries += [(describe_area(area), color)] if here.any() else []

@@ -67,7 +67,8 @@ def draw_png(grid: NavGrid) -> bytes:
 
 def draw_voxels(grid: VoxelGrid) -> bytes:
     """Voxels from above as PNG, the higher a column's topmost one, the lighter; white for none."""
-    filled, num_z = grid.occupied, grid.shape[2]
+    filled = grid.occupied
+    num_z = grid.shape[2]
     top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
     shade = np.where(filled.any(axis=2), 40 + 170 * top // num_z, 255).astype(np.uint8)
     longest = max(shade.shape)
@@ -91,7 +92,8 @@ def draw_thumbnail(grid: NavGrid) -> bytes:
     """
     image = draw_levels(grid, THUMBNAIL_SIDE)
     if image.getcolors(THUMBNAIL_COLORS) is None:
-        how, dither = Image.Quantize.MEDIANCUT, Image.Dither.NONE
+        how = Image.Quantize.MEDIANCUT
+        dither = Image.Dither.NONE
         image = image.quantize(THUMBNAIL_COLORS, method=how, dither=dither)
     return encode_png(image)
 
@@ -138,12 +140,14 @@ def _draw_level(
     grid: NavGrid, number: int, scale: tuple[int, int], path: Path | None = None
 ) -> Image.Image:
     """Draw a level and its part of a path; a pixel of several cells has their mean colour."""
-    size, lattice = scale[0], grid.levels[number].lattice
+    size = scale[0]
+    lattice = grid.levels[number].lattice
     image = Image.fromarray(paint_rooms(grid, number)).reduce(scale[1])
     image = image.resize((image.width * size, image.height * size), Image.Resampling.NEAREST)
     if path is None:
         return image
-    corner, pencil = np.array([lattice.x_min, lattice.y_max]), ImageDraw.Draw(image)
+    corner = np.array([lattice.x_min, lattice.y_max])
+    pencil = ImageDraw.Draw(image)
     shares = (path.positions[:, :2] - corner) / (lattice.cell_size * np.array(lattice.shape[::-1]))
     pixels = (shares * (image.width, -image.height)).tolist()
     for color, width in (("white", 5), (ROUTE, 3)):

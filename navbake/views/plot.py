@@ -34,17 +34,30 @@ LONGEST = 40.0  # times its other side that a map is long at most: the world goe
 
 # Lengths in inches. A picture is 8.3 inches wide at most, 830 pixels of a README at 100 an inch:
 # letters of 8 points are 11 pixels high there.
-WIDTH, MAX_HEIGHT, MIN_WIDTH = 8.3, 290.0, 4.6
-MAX_MAP_HEIGHT, AROUND_X, AROUND_Y = 5.6, 1.1, 0.65  # AROUND: ticks, title and colour bar
+WIDTH = 8.3
+MAX_HEIGHT = 290.0
+MIN_WIDTH = 4.6
+# AROUND: ticks, title and colour bar
+MAX_MAP_HEIGHT = 5.6
+AROUND_X = 1.1
+AROUND_Y = 0.65
 LINE = 0.2  # a line of the heading or the legend
 LETTERS = 13  # of a title or a legend in an inch
 
-HEADING_POINTS, TITLE_POINTS, LEGEND_POINTS, TICK_POINTS = 10.5, 9.0, 8.0, 7.5
-NAME_POINTS, NUMBER_POINTS = (9.0, 8.0, 7.0), (8.0, 7.0, 6.0)  # sizes that are tried
+HEADING_POINTS = 10.5
+TITLE_POINTS = 9.0
+LEGEND_POINTS = 8.0
+TICK_POINTS = 7.5
+# sizes that are tried
+NAME_POINTS = (9.0, 8.0, 7.0)
+NUMBER_POINTS = (8.0, 7.0, 6.0)
 POINT = 12  # half a side of what a point's name keeps clear of [pixels]
-MOST_LETTERS, MOST_KEYS = 40, 40  # of a name on a map; names in the key to numbers
+# of a name on a map; names in the key to numbers
+MOST_LETTERS = 40
+MOST_KEYS = 40
 FONT = "DejaVu Sans"  # comes with matplotlib
-INK, FAINT = "#222222", "#9aa0a8"
+INK = "#222222"
+FAINT = "#9aa0a8"
 STROKES = {  # colours and widths [points] of lines, from below
     "door, closed": (("#ffffff", 4.2), (DOOR, 2.6)),
     "door, open": ((DOOR, 3.8), ("#ffffff", 1.6)),
@@ -177,7 +190,8 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
     """Families of installed fonts that have the letters of a text, and letters that none has."""
     from matplotlib import font_manager
 
-    families, missing = [FONT], {letter for letter in printable(text) if letter > "~"}
+    families = [FONT]
+    missing = {letter for letter in printable(text) if letter > "~"}
     # a Last Resort font has a box for every letter
     fonts = [f for f in font_manager.fontManager.ttflist if not f.name.startswith("Last Resort")]
     for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
@@ -275,7 +289,8 @@ def _draw_ways(figure: Any, axes: dict[int, Any], panels: Sequence[Panel]) -> No
 
     for way in next((panel.ways for panel in panels if panel.ways), ()):
         style = _strokes(_way_line(way))
-        color, places = STROKES[_way_line(way)][1][0], way.places
+        color = STROKES[_way_line(way)][1][0]
+        places = way.places
         for level, x, y, _ in places[: 1 if way.one_way else None]:
             if level in axes and way.link is not None:
                 axes[level].plot(x, y, "o", color=color, markeredgecolor="white", markersize=6)
@@ -310,12 +325,14 @@ def write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox
 
-    to_pixels, frame = ax.transData, ax.get_window_extent()
+    to_pixels = ax.transData
+    frame = ax.get_window_extent()
     scale = frame.width / np.ptp(ax.get_xlim())  # pixels a metre
     points = [to_pixels.transform((label.x, label.y)) for label in labels if not label.width]
     taken = [Bbox([at - POINT, at + POINT]) for at in points]
     for label in sorted(labels, key=lambda label: -label.width * label.height):
-        whole, is_point = printable(label.text), not label.width
+        whole = printable(label.text)
+        is_point = not label.width
         name = whole if len(whole) <= MOST_LETTERS else f"{whole[:MOST_LETTERS]}…"
         middle = to_pixels.transform((label.x, label.y))
         room = np.array([label.width, label.height]) * scale if not is_point else np.inf

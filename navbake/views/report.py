@@ -105,7 +105,8 @@ def render_report(
     for what, given in (("names", names), ("audits", audits), ("verifications", verifications)):
         if given is not None and len(given) != num:
             raise QueryError(f"expected as many {what} as grids, {num}, got {len(given)}")
-    audits, verifications = audits or [None] * num, verifications or [None] * num
+    audits = audits or [None] * num
+    verifications = verifications or [None] * num
     called = [printable(name) for name in names or [grid.scene_id or "grid" for grid in grids]]
     called = [  # numbered where two are the same
         name if called.count(name) == 1 else f"{name} ({called[: i + 1].count(name)})"
@@ -132,7 +133,9 @@ def _describe_grid(
     grid: NavGrid, name: str, audit: AuditReport | None, verification: Json | None
 ) -> Json:
     """A sheet of the page: everything that it shows of a grid."""
-    facts, marks, noted = describe(grid), list[Json](), dict[str, Table]()
+    facts = describe(grid)
+    marks = list[Json]()
+    noted = dict[str, Table]()
 
     def note(source: str, title: str, more: str, found: list[Remarked], otherwise: str) -> None:
         """Mark what was found on the map, and list it; `more` names a remark's further fact."""
@@ -153,7 +156,8 @@ def _describe_grid(
         otherwise = f"{len(audit.checks)} checks, nothing to say"
         note("audit", "Audit", "how bad", found, otherwise)
     if verification is not None:
-        cells, num = sum(level.free.size for level in grid.levels), len(grid.levels)
+        cells = sum(level.free.size for level in grid.levels)
+        num = len(grid.levels)
         stated = verification.get("sceneId"), verification["cells"]
         if stated != (grid.scene_id, cells):
             raise QueryError(
@@ -252,7 +256,9 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
 
 
 def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
-    panel, scale, rooms = make_panel(grid, layer, number), None, []
+    panel = make_panel(grid, layer, number)
+    scale = None
+    rooms = []
     if layer == "rooms":
         rgb = color_rooms(grid, number)
         for room in grid.rooms:

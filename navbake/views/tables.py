@@ -104,7 +104,8 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
 
 def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
     """A row for each door, without empty columns; `levels` are the levels' names."""
-    has_joints, rows = any(door.joint != door.id for door in doors), []
+    has_joints = any(door.joint != door.id for door in doors)
+    rows = []
     for door in doors:
         joint = (door.joint or "none") if has_joints else ""
         on = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
@@ -163,7 +164,9 @@ def _names(agents: Iterable[str] | None) -> str:
 
 def cell_facts(facts: Json) -> dict[str, str | list[str]]:
     """The facts of `navbake.views.describe.describe_cell`, as text or lists of names."""
-    room, weight, floor = facts["room"], facts["weight"], facts["floor"]
+    room = facts["room"]
+    weight = facts["weight"]
+    floor = facts["floor"]
     return {
         "level": str(facts["level"]),
         "cell": "{cell} (row {row}, col {col})".format_map(facts),

@@ -50,10 +50,13 @@ def cut_band(
     start = (base + low - voxels.origin[2]) / voxels.res
     end = (base + high - voxels.origin[2]) / voxels.res
     if whole:
-        first, last = np.ceil(start - CELL_SLACK), np.floor(end + CELL_SLACK)
+        first = np.ceil(start - CELL_SLACK)
+        last = np.floor(end + CELL_SLACK)
     else:
-        first, last = np.floor(start + CELL_SLACK), np.ceil(end - CELL_SLACK)
-    first, last = (np.nan_to_num(bound).clip(0, nz) for bound in (first, last))
+        first = np.floor(start + CELL_SLACK)
+        last = np.ceil(end - CELL_SLACK)
+    first = np.nan_to_num(first).clip(0, nz)
+    last = np.nan_to_num(last).clip(0, nz)
     occupied = np.isnan(base)
     filled = voxels.occupied.transpose(1, 0, 2)[::-1]  # [x, y, z] as [row, col, z]
     # layer by layer, without a mask of all voxels
@@ -83,7 +86,8 @@ def plan_of(
     lattice = lattice_of(voxels)
     x0, y0, x1, y1 = lattice.bounds
     written = float(np.float32(floor))
-    bottom, top = min(float(voxels.bounds[0, 2]), written), max(float(voxels.bounds[1, 2]), written)
+    bottom = min(float(voxels.bounds[0, 2]), written)
+    top = max(float(voxels.bounds[1, 2]), written)
     return SceneGrid2D(
         width=lattice.width,
         height=lattice.height,
@@ -116,7 +120,8 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     """
     if not step < height:
         raise QueryError(f"expected a band of heights, step < height, got {step:g} and {height:g}")
-    lattice, res = level.lattice, level.lattice.cell_size
+    lattice = level.lattice
+    res = level.lattice.cell_size
     stored = np.where(np.isnan(level.floor_height), np.float32(0), level.floor_height)
     has_floor = ~np.isnan(level.floor_height)
     floor = np.where(has_floor, stored.astype(np.float64) * level.unit, level.ground)

@@ -45,7 +45,9 @@ class VoxelGrid:
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        shape, dtype, known = self.values.shape, self.values.dtype, self.known
+        shape = self.values.shape
+        dtype = self.values.dtype
+        known = self.known
         if len(shape) != 3 or 0 in shape:
             raise FormatError(f"expected voxels of shape (nx, ny, nz), each >= 1, got {shape}")
         if dtype.name not in DTYPES:
@@ -150,7 +152,8 @@ class VoxelGrid:
         return replace(self, values=values, names=names)
 
     def __repr__(self) -> str:
-        shape, corner = (" × ".join(map(str, self.shape)), ", ".join(f"{v:g}" for v in self.origin))
+        shape = " × ".join(map(str, self.shape))
+        corner = ", ".join(f"{v:g}" for v in self.origin)
         count = f"{np.count_nonzero(self.values):,} occupied"
         return f"VoxelGrid({shape} voxels of {self.res:g} m from ({corner}) on, {count})"
 
@@ -236,7 +239,8 @@ def place_grid(
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
     """Raise a ConfigError for an array larger than free memory."""
-    needed, free = min(math.prod(shape) * itemsize, MANY), _free_memory()
+    needed = min(math.prod(shape) * itemsize, MANY)
+    free = _free_memory()
     if needed > free:
         counts = (str(n) if n < 10**15 else f"{min(n, MANY):.3g}" for n in shape)
         raise ConfigError(

@@ -55,7 +55,8 @@ def take_input(
         return config, opened
     # whether there are such bodies is seen in the model, which the bake then has no need to load
     opened = opened or open_file(config.scene, limits)
-    names, own = all_names(opened.model), config.scene.exclude
+    names = all_names(opened.model)
+    own = config.scene.exclude
     given = {} if exclude is None else exclude
     if not isinstance(given, Mapping):
         wanted = "`exclude` as {'bodies': […], 'geoms': […]}"

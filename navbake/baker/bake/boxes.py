@@ -97,7 +97,8 @@ def _find_tops(
     The lowest level is decided first, as by the client. `heights` are floors of free cells, as
     written, NaN elsewhere [m]; cells that are lost become NaN.
     """
-    tops, lost = [], np.zeros(len(heights), dtype=np.int64)
+    tops = []
+    lost = np.zeros(len(heights), dtype=np.int64)
     for k, (own, window, bottom) in enumerate(zip(heights, windows, bottoms, strict=True)):
         above = range(k + 1, len(heights))
         inside = [heights[j][window] for j in above]
@@ -126,7 +127,8 @@ def _meet(one: Window, other: Window) -> bool:
 def _last_floor(own: Float, others: Float) -> float:
     """The highest floor of a box with the most own floors less those of others; -inf for none."""
     # of its own floors below all others, the highest stands for all
-    is_low, highest = own < others.min(initial=np.inf), own.max(initial=-np.inf)
+    is_low = own < others.min(initial=np.inf)
+    highest = own.max(initial=-np.inf)
     heights, counts = np.unique(own[~is_low], return_counts=True)
     heights = np.append(own[is_low].max(initial=-np.inf), heights)
     num_own = np.append(np.count_nonzero(is_low), counts).cumsum()
@@ -155,12 +157,14 @@ def _scene_box(
 ) -> Box:
     """The box of the only level: the scene's, and what of the grid lies outside of it."""
     if scene_box is None:
-        bottom, top = round(lowest - MARGIN, DIGITS), round(highest + agent_height, DIGITS)
+        bottom = round(lowest - MARGIN, DIGITS)
+        top = round(highest + agent_height, DIGITS)
         return _to_file(sides, bottom, top)
     scene = np.round(scene_box, DIGITS) + 0.0
     sides[:2] = np.minimum(sides[:2], scene[0, :2])
     sides[2:] = np.maximum(sides[2:], scene[1, :2])
-    bottom, top = float(scene[0, 2]), float(scene[1, 2])
+    bottom = float(scene[0, 2])
+    top = float(scene[1, 2])
     if bottom > lowest:
         bottom = round(lowest - MARGIN, GAP_DIGITS)
     return _to_file(sides, bottom, max(top, highest))

@@ -58,13 +58,14 @@ def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[L
     x0, y0, x1, y1 = lattice.bounds
     (west, south), (east, north) = bounds[:, :2].tolist()
     rounding = BOX_ROUNDING * float(np.abs(bounds[:, :2]).max())
-    west, east, south, north = (
-        max(0, math.ceil((side - rounding) / lattice.cell_size - CELL_SLACK))
-        for side in (x0 - west, east - x1, y0 - south, north - y1)
-    )
+    west = max(0, math.ceil((x0 - west - rounding) / lattice.cell_size - CELL_SLACK))
+    east = max(0, math.ceil((east - x1 - rounding) / lattice.cell_size - CELL_SLACK))
+    south = max(0, math.ceil((y0 - south - rounding) / lattice.cell_size - CELL_SLACK))
+    north = max(0, math.ceil((north - y1 - rounding) / lattice.cell_size - CELL_SLACK))
 
     def extend(reach: int) -> Lattice:
-        left, above = min(west, reach), min(north, reach)
+        left = min(west, reach)
+        above = min(north, reach)
         return lattice._replace(
             x_min=lattice.x_min - left * lattice.cell_size,
             y_max=lattice.y_max + above * lattice.cell_size,
@@ -78,5 +79,6 @@ def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[L
 
     reaches = range(1, max(west, east, south, north) + 1)
     reach = bisect_left(reaches, True, key=is_too_large)  # the farthest that is not too large
-    row, col = min(north, reach), min(west, reach)
+    row = min(north, reach)
+    col = min(west, reach)
     return extend(reach), (slice(row, row + lattice.height), slice(col, col + lattice.width))

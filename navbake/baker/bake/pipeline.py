@@ -182,7 +182,8 @@ def _verified(
     from navbake.verifier.verify import verify_scene
 
     report = verify_scene(grid, scene, config, sample=sample)
-    found, cells = len(report.findings), report.checked
+    found = len(report.findings)
+    cells = report.checked
     verified = {"sample": sample, "cells": cells, "disagreements": found, "digest": report.digest}
     own: Json = {**grid.navbake, "verified": verified}
     if found:

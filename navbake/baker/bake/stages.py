@@ -604,7 +604,8 @@ def _describe_extent(scene: Scene, config: BakeConfig) -> str:
         return ""
     hint = "; ".join(scene.hints)
     if scene.parts and not hint:
-        up, unit = config.scene.up, config.scene.unit
+        up = config.scene.up
+        unit = config.scene.unit
         hint = f"check which way is up (`scene.up` is {up}) and the unit (`scene.unit` is {unit:g})"
     sides = zip("xyz", *scene.bounds.tolist(), strict=True)
     spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)

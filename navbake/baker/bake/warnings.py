@@ -213,9 +213,11 @@ def _warn_patches(
     for name, (least, text) in texts.items():
         patches = [one for one in getattr(floors, name) if one.area >= least]
         if patches:
-            first, more = patches[0], f", and {len(patches) - 1} more" if patches[1:] else ""
+            first = patches[0]
+            more = f", and {len(patches) - 1} more" if patches[1:] else ""
             x, y, z = first.place
-            area, height = f"{first.area:.1f}", f"{z:.2f}"
+            area = f"{first.area:.1f}"
+            height = f"{z:.2f}"
             on = repr(scene.geoms[first.geom].name)
             cells = sum(len(one.cells) for one in patches)
             what = f"{on} ({area} m² at {height} m{more})"
@@ -230,7 +232,8 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
     """
     levels = floors.levels
     given = [] if config.levels == "auto" else [level.ground for level in config.levels]
-    step, cell_area = config.agent.traversable_floor_height, config.grid.cell_size**2
+    step = config.agent.traversable_floor_height
+    cell_area = config.grid.cell_size**2
     for level in levels:
         if level.ground not in given or np.nanmin(level.floor) <= level.ground + step + LIMIT_SLACK:
             continue
@@ -239,7 +242,8 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
         drop = np.round((level.ground - z) * 100)  # [cm]
         drop = drop[(drop > 0) & (drop <= NEAR_GROUND * 100)].astype(np.int64)
         count = np.bincount(drop, minlength=1)
-        area, below = int(count.max()) * cell_area, int(count.argmax()) / 100
+        area = int(count.max()) * cell_area
+        below = int(count.argmax()) / 100
         if area >= config.floors.min_area:
             yield (
                 f"{level.name!r} has no floor near its ground, {level.ground:.2f} m: one of "
@@ -254,8 +258,10 @@ def _warn_unreached(floors: Floors, moving: Moving) -> Iterator[str]:
     for part in floors.unreached:
         if part.whole and part.level in linked:
             continue
-        name, patch = floors.levels[part.level].name, part.patch
-        on, area = moving.scene.geoms[patch.geom].name, f"{patch.area:.1f} m²"
+        name = floors.levels[part.level].name
+        patch = part.patch
+        on = moving.scene.geoms[patch.geom].name
+        area = f"{patch.area:.1f} m²"
         x, y, z = patch.place
         what = f"{area} of {name!r} (most of it on {on!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
         if part.whole:
@@ -292,7 +298,8 @@ def _warn_hidden_ground(config: BakeConfig, floors: Floors, scene: Scene) -> Ite
         lowest = min(float(np.nanmin(level.floor)) for level in levels)
         is_hidden = (planes.normal[:, 2] >= 1.0 - 1e-9) & (planes.pos[:, 2] < lowest - step)
         for plane in np.flatnonzero(is_hidden)[:1].tolist():
-            name, z = scene.geoms[planes.geom[plane]].name, planes.pos[plane, 2]
+            name = scene.geoms[planes.geom[plane]].name
+            z = planes.pos[plane, 2]
             yield (
                 f"{name!r} is endless, and the grid covers only the box of the "
                 f"other geoms, which hides it: `grid.margin` or `grid.bounds` shows the ground at "

@@ -41,7 +41,8 @@ KEPT_CELLS = 1 << 22
 ALIVE = 2
 # So many triangles are kept expanded: they take about 130 bytes each. More are, too, unless all
 # blocks of rows together are near to at most so many times as many
-KEPT_TRIANGLES, TIMES = 1 << 20, 2.0
+KEPT_TRIANGLES = 1 << 20
+TIMES = 2.0
 
 
 class ShapeBlocks:
@@ -52,20 +53,25 @@ class ShapeBlocks:
     """
 
     def __init__(self, shapes: Shapes, lattice: Lattice, reach: float) -> None:
-        self.lattice, self._shapes, self._reach = lattice, shapes, reach
+        self.lattice = lattice
+        self._shapes = shapes
+        self._reach = reach
         nothing = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
         self._solids = tile_shapes(shapes, lattice, reach, nothing.expand())
 
     def rows(self, rows: Rows) -> TiledShapes:
         """Shapes with all that are near some rows of whole bands."""
-        y, size = self.lattice.y_max, self.lattice.cell_size
-        boxes, far = self._shapes.meshes.boxes, self._reach + size
+        y = self.lattice.y_max
+        size = self.lattice.cell_size
+        boxes = self._shapes.meshes.boxes
+        far = self._reach + size
         is_near = boxes[:, 4] >= y - rows.end * size - far
         return self._expand(is_near & (boxes[:, 1] <= y - rows.first * size + far))
 
     def at(self, cells: Int) -> TiledShapes:
         """Shapes with all that are near some cells."""
-        lattice, boxes = self.lattice, self._shapes.meshes.boxes
+        lattice = self.lattice
+        boxes = self._shapes.meshes.boxes
         start, item = list_by_tile(boxes, self._reach, lattice)
         asked = np.zeros(len(start) - 1, dtype=np.bool_)
         asked[tile_of(lattice, cells)] = True
@@ -89,7 +95,8 @@ def list_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
     Args:
         reach: how far from cells' centres [m].
     """
-    counts, boxes = shapes.meshes.counts, shapes.meshes.boxes
+    counts = shapes.meshes.counts
+    boxes = shapes.meshes.boxes
     height = split_rows(lattice, ALIVE)[0].end * lattice.cell_size
     near = counts * (1.0 + (boxes[:, 4] - boxes[:, 1] + 2 * reach) / height)
     is_large = lattice.width * lattice.height > KEPT_CELLS and counts.sum() > KEPT_TRIANGLES
@@ -111,7 +118,10 @@ class ColumnBlocks:
         self, shapes: ShapeSource, agent: AgentSettings, crack: float, clock: StageClock
     ) -> None:
         self.lattice = shapes.lattice
-        self._shapes, self._agent, self._crack, self._clock = shapes, agent, crack, clock
+        self._shapes = shapes
+        self._agent = agent
+        self._crack = crack
+        self._clock = clock
         self._kept: Columns | None = None
         self._some: tuple[Int, Columns] | None = None  # the cells that were asked for last
         with clock.stage("columns"):
@@ -176,7 +186,8 @@ class ColumnBlocks:
 
 def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
     """The columns of a window of a lattice together, whose own lattice is given."""
-    gathered, is_whole = GatheredColumns(lattice), lattice == source.lattice
+    gathered = GatheredColumns(lattice)
+    is_whole = lattice == source.lattice
     for columns in source.blocks():
         if is_whole and columns.rows is None:
             return columns
@@ -219,7 +230,8 @@ def list_once(lattice: Lattice, cells: Int | Int32) -> Int:
 
 def cast_at(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int) -> Columns:
     """Cast the columns of some cells, ascending; others mean nothing."""
-    tiled, lattice = shapes.at(cells), shapes.lattice
+    tiled = shapes.at(cells)
+    lattice = shapes.lattice
     found = cast_points(tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
     columns = place_columns(lattice, cells, found)
     columns = settle_seams(columns, tiled, cells)
@@ -231,7 +243,8 @@ def cast_at(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int)
 def place_columns(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
     """Turn hits listed per cell in `cells` (ascending ids) into columns indexed by cell id."""
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-    start[cells], start[cells + 1] = hits.start[:-1], hits.start[1:]
+    start[cells] = hits.start[:-1]
+    start[cells + 1] = hits.start[1:]
     rows = (0, 0) if not len(cells) else (cells[[0, -1]] // lattice.width).tolist()
     asked = Rows(rows[0] // BAND * BAND, min(rows[1] // BAND * BAND + BAND, lattice.height))
     return Columns(lattice, hits._replace(start=start), asked)

@@ -23,7 +23,8 @@ BLOCK_CELLS = 1 << 20
 # So many lines at points are worth a call on another thread
 LEAST_POINTS = 1024
 # Chunks for each thread, where there are more boxes than so many a tile
-CHUNKS, WORTH = 2, 4
+CHUNKS = 2
+WORTH = 4
 WORLD_AXES = np.eye(3)  # the axes of a frame in which vertical lines are upright
 
 
@@ -200,12 +201,14 @@ class GatheredColumns:
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
         self._start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        self._parts, self._count = list[list[NDArray[Any]]](), 0
+        self._parts = list[list[NDArray[Any]]]()
+        self._count = 0
 
     def add(self, columns: Columns, rows: Rows) -> None:
         """Add the columns of the next rows."""
         first, end = rows.cells(self._lattice)
-        begin, stop = int(columns.start[first]), int(columns.start[end])
+        begin = int(columns.start[first])
+        stop = int(columns.start[end])
         ends = self._start[first + 1 : end + 1]
         np.add(columns.start[first + 1 : end + 1], self._count - begin, out=ends)
         self._parts.append([array[begin:stop] for array in columns.hits[1:]])
@@ -265,7 +268,8 @@ def cast_points(
     tiles = tile_of(tiled.lattice, cells)
     tiles = np.stack([tiles, tiles], axis=1) if tiles.ndim == 1 else tiles
     lines = Lines(np.ascontiguousarray(points), tiles, axes)
-    groups, start = range(-(-len(points) // GROUP)), np.zeros(len(points) + 1, dtype=np.int64)
+    groups = range(-(-len(points) // GROUP))
+    start = np.zeros(len(points) + 1, dtype=np.int64)
     return _cast(tiled, lines, tiled.tiles, groups, start, slice(None), LEAST_POINTS // GROUP)
 
 
@@ -340,8 +344,10 @@ def take_runs(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> Column
 
 def no_hits(start: Int, count: int) -> ColumnHits:
     """Room for so many hits of columns that start at known places."""
-    z, normal = np.empty(count), np.empty((count, 3), dtype=np.float32)
-    geom, closed = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.uint8)
+    z = np.empty(count)
+    normal = np.empty((count, 3), dtype=np.float32)
+    geom = np.empty(count, dtype=np.int32)
+    closed = np.empty(count, dtype=np.uint8)
     return ColumnHits(start, z, normal, geom, closed)
 
 
@@ -388,7 +394,8 @@ def _list(
 ) -> tuple[Int, Int32]:
     if not len(boxes):
         return np.zeros(count + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
-    threads, chunks = num_threads(), 1
+    threads = num_threads()
+    chunks = 1
     if threads > 1 and len(boxes) > WORTH * count:
         # no more counts than boxes, however many threads there are
         chunks = min(CHUNKS * threads, len(boxes) // count)

@@ -20,7 +20,14 @@ SAME_PIECE = 1e-3
 SAME_WAY = 0.9  # least cosine of the angle between directions that are about the same
 # The numbers of a note, a piece beside a line: the direction, distance and height of its nearest
 # point, and its radius [m]; its geom, the cell, and the previous note of the cell or -1
-WAY, AWAY, HEIGHT, RADIUS, GEOM, CELL, BEFORE, NUM_NOTES = 0, 2, 3, 4, 5, 6, 7, 8
+WAY = 0
+AWAY = 2
+HEIGHT = 3
+RADIUS = 4
+GEOM = 5
+CELL = 6
+BEFORE = 7
+NUM_NOTES = 8
 MOST_HEIGHTS = 8  # at which all cells of a tile have a floor; more are not looked for
 
 
@@ -32,34 +39,51 @@ def _take(solids, facets, item, face, min_up, corners):
     """
     if face < 0:
         c = facets.corners[item]
-        ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
-        vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        ux = c[1, 0] - c[0, 0]
+        uy = c[1, 1] - c[0, 1]
+        uz = c[1, 2] - c[0, 2]
+        vx = c[2, 0] - c[0, 0]
+        vy = c[2, 1] - c[0, 1]
+        vz = c[2, 2] - c[0, 2]
+        x = uy * vz - uz * vy
+        y = uz * vx - ux * vz
+        z = ux * vy - uy * vx
         if not z > 0.0 or z * z < min_up * min_up * (x * x + y * y + z * z):
             return 0, 0.0
         for i in range(3):
             for k in range(3):
                 corners[i, k] = c[i, k]
         return 3, 0.0
-    pos, mat, size, kind = solids.pos[item], solids.mat[item], solids.size[item], solids.kind[item]
+    pos = solids.pos[item]
+    mat = solids.mat[item]
+    size = solids.size[item]
+    kind = solids.kind[item]
     if kind == BOX:
         up = 1.0 if mat[6 + face] > 0.0 else -1.0
-        a, b = (face + 1) % 3, (face + 2) % 3
+        a = (face + 1) % 3
+        b = (face + 2) % 3
         for i in range(4):
-            along, across = size[a] if i in (1, 2) else -size[a], size[b] if i >= 2 else -size[b]
+            along = size[a] if i in (1, 2) else -size[a]
+            across = size[b] if i >= 2 else -size[b]
             for k in range(3):
                 of_face = pos[k] + up * size[face] * mat[3 * k + face]
                 corners[i, k] = of_face + along * mat[3 * k + a] + across * mat[3 * k + b]
         return 4 if up * mat[6 + face] >= min_up else 0, 0.0
     # of a radius, the part that faces up within the slope reaches so far, and is so high at its rim
-    reach, rise = size[0] * math.sqrt(max(1.0 - min_up * min_up, 0.0)), size[0] * min_up
-    half, num = 0.0, 1
+    reach = size[0] * math.sqrt(max(1.0 - min_up * min_up, 0.0))
+    rise = size[0] * min_up
+    half = 0.0
+    num = 1
     if kind == CYLINDER and abs(mat[8]) >= min_up:  # its upper end
-        reach, rise, half = size[0] * abs(mat[8]), 0.0, size[1]
+        reach = size[0] * abs(mat[8])
+        rise = 0.0
+        half = size[1]
     elif kind in (CYLINDER, CAPSULE):
-        half, num = size[1], 2
+        half = size[1]
+        num = 2
     elif size[1] > 0.0:  # an ellipsoid, as if it stood upright, by its lesser radius across
-        reach, rise = reach * min(1.0, size[1] / size[0]), size[2] * min_up
+        reach = reach * min(1.0, size[1] / size[0])
+        rise = size[2] * min_up
     for i in range(num):
         end = half if (mat[8] >= 0.0) == (i == 0) else -half
         for k in range(3):
@@ -73,18 +97,28 @@ def _distance(corners, num, radius, x, y, near):
 
     Its x and y are relative to the line, without the radius.
     """
-    best, left, right = math.inf, False, False
+    best = math.inf
+    left = False
+    right = False
     for i in range(num):
         j = i + 1 if i + 1 < num else 0
-        ax, ay = corners[i, 0] - x, corners[i, 1] - y
-        ex, ey = corners[j, 0] - corners[i, 0], corners[j, 1] - corners[i, 1]
-        length, t = ex * ex + ey * ey, 0.0
+        ax = corners[i, 0] - x
+        ay = corners[i, 1] - y
+        ex = corners[j, 0] - corners[i, 0]
+        ey = corners[j, 1] - corners[i, 1]
+        length = ex * ex + ey * ey
+        t = 0.0
         if length > 0.0:
             t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0)
-        dx, dy, side = ax + t * ex, ay + t * ey, ex * ay - ey * ax
-        left, right = left or side > 0.0, right or side < 0.0
+        dx = ax + t * ex
+        dy = ay + t * ey
+        side = ex * ay - ey * ax
+        left = left or side > 0.0
+        right = right or side < 0.0
         if dx * dx + dy * dy < best:
-            best, near[0], near[1] = dx * dx + dy * dy, dx, dy
+            best = dx * dx + dy * dy
+            near[0] = dx
+            near[1] = dy
             near[2] = corners[i, 2] + t * (corners[j, 2] - corners[i, 2])
     return 0.0 if num > 2 and left != right else math.sqrt(best) - radius
 
@@ -135,7 +169,8 @@ def _is_common(heights, num, low, high, step):
 @subkernel(**UNCOUNTED)
 def _is_side(seen, n, last, step):
     """Whether a note is the nearest of its direction and cell, and another is opposite to it."""
-    m, has_opposite = last, False
+    m = last
+    has_opposite = False
     while m >= 0:
         along = seen[n, WAY] * seen[m, WAY] + seen[n, WAY + 1] * seen[m, WAY + 1]
         spare = seen[n, RADIUS] + seen[m, RADIUS] + 2.0 * SAME_PIECE
@@ -155,42 +190,56 @@ def _list_in_tile(
 
     Each piece visits the lines near it, and is noted where they have no floor near its height.
     """
-    (solids, facets, tiles), (seen, sides, num_sides) = geometry, found
+    solids, facets, tiles = geometry
+    seen, sides, num_sides = found
     corners, box, near, heights, latest = scratch
-    first, last = tiles.solid_start[tile], tiles.solid_start[tile + 1]
+    first = tiles.solid_start[tile]
+    last = tiles.solid_start[tile + 1]
     shift = tiles.triangle_start[tile] - last
-    end, window = tiles.triangle_start[tile + 1] - shift, tile_window(lattice, tile)
-    num, count, step = -1, 0, limits.step + LIMIT_SLACK
+    end = tiles.triangle_start[tile + 1] - shift
+    window = tile_window(lattice, tile)
+    num = -1
+    count = 0
+    step = limits.step + LIMIT_SLACK
     if end - first > 1:
         num = _find_common(lattice, column_hits, window, asked, limits, heights)
     latest[:] = -1
     for n in range(first, end if num >= 0 else first):
-        item, face, faces = np.int64(0), -1, 0
+        item = np.int64(0)
+        face = -1
+        faces = 0
         if n >= last:
             item = np.int64(tiles.triangle_item[n + shift])
             if facets.facing[item] < max(100.0 * limits.min_up - 1.0, 1.0):  # rounded
                 continue
         else:
             item = np.int64(tiles.solid_item[n])
-            face, faces = 0, 3 if solids.kind[item] == BOX else 1
+            face = 0
+            faces = 3 if solids.kind[item] == BOX else 1
         while face < faces:
             if num_sides + count + TILE * TILE > seen.shape[0]:
                 return -1
             # most triangles have floor all around: their corners are taken where there is none
-            corners_of, radius = -1, 0.0
+            corners_of = -1
+            radius = 0.0
             if n >= last:
                 for k in range(6):
                     box[0, k] = facets.bounds[item, k]
             else:
                 corners_of, radius = _take(solids, facets, item, face, limits.min_up, corners)
                 for k in range(3):
-                    box[0, k], box[0, 3 + k] = math.inf, -math.inf
+                    box[0, k] = math.inf
+                    box[0, 3 + k] = -math.inf
                     for i in range(corners_of):
                         box[0, k] = min(box[0, k], corners[i, k])
                         box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
             # a line over the piece mostly has a floor near all of its heights: the piece itself
-            middle, most = (box[0, 2] + box[0, 5]) / 2.0, step - (box[0, 5] - box[0, 2]) / 2.0
-            row0, row1, col0, col1 = window[0], window[0], 0, 0
+            middle = (box[0, 2] + box[0, 5]) / 2.0
+            most = step - (box[0, 5] - box[0, 2]) / 2.0
+            row0 = window[0]
+            row1 = window[0]
+            col0 = 0
+            col1 = 0
             if corners_of != 0 and not _is_common(heights, num, box[0, 2], box[0, 5], limits.step):
                 row0, row1, col0, col1 = cells_near(lattice, window, box, 0, crack + radius)
             for row in range(row0, row1):
@@ -210,10 +259,15 @@ def _list_in_tile(
                         column_hits, cell, near[2], step, limits.min_up
                     ):
                         continue
-                    here, note = (row - window[0]) * TILE + col - window[2], seen[count]
-                    note[WAY], note[WAY + 1] = near[0] / (away + radius), near[1] / (away + radius)
-                    note[AWAY], note[HEIGHT], note[RADIUS] = away, near[2], radius
-                    note[CELL], note[BEFORE] = cell, latest[here]
+                    here = (row - window[0]) * TILE + col - window[2]
+                    note = seen[count]
+                    note[WAY] = near[0] / (away + radius)
+                    note[WAY + 1] = near[1] / (away + radius)
+                    note[AWAY] = away
+                    note[HEIGHT] = near[2]
+                    note[RADIUS] = radius
+                    note[CELL] = cell
+                    note[BEFORE] = latest[here]
                     note[GEOM] = solids.geom[item] if n < last else facets.geom[item]
                     latest[here] = count
                     count += 1
@@ -248,7 +302,9 @@ def list_sides(
         np.empty((4, 3)), np.empty((1, 6)), np.empty(3), np.empty(MOST_HEIGHTS),
         np.empty(TILE * TILE, np.int64),
     )  # fmt: skip
-    seen, sides, num = np.empty((256, NUM_NOTES)), np.empty((256, NUM_NOTES)), np.int64(0)
+    seen = np.empty((256, NUM_NOTES))
+    sides = np.empty((256, NUM_NOTES))
+    num = np.int64(0)
     for tile in range(first_tile, end):
         while True:
             after = _list_in_tile(
@@ -257,10 +313,8 @@ def list_sides(
             )  # fmt: skip
             if after >= 0:
                 break
-            seen, wider = (
-                np.empty((2 * seen.shape[0], NUM_NOTES)),
-                np.empty((2 * sides.shape[0], NUM_NOTES)),
-            )
+            seen = np.empty((2 * seen.shape[0], NUM_NOTES))
+            wider = np.empty((2 * sides.shape[0], NUM_NOTES))
             for n in range(num):
                 for k in range(NUM_NOTES):
                     wider[n, k] = sides[n, k]

@@ -21,11 +21,13 @@ from navbake.types import Bool, Float, Int32
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
 RIM = 1e-7
 # In place of a triangle's number
-OF_SOLID, OF_PLANE = np.int32(-1), np.int32(-2)
+OF_SOLID = np.int32(-1)
+OF_PLANE = np.int32(-2)
 # In place of the geom of hits behind a column's end, which were dropped
 DROPPED = np.int32(-1)
 # Whether a hit is at a triangle's edge; plain bools would be types of their own
-INSIDE, AT_EDGE = np.bool_(False), np.bool_(True)
+INSIDE = np.bool_(False)
+AT_EDGE = np.bool_(True)
 
 
 class Hits(NamedTuple):
@@ -48,16 +50,22 @@ class Hits(NamedTuple):
 @subkernel
 def make_hits(count):
     """Room for some hits of their own."""
-    z, normal, geom = np.empty(count), np.empty((count, 3), np.float32), np.empty(count, np.int32)
-    closed, facet = np.empty(count, np.uint8), np.empty(count, np.int32)
+    z = np.empty(count)
+    normal = np.empty((count, 3), np.float32)
+    geom = np.empty(count, np.int32)
+    closed = np.empty(count, np.uint8)
+    facet = np.empty(count, np.int32)
     return Hits(z, normal, geom, closed, facet, np.empty(count, np.bool_))
 
 
 @subkernel
 def hits_of(column_hits, first, last):
     """ColumnHits ``[first:last]``, with scratch."""
-    z, normal, geom = column_hits.z[first:last], column_hits.normal[first:last], column_hits.geom
-    closed, facet = column_hits.closed[first:last], np.empty(last - first, np.int32)
+    z = column_hits.z[first:last]
+    normal = column_hits.normal[first:last]
+    geom = column_hits.geom
+    closed = column_hits.closed[first:last]
+    facet = np.empty(last - first, np.int32)
     return Hits(z, normal, geom[first:last], closed, facet, np.empty(last - first, np.bool_))
 
 
@@ -137,13 +145,15 @@ def _drop_doubles(hits, first, last, facets):
 @subkernel(inline="always")
 def _steepest_of_part(hits, first, last, i, facets, side):
     """The steepest hit at an edge of the i-th one's part that faces up (1) or down (-1), or -1."""
-    steepest, up = np.int64(-1), 0.0
+    steepest = np.int64(-1)
+    up = 0.0
     for j in range(first, last):
         if not hits.at_edge[j] or not _is_same_part(hits, i, j, facets):
             continue
         rise = side * unit_normal(facets.corners, hits.facet[j])[2]
         if rise > 0.0 and (steepest < 0 or rise < up):
-            steepest, up = np.int64(j), rise
+            steepest = np.int64(j)
+            up = rise
     return steepest
 
 

@@ -39,7 +39,8 @@ def is_beside(boxes, i, x, y):
 @subkernel(inline="always")
 def _far_of_edge(corners, t, i, j):
     """The edge function of a line that is twice as far from an edge as RIM."""
-    dx, dy = corners[t, j, 0] - corners[t, i, 0], corners[t, j, 1] - corners[t, i, 1]
+    dx = corners[t, j, 0] - corners[t, i, 0]
+    dy = corners[t, j, 1] - corners[t, i, 1]
     length = math.sqrt(dx * dx + dy * dy)
     return 2.0 * RIM * length if length > SHORT else np.inf
 
@@ -50,9 +51,12 @@ def _cross_triangle(corners, t, x, y, far):
 
     `far` are `_far_of_edge` of the edges opposite the corners, or NEVER_FAR.
     """
-    ax, ay = corners[t, 0, 0] - x, corners[t, 0, 1] - y
-    bx, by = corners[t, 1, 0] - x, corners[t, 1, 1] - y
-    cx, cy = corners[t, 2, 0] - x, corners[t, 2, 1] - y
+    ax = corners[t, 0, 0] - x
+    ay = corners[t, 0, 1] - y
+    bx = corners[t, 1, 0] - x
+    by = corners[t, 1, 1] - y
+    cx = corners[t, 2, 0] - x
+    cy = corners[t, 2, 1] - y
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if abs(area) < 1e-14:
         return 0, 0.0
@@ -74,7 +78,9 @@ def _cross_triangle(corners, t, x, y, far):
             return 0, 0.0
         if nearest <= RIM:
             place = 2
-    z0, z1, z2 = corners[t, 0, 2], corners[t, 1, 2], corners[t, 2, 2]
+    z0 = corners[t, 0, 2]
+    z1 = corners[t, 1, 2]
+    z2 = corners[t, 2, 2]
     z = (u * z0 + v * z1 + w * z2) / (u + v + w)
     z = min(max(z, min(z0, z1, z2)), max(z0, z1, z2))
     return place, z
@@ -93,7 +99,9 @@ def hit_triangle(corners, n, facets, t, x, y, far, hits, at, writing):
         return 1
     nx, ny, nz = unit_normal(corners, n)
     hits.z[at] = z
-    hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = nx, ny, nz
+    hits.normal[at, 0] = nx
+    hits.normal[at, 1] = ny
+    hits.normal[at, 2] = nz
     hits.geom[at] = facets.geom[t]
     hits.closed[at] = facets.closed[t]
     hits.facet[at] = t
@@ -107,16 +115,22 @@ def _span_of_row(corners, t, left, right, y, far):
 
     Edge functions are linear along a row, so each bounds the span.
     """
-    x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
+    x0 = corners[t, 0, 0]
+    y0 = corners[t, 0, 1]
     area = (corners[t, 1, 0] - x0) * (corners[t, 2, 1] - y0)
     area -= (corners[t, 2, 0] - x0) * (corners[t, 1, 1] - y0)
     turn = 1.0 if area > 0.0 else -1.0
-    low, high = left, right
+    low = left
+    high = right
     for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        bx, by = corners[t, i, 0] - left, corners[t, i, 1] - y
-        cx, cy = corners[t, j, 0] - left, corners[t, j, 1] - y
-        at_left, growth = turn * (bx * cy - cx * by), turn * (corners[t, i, 1] - corners[t, j, 1])
+        i = (k + 1) % 3
+        j = (k + 2) % 3
+        bx = corners[t, i, 0] - left
+        by = corners[t, i, 1] - y
+        cx = corners[t, j, 0] - left
+        cy = corners[t, j, 1] - y
+        at_left = turn * (bx * cy - cx * by)
+        growth = turn * (corners[t, i, 1] - corners[t, j, 1])
         if growth > 0.0:
             low = max(low, left - (at_left + far[k]) / growth)
         elif growth < 0.0:
@@ -136,17 +150,24 @@ def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writi
         end: for each line of the rows, where its next hit goes; is advanced.
         writing: else hits are only counted.
     """
-    corners, bounds = facets.corners, facets.bounds
-    y_max, x_min, cell = lattice.y_max, lattice.x_min, lattice.cell_size
-    width, height = lattice.width, lattice.height
+    corners = facets.corners
+    bounds = facets.bounds
+    y_max = lattice.y_max
+    x_min = lattice.x_min
+    cell = lattice.cell_size
+    width = lattice.width
+    height = lattice.height
     for i in range(listed.shape[0]):
-        t, count = listed[i], 0
+        t = listed[i]
+        count = 0
         if (writing and not is_crossed[i]) or (not writing and facets.facing[t] == 0):
             is_crossed[i] = False
             continue
-        top, bottom = bounds[t, 4] + RIM, bounds[t, 1] - RIM
+        top = bounds[t, 4] + RIM
+        bottom = bounds[t, 1] - RIM
         first, last = centers_between(y_max - top, y_max - bottom, cell, height)
-        x0, x1 = bounds[t, 0] - RIM, bounds[t, 3] + RIM
+        x0 = bounds[t, 0] - RIM
+        x1 = bounds[t, 3] + RIM
         begin, stop = centers_between(x0 - x_min, x1 - x_min, cell, width)
         is_wide = stop - begin >= NARROW
         far = (

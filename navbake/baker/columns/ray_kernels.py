@@ -49,10 +49,13 @@ EIGHTH = 0.7853981633974483
 PLANE_KIND = np.int32(PLANE)
 # Lines this far from the rim of an upright solid are inside or outside of it, whatever rounding
 # does; and solids narrower than WIDE ask MuJoCo on all lines [m]
-CLEAR, WIDE = 1e-5, 1e-3
+CLEAR = 1e-5
+WIDE = 1e-3
 GROUP = 64  # lines at points that one call takes together
 # Axes; plain integers would compile what takes them once for each
-X, Y, Z = np.int64(0), np.int64(1), np.int64(2)
+X = np.int64(0)
+Y = np.int64(1)
+Z = np.int64(2)
 
 
 class Lines(NamedTuple):
@@ -116,7 +119,10 @@ def _cast(pos, mat, size, kind, point, ray):
 @subkernel(inline="always")
 def _cast_at_rim(solids, s, ray):
     """Cast a ray at a solid; one that misses its rim by at most RIM is moved onto it."""
-    pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
+    pos = solids.pos[s]
+    mat = solids.mat[s]
+    size = solids.size[s]
+    kind = solids.kind[s]
     distance = _cast(pos, mat, size, kind, ray.point, ray)
     if distance >= 0.0:
         return distance
@@ -145,7 +151,9 @@ def _aim(ray, way, low, high):
 def _hit(hits, at, z, normal, up, geom):
     """Note a hit of a solid or a plane, but for `closed` and `facet`."""
     hits.z[at] = z
-    hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = normal[0], normal[1], up
+    hits.normal[at, 0] = normal[0]
+    hits.normal[at, 1] = normal[1]
+    hits.normal[at, 2] = up
     hits.geom[at] = geom
     hits.at_edge[at] = INSIDE
 
@@ -153,8 +161,10 @@ def _hit(hits, at, z, normal, up, geom):
 @subkernel(**UNCOUNTED)
 def _hit_solid(solids, s, x, y, ray, hits, at):
     """Note where a line enters and leaves a solid, from a place of the hits; returns how often."""
-    box, count = solids.bounds[s], np.int64(0)
-    ray.point[0], ray.point[1] = x, y
+    box = solids.bounds[s]
+    count = np.int64(0)
+    ray.point[0] = x
+    ray.point[1] = y
     for way in range(2):
         _aim(ray, way, box[2] - 1.0, box[5] + 1.0)
         distance = _cast_at_rim(solids, s, ray)
@@ -164,7 +174,8 @@ def _hit_solid(solids, s, x, y, ray, hits, at):
             up = min(up, -1e-12) if way == 0 else max(up, 1e-12)
             z = ray.point[2] + ray.direction[2] * distance
             _hit(hits, at + count, z, ray.normal, up, solids.geom[s])
-            hits.closed[at + count], hits.facet[at + count] = CONVEX_SOLID, OF_SOLID
+            hits.closed[at + count] = CONVEX_SOLID
+            hits.facet[at + count] = OF_SOLID
             count += 1
     return count
 
@@ -178,8 +189,11 @@ def _is_upright(mat):
 @subkernel(**UNCOUNTED)
 def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     """Note where a line crosses an infinite plane, from its front only; returns how often."""
-    count, pos, mat = np.int64(0), planes.pos[p], planes.mat[p]
-    ray.point[0], ray.point[1] = x, y
+    count = np.int64(0)
+    pos = planes.pos[p]
+    mat = planes.mat[p]
+    ray.point[0] = x
+    ray.point[1] = y
     ray.grown[:] = 0.0  # a plane of no size is infinite
     for way in range(2):
         _aim(ray, way, heights.low, heights.high)
@@ -189,7 +203,8 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, at):
             across = (x - pos[0]) * mat[2] + (y - pos[1]) * mat[5]
             z = pos[2] - across / mat[8]
             _hit(hits, at + count, z, ray.normal, ray.normal[2], planes.geom[p])
-            hits.closed[at + count], hits.facet[at + count] = OPEN_SURFACE, OF_PLANE
+            hits.closed[at + count] = OPEN_SURFACE
+            hits.facet[at + count] = OF_PLANE
             count += 1
     return count
 
@@ -197,10 +212,14 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, at):
 @subkernel(inline="always")
 def _beyond_rim(solids, s, x, y):
     """How far a line is beyond an upright solid's rim, of a box along one axis, < 0 inside [m]."""
-    mat, size, kind = solids.mat[s], solids.size[s], solids.kind[s]
-    dx, dy = x - solids.pos[s, 0], y - solids.pos[s, 1]
+    mat = solids.mat[s]
+    size = solids.size[s]
+    kind = solids.kind[s]
+    dx = x - solids.pos[s, 0]
+    dy = y - solids.pos[s, 1]
     if kind == BOX:
-        across, along = mat[0] * dx + mat[3] * dy, mat[1] * dx + mat[4] * dy
+        across = mat[0] * dx + mat[3] * dy
+        along = mat[1] * dx + mat[4] * dy
         return max(abs(across) - size[0], abs(along) - size[1])
     return math.hypot(dx, dy) - size[0]
 
@@ -215,7 +234,8 @@ def _has_known_rim(solids, s):
 @subkernel(inline="always")
 def _has_level_ends(solids, s):
     """Whether all lines well inside of a solid's rim cross it at the same two heights."""
-    size, kind = solids.size[s], solids.kind[s]
+    size = solids.size[s]
+    kind = solids.kind[s]
     is_wide = size[0] > WIDE and (kind == CYLINDER or size[1] > WIDE)
     return kind != SPHERE and is_wide
 
@@ -226,14 +246,19 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
 
     `middle` has room for the hits of the line through its middle.
     """
-    box, cell = solids.bounds[s], lattice.cell_size
-    x_min, y_max = lattice.x_min, lattice.y_max
+    box = solids.bounds[s]
+    cell = lattice.cell_size
+    x_min = lattice.x_min
+    y_max = lattice.y_max
     first, last = centers_between(y_max - box[4] - RIM, y_max - box[1] + RIM, cell, lattice.height)
-    first, last = max(first, rows[0]), min(last, rows[1] - 1)
+    first = max(first, rows[0])
+    last = min(last, rows[1] - 1)
     left, right = centers_between(box[0] - RIM - x_min, box[3] + RIM - x_min, cell, lattice.width)
-    has_rim, has_level = _has_known_rim(solids, s), False
+    has_rim = _has_known_rim(solids, s)
+    has_level = False
     if has_rim and _has_level_ends(solids, s):
-        x, y = solids.pos[s, 0], solids.pos[s, 1]
+        x = solids.pos[s, 0]
+        y = solids.pos[s, 1]
         has_level = _hit_solid(solids, s, x, y, ray, middle, np.int64(0)) == 2
     for row in range(first, last + 1):
         y = cell_center(lattice, row * lattice.width)[1]
@@ -258,7 +283,8 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
 def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross an infinite plane, see `_cast_solid`."""
     is_level = _is_upright(planes.mat[p])
-    count, zero = np.int64(0), np.int64(0)
+    count = np.int64(0)
+    zero = np.int64(0)
     for line in range(end.shape[0]):
         if not is_level or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
@@ -296,14 +322,17 @@ def _cast_band(lattice, geometry, items, crossed, band, ray, middle, hits, end, 
         s = items.solid_item[i]
         _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing)
     here = slice(items.triangle_start[band], items.triangle_start[band + 1])
-    listed, is_crossed = items.triangle_item[here], crossed[here]
+    listed = items.triangle_item[here]
+    is_crossed = crossed[here]
     raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing)
 
 
 @subkernel(inline="always")
 def _along(axes, axis, corners, t):
     """A triangle's three corners along an axis of a frame."""
-    x, y, z = axes[axis, 0], axes[axis, 1], axes[axis, 2]
+    x = axes[axis, 0]
+    y = axes[axis, 1]
+    z = axes[axis, 2]
     return (
         x * corners[t, 0, 0] + y * corners[t, 0, 1] + z * corners[t, 0, 2],
         x * corners[t, 1, 0] + y * corners[t, 1, 1] + z * corners[t, 1, 2],
@@ -320,8 +349,12 @@ def _is_near(corners, t, x, y, axes, turned):
     d, e, f = _along(axes, Y, corners, t)
     if y < min(d, e, f) - RIM or y > max(d, e, f) + RIM:
         return False
-    turned[0, 0, X], turned[0, 1, X], turned[0, 2, X] = a, b, c
-    turned[0, 0, Y], turned[0, 1, Y], turned[0, 2, Y] = d, e, f
+    turned[0, 0, X] = a
+    turned[0, 1, X] = b
+    turned[0, 2, X] = c
+    turned[0, 0, Y] = d
+    turned[0, 1, Y] = e
+    turned[0, 2, Y] = f
     turned[0, 0, Z], turned[0, 1, Z], turned[0, 2, Z] = _along(axes, Z, corners, t)
     return unit_normal(turned, 0)[2] != 0.0
 
@@ -333,9 +366,14 @@ def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
     `turned` has room for a triangle's corners, (1, 3, 3).
     """
     solids, facets, planes, heights = geometry
-    x, y, count, tiles_x = lines.points[n, 0], lines.points[n, 1], 0, -(-lattice.width // TILE)
-    row0, row1 = lines.tiles[n, 0] // tiles_x, lines.tiles[n, 1] // tiles_x
-    col0, col1 = lines.tiles[n, 0] % tiles_x, lines.tiles[n, 1] % tiles_x
+    x = lines.points[n, 0]
+    y = lines.points[n, 1]
+    count = 0
+    tiles_x = -(-lattice.width // TILE)
+    row0 = lines.tiles[n, 0] // tiles_x
+    row1 = lines.tiles[n, 1] // tiles_x
+    col0 = lines.tiles[n, 0] % tiles_x
+    col1 = lines.tiles[n, 1] % tiles_x
     is_turned = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
     for p in range(planes.geom.shape[0]):
         count += _hit_plane(planes, p, x, y, heights, ray, hits, at + count if writing else at)
@@ -343,11 +381,13 @@ def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
         for col in range(min(col0, col1), max(col0, col1) + 1):
             tile = row * tiles_x + col
             for i in range(items.solid_start[tile], items.solid_start[tile + 1]):
-                s, place = items.solid_item[i], at + count if writing else at
+                s = items.solid_item[i]
+                place = at + count if writing else at
                 if not is_beside(solids.bounds, s, x, y):
                     count += _hit_solid(solids, s, x, y, ray, hits, place)
             for i in range(items.triangle_start[tile], items.triangle_start[tile + 1]):
-                t, place = items.triangle_item[i], at + count
+                t = items.triangle_item[i]
+                place = at + count
                 if not is_turned and is_beside(facets.bounds, t, x, y):
                     continue
                 if not _is_near(facets.corners, t, x, y, lines.axes, turned):
@@ -374,13 +414,20 @@ def cast_lines(lattice, lines, geometry, items, crossed, column_hits, dropped, f
             the column_hits, and behind each column's last those that are DROPPED.
         dropped: by group, int64; receives the number of hits that are no column_hits.
     """
-    start, writing = column_hits.start, column_hits.z.shape[0] > 0
-    ray, middle, turned = make_ray(), make_hits(2), np.empty((1, 3, 3))
-    num, size, at_points = lines.points.shape[0], GROUP, lines.points.shape[0] > 0
+    start = column_hits.start
+    writing = column_hits.z.shape[0] > 0
+    ray = make_ray()
+    middle = make_hits(2)
+    turned = np.empty((1, 3, 3))
+    num = lines.points.shape[0]
+    size = GROUP
+    at_points = lines.points.shape[0] > 0
     if not at_points:
-        num, size = lattice.height * lattice.width, BAND * lattice.width
+        num = lattice.height * lattice.width
+        size = BAND * lattice.width
     for group in range(first_group, end):
-        first, last = group * size, min((group + 1) * size, num)
+        first = group * size
+        last = min((group + 1) * size, num)
         place = np.zeros(last - first, np.int64)
         hits = middle
         if writing:

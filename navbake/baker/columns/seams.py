@@ -53,10 +53,12 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     """
     if cells is not None and not len(cells):
         return columns
-    lattice, known_rows = columns.lattice, columns.known_rows
+    lattice = columns.lattice
+    known_rows = columns.known_rows
     tiles = tiles_of_rows(lattice, known_rows) if cells is None else tile_of(lattice, cells)
     tiles = np.unique(np.asarray(tiles, dtype=np.int64))
-    solids, over = tiled.shapes.solids, tiled.tiles
+    solids = tiled.shapes.solids
+    over = tiled.tiles
     is_over = _are_over(over.solid_start, over.solid_item, tiles, len(solids.geom))
     chosen = np.flatnonzero(is_over & (solids.kind == BOX))
     mat = abs(solids.mat[chosen])
@@ -65,17 +67,20 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
 
     def drop_thick(first: int, end: int) -> None:
-        wide, deep = (bounds[first:end, 3 + axis] - bounds[first:end, axis] for axis in (0, 1))
+        wide = bounds[first:end, 3 + 0] - bounds[first:end, 0]
+        deep = bounds[first:end, 3 + 1] - bounds[first:end, 1]
         is_over[first:end] &= (wide <= RIM) | (deep <= RIM)
 
     run_in_chunks(drop_thick, len(bounds), least=4096)
     corners = tiled.facets.corners[is_over]
     # only in the window round the cells
-    row, col = np.arange(*known_rows), np.arange(lattice.width)
+    row = np.arange(*known_rows)
+    col = np.arange(lattice.width)
     known = np.ones((len(row), len(col)), dtype=np.bool_)
     if cells is not None:
         rows, cols = np.divmod(cells, lattice.width)
-        row, col = (np.arange(one.min(), one.max() + 1) for one in (rows, cols))
+        row = np.arange(rows.min(), rows.max() + 1)
+        col = np.arange(cols.min(), cols.max() + 1)
         known = np.zeros((len(row), len(col)), dtype=np.bool_)
         known[rows - row[0], cols - col[0]] = True
     centers = lattice.center_x()[col], lattice.center_y()[row][::-1]  # ascending
@@ -106,8 +111,10 @@ def _find_seams(centers: tuple[Float, Float], axis: int, boxes: Float, corners: 
     `centers` are x of its columns and y of its rows, ascending.
     """
     other = 1 - axis
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
+    one = corners[:, 1] - corners[:, 0]
+    two = corners[:, 2] - corners[:, 0]
     # the normal along the axis, whose sign says where the face looks
     looks = (one[:, other] * two[:, 2] - one[:, 2] * two[:, other]) * (1 - 2 * axis)
     flat = high[:, axis] - low[:, axis] <= RIM
@@ -147,7 +154,8 @@ def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Colu
 
     The cells ascend and may repeat.
     """
-    old, (begin, end) = columns.hits, columns.known_rows.cells(columns.lattice)
+    old = columns.hits
+    begin, end = columns.known_rows.cells(columns.lattice)
     more = np.zeros(end - begin + 1, dtype=np.int64)
     np.add.at(more, cell + 1 - begin, np.diff(new.start) - (last - first))
     start = np.zeros(len(old.start), dtype=np.int64)  # whose pages cost nothing until written
@@ -175,8 +183,10 @@ def close_cracks(
     """
     if crack == 0:
         return columns
-    shapes, parts = tiled.shapes, dict[int, tuple[Float, int]]()
-    limits, tiles = agent_limits(agent), tiles_of_rows(columns.lattice, columns.known_rows)
+    shapes = tiled.shapes
+    parts = dict[int, tuple[Float, int]]()
+    limits = agent_limits(agent)
+    tiles = tiles_of_rows(columns.lattice, columns.known_rows)
 
     def find(first: int, end: int) -> None:
         geometry = shapes.solids, tiled.facets, tiled.tiles
@@ -189,36 +199,48 @@ def close_cracks(
         return columns
     sides = np.concatenate([notes[:count] for notes, count in found])
     sides = sides[np.argsort(sides[:, CELL], kind="stable")]
-    cell, geom, way = sides[:, CELL].astype(np.int64), sides[:, GEOM], sides[:, WAY : WAY + 2]
+    cell = sides[:, CELL].astype(np.int64)
+    geom = sides[:, GEOM]
+    way = sides[:, WAY : WAY + 2]
 
     # rays just beyond the edges find the exact surfaces there
     beyond = columns.lattice.positions(*np.divmod(cell, columns.lattice.width))
     beyond += way * (sides[:, AWAY, None] + HAIR)
     rays = cast_points(tiled, cell, beyond)
     line = np.repeat(np.arange(len(cell)), np.diff(rays.start))
-    off, is_up = abs(rays.z - sides[line, HEIGHT]), rays.normal[:, 2] >= limits.min_up
+    off = abs(rays.z - sides[line, HEIGHT])
+    is_up = rays.normal[:, 2] >= limits.min_up
     is_piece = is_up & (rays.geom == geom[line]) & (off <= SAME_PIECE + sides[line, RADIUS])
     seen = np.flatnonzero(is_piece)
     seen = seen[np.lexsort((off[seen], line[seen]))]
     line, nearest = np.unique(line[seen], return_index=True)
-    seen, cell, way = seen[nearest], cell[line], way[line]
+    seen = seen[nearest]
+    cell = cell[line]
+    way = way[line]
     # a surface buried there, and not on the cell's line, only ends at the foot of something
     is_side = ~_are_buried(rays, line, rays.z[seen])
     is_side |= _are_buried(columns.hits, cell, rays.z[seen])
-    seen, cell, way = seen[is_side], cell[is_side], way[is_side]
+    seen = seen[is_side]
+    cell = cell[is_side]
+    way = way[is_side]
 
     # of each two opposite sides the lower one bridges the line
-    z, bridge = rays.z[seen], np.zeros(len(seen), dtype=np.bool_)
+    z = rays.z[seen]
+    bridge = np.zeros(len(seen), dtype=np.bool_)
     for apart in range(1, int(np.unique(cell, return_counts=True)[1].max(initial=1))):
-        one, other = slice(None, -apart), slice(apart, None)
+        one = slice(None, -apart)
+        other = slice(apart, None)
         are_sides = (cell[one] == cell[other]) & (
             abs(z[one] - z[other]) <= limits.step + LIMIT_SLACK
         )
         are_sides &= (way[one] * way[other]).sum(axis=1) <= -SAME_WAY
         bridge[one] |= are_sides & (z[one] <= z[other])
         bridge[other] |= are_sides & (z[other] <= z[one])
-    seen, cell, z = seen[bridge], cell[bridge], z[bridge]
-    order, kept = np.lexsort((rays.geom[seen], z, cell)), list[int]()
+    seen = seen[bridge]
+    cell = cell[bridge]
+    z = z[bridge]
+    order = np.lexsort((rays.geom[seen], z, cell))
+    kept = list[int]()
     for n in order.tolist():  # of those of a cell within a step, the lowest
         if not kept or cell[kept[-1]] != cell[n] or z[n] - z[kept[-1]] > limits.step + LIMIT_SLACK:
             kept.append(n)
@@ -234,8 +256,10 @@ def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
 
 def _add(columns: Columns, cell: Int, rays: ColumnHits, seen: Int) -> Columns:
     """Add surfaces to columns, by cell and then height."""
-    old, z = columns.hits, rays.z[seen]
-    place, last = old.start[cell], old.start[cell + 1]
+    old = columns.hits
+    z = rays.z[seen]
+    place = old.start[cell]
+    last = old.start[cell + 1]
     while (below := (place < last) & (old.z[np.minimum(place, len(old.z) - 1)] < z)).any():
         place = place + below
     closed = np.full(len(z), OPEN_SURFACE, np.uint8)

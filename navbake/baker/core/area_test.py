@@ -36,7 +36,8 @@ def disc_rows(limit: float, shorter: int) -> Int:
     out = (shorter + 1) // 2
     if limit > out:
         half = np.full(2 * out + 1, -1, dtype=np.int64)
-        half[out], half[[0, -1]] = out, 0
+        half[out] = out
+        half[[0, -1]] = 0
         return half
     away = np.arange(-int(np.ceil(limit)), int(np.ceil(limit)) + 1)
     near = np.sqrt(away[:, None] ** 2 + away**2) < limit

@@ -43,7 +43,8 @@ class StageClock:
         try:
             yield
         finally:
-            taken, inside = time.perf_counter() - begin, self._inside.pop()
+            taken = time.perf_counter() - begin
+            inside = self._inside.pop()
         # what fails is no part of it
         counted = self.seconds if name in self.seconds else self._ahead
         counted[name] = counted.get(name, 0.0) + taken - inside

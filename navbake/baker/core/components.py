@@ -26,7 +26,8 @@ def touching(cells: Int, width: int) -> Int:
 
     `cells` are ascending ids, shape (m,), of a lattice of a `width`.
     """
-    col, pairs = cells % width, list[Int]()
+    col = cells % width
+    pairs = list[Int]()
     for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
         one = np.flatnonzero((col + right >= 0) & (col + right < width))
         beside = cells[one] + down * width + right
@@ -49,7 +50,8 @@ def list_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
     Returns for each its row, its first column and the one past its last, and the value of its
     cells, shape (n,).
     """
-    rows, width = values.shape[0], values.shape[1] + 1
+    rows = values.shape[0]
+    width = values.shape[1] + 1
     line = np.zeros(rows * width + 1, dtype=values.dtype)  # each row ends with a 0
     line[1:].reshape(rows, width)[:, :-1] = values
     bounds = np.flatnonzero(line[1:] != line[:-1])
@@ -73,7 +75,8 @@ def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
     """
     rows, cols = values.shape
     row, first, end, value = list_runs(values)
-    place, past = row * (cols + 1) + first, row * (cols + 1) + end
+    place = row * (cols + 1) + first
+    past = row * (cols + 1) + end
     # the runs of the next row that begin before a run's end and end behind its beginning
     begin = np.searchsorted(past, place + cols + 1, "right")
     one, other = ranges(begin, np.searchsorted(place, past + cols + 1, "left"))

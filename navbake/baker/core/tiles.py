@@ -26,7 +26,8 @@ ONE_COLUMN = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 def tile_window(lattice, tile):
     """The rows and columns of a tile: the first row, past the last, and so with the columns."""
     tiles_x = (lattice.width + TILE - 1) // TILE
-    row, col = tile // tiles_x * TILE, tile % tiles_x * TILE
+    row = tile // tiles_x * TILE
+    col = tile % tiles_x * TILE
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
 
 
@@ -34,7 +35,8 @@ def tile_window(lattice, tile):
 def block_window(lattice, block):
     """The rows and columns of a block: the first row, past the last, and so with the columns."""
     cols = (lattice.width + SIZE - 1) // SIZE
-    row, col = block // cols * SIZE, block % cols * SIZE
+    row = block // cols * SIZE
+    col = block % cols * SIZE
     return row, min(row + SIZE, lattice.height), col, min(col + SIZE, lattice.width)
 
 
@@ -120,7 +122,9 @@ def _tile_range(low, high, num_tiles, tile_size):
 @subkernel(inline="always")
 def _tiles_under(boxes, n, grow, lattice):
     """The first and last row of tiles that a grown box reaches into, and so with the columns."""
-    width, height, cell_size = lattice.width, lattice.height, lattice.cell_size
+    width = lattice.width
+    height = lattice.height
+    cell_size = lattice.cell_size
     x0 = boxes[n, 0] - grow - lattice.x_min
     x1 = boxes[n, 3] + grow - lattice.x_min
     y0 = lattice.y_max - boxes[n, 4] - grow
@@ -136,9 +140,11 @@ def _tiles_under(boxes, n, grow, lattice):
 @subkernel(inline="always")
 def _bands_under(boxes, n, grow, lattice):
     """The first and last band in which a grown box holds a cell's centre, and no columns."""
-    x0, x1 = boxes[n, 0] - grow - lattice.x_min, boxes[n, 3] + grow - lattice.x_min
+    x0 = boxes[n, 0] - grow - lattice.x_min
+    x1 = boxes[n, 3] + grow - lattice.x_min
     left, right = centers_between(x0, x1, lattice.cell_size, lattice.width)
-    y0, y1 = lattice.y_max - boxes[n, 4] - grow, lattice.y_max - boxes[n, 1] + grow
+    y0 = lattice.y_max - boxes[n, 4] - grow
+    y1 = lattice.y_max - boxes[n, 1] + grow
     first, last = centers_between(y0, y1, lattice.cell_size, lattice.height)
     if right < left or last < first:
         return 0, -1, 0, -1
@@ -158,7 +164,9 @@ def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
             goes; advanced.
         item: receives the boxes, int32; they are only counted where it is empty.
     """
-    num, num_chunks, writing = boxes.shape[0], cursor.shape[0], item.shape[0] > 0
+    num = boxes.shape[0]
+    num_chunks = cursor.shape[0]
+    writing = item.shape[0] > 0
     stride = 1 if by_band else (lattice.width + TILE - 1) // TILE
     for chunk in range(first, end):
         place = cursor[chunk]

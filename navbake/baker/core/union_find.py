@@ -25,7 +25,8 @@ def find_root(parent, item):
 @subkernel(**UNCOUNTED)
 def unite(parent, one, other):
     """Join the sets of two items."""
-    one, other = find_root(parent, one), find_root(parent, other)
+    one = find_root(parent, one)
+    other = find_root(parent, other)
     if one != other:
         parent[max(one, other)] = min(one, other)
 
@@ -85,7 +86,8 @@ def number_lists(start, value, number):
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False
-    k, num = 0, start[a + 1] - start[a]
+    k = 0
+    num = start[a + 1] - start[a]
     while k < num and value[start[a] + k] == value[start[b] + k]:
         k += 1
     return k == num

@@ -18,7 +18,8 @@ EDGES: tuple[tuple[Any, Any], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1]
 
 def list_differing(values: NDArray[Any]) -> Int:
     """The ids of cells beside each other whose values differ, (height, width); shape (2, n)."""
-    width, flat = values.shape[1], values.ravel()
+    width = values.shape[1]
+    flat = values.ravel()
     right = np.flatnonzero(flat[:-1] != flat[1:])
     right = right[(right + 1) % width > 0]
     down = np.flatnonzero(flat[:-width] != flat[width:])
@@ -56,7 +57,8 @@ def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
 
 def bounding_window(mask: Bool) -> Window:
     """The smallest window that holds all marked cells, one at least."""
-    rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    rows = np.flatnonzero(mask.any(axis=1))
+    cols = np.flatnonzero(mask.any(axis=0))
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 

@@ -42,7 +42,8 @@ from navbake.types import Bool, Float, Int, Int32
 
 # The length of lines of sight from each side of a closed leaf; they reach at least so many cells
 # beyond those that it blocks [m, cells]
-SIGHT, SIGHT_CELLS = 0.6, 2.0
+SIGHT = 0.6
+SIGHT_CELLS = 2.0
 # What a leaf ends at reaches at most so far on in its line, if it is no wall [m]
 FRAME = 0.5
 # Where lines of sight begin along the leaf, as shares of its width from its middle, off the frame

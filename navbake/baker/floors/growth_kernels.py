@@ -16,7 +16,9 @@ from navbake.baker.floors.surface_kernels import Surfaces, slope_joins
 from navbake.compiled import UNCOUNTED, kernel, subkernel
 from navbake.types import Float, Int, Int32
 
-NO_OPTION, OPTION, LAST_OPTION = 0, 1, 2
+NO_OPTION = 0
+OPTION = 1
+LAST_OPTION = 2
 
 
 class Growing(NamedTuple):
@@ -73,23 +75,32 @@ def stand(labelled, growing, blocks, counts, columns, begin, end):
 
     The rows, see `navbake.baker.core.blocks.list_rows`: a cell with such a surface, int64.
     """
-    (cells,), num = columns, 0
-    surfaces, floor, ring = growing.surfaces, growing.floor, growing.ring
-    lattice, option = surfaces.lattice, growing.option
+    (cells,) = columns
+    num = 0
+    surfaces = growing.surfaces
+    floor = growing.floor
+    ring = growing.ring
+    lattice = surfaces.lattice
+    option = growing.option
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                first, last = surfaces.first[cell], surfaces.end[cell]
-                floor[cell], ring[cell] = math.nan, -1
-                lowest, highest = -math.inf, math.inf
+                first = surfaces.first[cell]
+                last = surfaces.end[cell]
+                floor[cell] = math.nan
+                ring[cell] = -1
+                lowest = -math.inf
+                highest = math.inf
                 for j in range(first, last):
                     if growing.level[j] < 0:
                         continue
-                    number, z = growing.number[growing.level[j]], surfaces.z[j]
+                    number = growing.number[growing.level[j]]
+                    z = surfaces.z[j]
                     if number == growing.own:
-                        floor[cell], ring[cell] = z, 0
+                        floor[cell] = z
+                        ring[cell] = 0
                     elif number < growing.own:
                         lowest = z + growing.height - LIMIT_SLACK
                     elif highest == math.inf:
@@ -107,7 +118,8 @@ def stand(labelled, growing, blocks, counts, columns, begin, end):
                 if final >= 0:
                     if num == cells.shape[0]:
                         return k
-                    option[final], cells[num] = LAST_OPTION, cell
+                    option[final] = LAST_OPTION
+                    cells[num] = cell
                     num += 1
         counts[k] = num - before
     return end
@@ -116,7 +128,8 @@ def stand(labelled, growing, blocks, counts, columns, begin, end):
 @subkernel(inline="always")
 def _around(lattice, cell):
     """The next cells east, south, west and north, less than 0 for none."""
-    width, col = lattice.width, cell % lattice.width
+    width = lattice.width
+    col = cell % lattice.width
     east = cell + 1 if col + 1 < width else np.int64(-1)
     south = cell + width if cell + width < width * lattice.height else np.int64(-1)
     west = cell - 1 if col > 0 else np.int64(-1)
@@ -131,9 +144,14 @@ def _grow_into(growing, cell, now):
     surfaces marked by `stand` that is nearest to the floor of a neighbour, and at most a step from
     it; the lower one if two are equally near.
     """
-    z, floor, ring, option = growing.surfaces.z, growing.floor, growing.ring, growing.option
+    z = growing.surfaces.z
+    floor = growing.floor
+    ring = growing.ring
+    option = growing.option
     # read once, as others may grow the same floor into the cell
-    best, best_gap, first = math.nan, growing.step + LIMIT_SLACK, -2 - ring[cell]
+    best = math.nan
+    best_gap = growing.step + LIMIT_SLACK
+    first = -2 - ring[cell]
     if first < 0:
         return False
     for other in _around(growing.surfaces.lattice, cell):
@@ -144,15 +162,18 @@ def _grow_into(growing, cell, now):
             gap = abs(z[j] - floor[other]) if option[j] != NO_OPTION else math.inf
             # gaps within SAME_HEIGHT are equally near; then the lower height counts
             if gap < best_gap - SAME_HEIGHT or (gap <= best_gap + SAME_HEIGHT and z[j] < best):
-                best, best_gap = z[j], min(gap, best_gap)
+                best = z[j]
+                best_gap = min(gap, best_gap)
             elif math.isnan(best) and gap <= best_gap:
-                best, best_gap = z[j], gap
+                best = z[j]
+                best_gap = gap
             if option[j] == LAST_OPTION:
                 break
             j += 1
     if math.isnan(best):
         return False
-    floor[cell], ring[cell] = best, now
+    floor[cell] = best
+    ring[cell] = now
     return True
 
 
@@ -174,7 +195,8 @@ def grow_ring(growing, now, asked, counts, columns, begin, end):
     times. The order of cells does not matter, nor whether others are at work: the floors of a ring
     count for the next one only.
     """
-    (cells,), num = columns, 0
+    (cells,) = columns
+    num = 0
     for k in range(begin, end):
         before = num
         if num + 4 > cells.shape[0]:
@@ -206,8 +228,13 @@ def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin
     and `number` of `Growing`. The rows, see `list_rows`: a level, its cell,
     the other level, which is not lower, and its cell.
     """
-    (rows,), (level, number), num = columns, placed, 0
-    first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
+    (rows,) = columns
+    level, number = placed
+    num = 0
+    first = surfaces.first
+    ends = surfaces.end
+    z = surfaces.z
+    lattice = surfaces.lattice
     far = math.inf if by_slopes else step + LIMIT_SLACK
     for k in range(begin, end):
         before = num
@@ -218,7 +245,8 @@ def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin
                 for way, other in enumerate(_around(lattice, cell)[:2]):
                     if other < 0:
                         continue
-                    low, last = first[other], ends[other]
+                    low = first[other]
+                    last = ends[other]
                     for a in range(first[cell], ends[cell]):
                         while low < last and z[low] < z[a] - far:
                             low += 1
@@ -227,7 +255,8 @@ def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin
                                 break
                             if level[a] < 0 or level[b] < 0:
                                 continue
-                            one, two = number[level[a]], number[level[b]]
+                            one = number[level[a]]
+                            two = number[level[b]]
                             meets = one != two and abs(z[a] - z[b]) <= step + LIMIT_SLACK
                             if by_slopes and not meets:
                                 meets = slope_joins(surfaces, a, b, way, step)
@@ -236,7 +265,8 @@ def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin
                             if num == rows.shape[0]:
                                 return k
                             swap = two < one
-                            rows[num, 0], rows[num, 2] = min(one, two), max(one, two)
+                            rows[num, 0] = min(one, two)
+                            rows[num, 2] = max(one, two)
                             rows[num, 1] = other if swap else cell
                             rows[num, 3] = cell if swap else other
                             num += 1

@@ -18,7 +18,9 @@ from navbake.types import Int, Int32
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other; one lies next over
 # the other
-JOINS, LINKS, LIES = 0, 1, 2
+JOINS = 0
+LINKS = 1
+LIES = 2
 # Floors whose heights round to the same multiple of this are one plateau [m]
 PLATEAU = 0.02
 # So many of the last rows are searched for the same three numbers
@@ -62,7 +64,10 @@ def note_row(rows, begin, num, a, b, c):
             return at
     if num == rows.shape[0]:
         return np.int64(-1)
-    rows[num, 0], rows[num, 1], rows[num, 2], rows[num, 3] = a, b, c, 1
+    rows[num, 0] = a
+    rows[num, 1] = b
+    rows[num, 2] = c
+    rows[num, 3] = 1
     return num
 
 
@@ -121,21 +126,28 @@ def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, e
         part: receives the number of each surface's part in its block, -1 for none, (n,) int32.
     """
     measures, lowest = columns
-    first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
-    far, offset, width = _far(joining), 0, lattice.width
+    first = surfaces.first
+    ends = surfaces.end
+    z = surfaces.z
+    lattice = surfaces.lattice
+    far = _far(joining)
+    offset = 0
+    width = lattice.width
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         # at first `part` has the parents of union-find: -2 less their places
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
-                begin_here, end_here = first[cell], ends[cell]
+                begin_here = first[cell]
+                end_here = ends[cell]
                 for j in range(begin_here, end_here):
                     part[j] = -2 - j if _group(surfaces, key, j) >= 0 else -1
                 for way in range(2):
                     if cell == row * width + col0 if way == 0 else row == row0:
                         continue
                     other = cell - 1 if way == 0 else cell - width
-                    low, last = first[other], ends[other]
+                    low = first[other]
+                    last = ends[other]
                     for j in range(begin_here, end_here):
                         if part[j] == -1:
                             continue
@@ -145,13 +157,15 @@ def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, e
                             if z[i] > z[j] + far:
                                 break
                             if part[i] != -1 and _joins(surfaces, key, joining, i, j, way):
-                                one, two = _find_root(part, i), _find_root(part, j)
+                                one = _find_root(part, i)
+                                two = _find_root(part, j)
                                 if one != two:
                                     part[max(one, two)] = -2 - min(one, two)
         num = 0
         for row in range(row0, row1):
             for col in range(col0, col1):
-                cell, rank = row * width + col, 0
+                cell = row * width + col
+                rank = 0
                 for j in range(first[cell], ends[cell]):
                     if part[j] == -1:
                         continue
@@ -162,9 +176,11 @@ def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, e
                         n = offset + num
                         if n == lowest.shape[0]:
                             return k
-                        measures[n, :], lowest[n] = 0, z[j]
+                        measures[n, :] = 0
+                        lowest[n] = z[j]
                         measures[n, 2] = cell * 4096 + min(rank, 4095)
-                        measures[n, 3], measures[n, 4] = row, col
+                        measures[n, 3] = row
+                        measures[n, 4] = col
                         part[root] = num
                         num += 1
                     part[j] = part[root]
@@ -193,15 +209,24 @@ def list_pairs(surfaces, key, joining, numbering, blocks, counts, columns, begin
     Args:
         numbering: see `Numbering`.
     """
-    first, ends, z, lattice = surfaces.first, surfaces.end, surfaces.z, surfaces.lattice
-    rows, num, width, far = columns[0], np.int64(0), lattice.width, _far(joining)
-    part, offset, number = numbering.part, numbering.offset, numbering.number
+    first = surfaces.first
+    ends = surfaces.end
+    z = surfaces.z
+    lattice = surfaces.lattice
+    rows = columns[0]
+    num = np.int64(0)
+    width = lattice.width
+    far = _far(joining)
+    part = numbering.part
+    offset = numbering.offset
+    number = numbering.number
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for col in range(col0, col1):
-                cell, lower = row * width + col, np.int32(-1)
+                cell = row * width + col
+                lower = np.int32(-1)
                 for a in range(first[cell], ends[cell]):
                     number[a] = -1
                     if part[a] < 0:
@@ -221,7 +246,8 @@ def list_pairs(surfaces, key, joining, numbering, blocks, counts, columns, begin
                         continue
                     other = cell + (1 if way == 0 else width)
                     other_offset = offset[block_of(lattice, row + way, col + 1 - way)]
-                    low, last = first[other], ends[other]
+                    low = first[other]
+                    last = ends[other]
                     for a in range(first[cell], ends[cell]):
                         if part[a] < 0:
                             continue
@@ -253,7 +279,9 @@ def tally(surfaces, own, other, level, blocks, counts, columns, begin, end):
     The rows: the `own` and the `other` number, and the level, unless that is -1; if `level` is
     empty, the multiple of PLATEAU. A column more has the lowest height of each row [m].
     """
-    (rows, low), num, lattice = columns, np.int64(0), surfaces.lattice
+    rows, low = columns
+    num = np.int64(0)
+    lattice = surfaces.lattice
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])

@@ -20,11 +20,17 @@ from navbake.types import Bool, Int32
 
 # What it costs to move a stair's tread, or a floor, by one level, and to take it out of the order:
 # a tread moves rather than a floor, and leaves the order rather than a floor moves
-MOVE_STAIR, MOVE_FLOOR, SKIP_STAIR, SKIP_FLOOR = 1, 10_000, 100, 10_000_000
+MOVE_STAIR = 1
+MOVE_FLOOR = 10_000
+SKIP_STAIR = 100
+SKIP_FLOOR = 10_000_000
 # In place of a window's number: none; all windows; the lowest of each column, stairs included
-NO_WINDOW, EVERY, LOWEST = -(1 << 62), -(1 << 61), -(1 << 60)
+NO_WINDOW = -(1 << 62)
+EVERY = -(1 << 61)
+LOWEST = -(1 << 60)
 # In place of the level of a surface that found all levels taken, and the same at a ground's height
-LOST, LOST_GROUND = -2, -3
+LOST = -2
+LOST_GROUND = -3
 
 
 class Candidates(NamedTuple):
@@ -73,7 +79,8 @@ def mark_candidates(labelled, spans, key, stacked, begin, end):
         key: of each surface, receives 0 if it is marked, -1 if it isn't.
         stacked: of each block, receives whether two lie in one cell.
     """
-    surfaces, lattice = labelled.surfaces, labelled.surfaces.lattice
+    surfaces = labelled.surfaces
+    lattice = labelled.surfaces.lattice
     for block in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, block)
         stacked[block] = False
@@ -110,7 +117,10 @@ def _window_of(surfaces, candidates, j, window, is_lowest):
 @subkernel(**UNCOUNTED)
 def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
     """`list_heights` of one block; returns how many rows there are then, -1 for no room."""
-    (rows, low), reach, before, lattice = columns, test.reach, num, surfaces.lattice
+    rows, low = columns
+    reach = test.reach
+    before = num
+    lattice = surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
     mask, left = masks
     # the window's cells are marked, with a margin, before those that shrinking leaves are counted
@@ -161,28 +171,34 @@ def list_heights(surfaces, candidates, window, test, blocks, counts, columns, be
     The rows, see `list_rows`: the number of a window, the multiple of PLATEAU,
     0, and how many; with the lowest of these heights [m].
     """
-    num, size = np.int64(0), SIZE + 2 * test.reach
+    num = np.int64(0)
+    size = SIZE + 2 * test.reach
     for k in range(begin, end):
         masks = np.zeros((size, size), np.int32), np.empty((SIZE, SIZE), np.bool_)
         after = _list_block(surfaces, candidates, window, test, blocks[k], masks, columns, num)
         if after < 0:
             return k
-        counts[k], num = after - num, after
+        counts[k] = after - num
+        num = after
     return end
 
 
 @subkernel(**UNCOUNTED)
 def _place_bases(surfaces, candidates, grounds, tolerance, cell, level):
     """Give a cell's candidates their bases; returns their number if two share one, else 0."""
-    count, base, is_shared = 0, 0, False
+    count = 0
+    base = 0
+    is_shared = False
     for j in range(surfaces.first[cell], surfaces.end[cell]):
         level[j] = -1
         if candidates.key[j] < 0:
             continue
-        before, z = base if count > 0 else -1, surfaces.z[j]
+        before = base if count > 0 else -1
+        z = surfaces.z[j]
         while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= z:
             base += 1
-        level[j], count = base, count + 1
+        level[j] = base
+        count = count + 1
         is_shared = is_shared or base == before
     return count if is_shared else 0
 
@@ -206,8 +222,11 @@ def place_blocks(surfaces, candidates, rule, own, blocks, counts, columns, begin
         own: the part of each surface; and receives its level, LOST or LOST_GROUND where all are
             taken, -1 where it is no candidate, (n,) int32.
     """
-    (grounds, tolerance, leave_floors), (part, level) = rule, own
-    (rows, low), num, lattice = columns, np.int64(0), surfaces.lattice
+    grounds, tolerance, leave_floors = rule
+    part, level = own
+    rows, low = columns
+    num = np.int64(0)
+    lattice = surfaces.lattice
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
@@ -232,14 +251,18 @@ def place_blocks(surfaces, candidates, rule, own, blocks, counts, columns, begin
 @subkernel
 def _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count):
     """Replace the levels of a cell's candidates, which are their bases."""
-    num_levels, num = grounds.shape[0], 0
-    places, base = np.empty(count, np.int64), np.empty(count, np.int64)
-    found, cost = np.empty(count, np.int64), np.empty((2, count), np.int64)
+    num_levels = grounds.shape[0]
+    num = 0
+    places = np.empty(count, np.int64)
+    base = np.empty(count, np.int64)
+    found = np.empty(count, np.int64)
+    cost = np.empty((2, count), np.int64)
     leave_floors = leave_floors and count > num_levels
     for j in range(surfaces.first[cell], surfaces.end[cell]):
         if candidates.key[j] >= 0:
             is_stair = _is_stair(candidates, j)
-            places[num], base[num] = j, level[j]
+            places[num] = j
+            base[num] = level[j]
             cost[0, num] = MOVE_STAIR if is_stair or leave_floors else MOVE_FLOOR
             cost[1, num] = SKIP_STAIR if is_stair != leave_floors else SKIP_FLOOR
             cost[1, num] += num if leave_floors else 0
@@ -253,7 +276,8 @@ def _place_column(surfaces, candidates, grounds, leave_floors, cell, level, coun
         for away in range(1, num_levels):
             for near in (base[n] + away, base[n] - away):
                 if found[n] < 0 and 0 <= near < num_levels and not taken[near]:
-                    found[n], taken[near] = near, True
+                    found[n] = near
+                    taken[near] = True
         level[places[n]] = found[n] if found[n] >= 0 else LOST
         for ground in grounds:
             if found[n] < 0 and abs(surfaces.z[places[n]] - ground) <= LIMIT_SLACK:
@@ -270,16 +294,19 @@ def _align(base, costs, num_levels, level):
     # cost[i, k]: of the first i surfaces on the first k levels
     cost = np.zeros((count + 1, num_levels + 1), np.int64)
     for i in range(1, count + 1):
-        move, skip = costs[0, i - 1], costs[1, i - 1]
+        move = costs[0, i - 1]
+        skip = costs[1, i - 1]
         cost[i, 0] = cost[i - 1, 0] + skip
         for k in range(1, num_levels + 1):
             placed = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
             cost[i, k] = min(placed, cost[i, k - 1], cost[i - 1, k] + skip)
     # back from the top: at equal costs the upper surface is left out, not the lower one, and the
     # upper one moves up rather than the lower one down
-    i, k = count, num_levels
+    i = count
+    k = num_levels
     while i > 0:
-        move, skip = costs[0, i - 1], costs[1, i - 1]
+        move = costs[0, i - 1]
+        skip = costs[1, i - 1]
         if cost[i, k] == cost[i - 1, k] + skip:
             level[i - 1] = -1
             i -= 1
@@ -303,12 +330,15 @@ def climb(lower, upper, area, by_lower, by_upper):
     Returns:
         The largest area above each part, and below it, 0 for none, (parts,) int64.
     """
-    above, below = np.zeros_like(area), np.zeros_like(area)
+    above = np.zeros_like(area)
+    below = np.zeros_like(area)
     # steps up from a part begin higher than steps to it, so they come first
     for s in by_lower[::-1]:
-        a, b = lower[s], upper[s]
+        a = lower[s]
+        b = upper[s]
         above[a] = max(above[a], area[b], above[b])
     for s in by_upper:
-        a, b = lower[s], upper[s]
+        a = lower[s]
+        b = upper[s]
         below[b] = max(below[b], area[a], below[a])
     return above, below

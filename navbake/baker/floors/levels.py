@@ -246,7 +246,8 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
     if not unseen.any():
         return replace(level, unseen=unseen)
     near = binary_dilation(unseen, np.ones((3, 3)))
-    rim, floor = near & ~unseen & ~np.isnan(level.floor), level.floor.copy()
+    rim = near & ~unseen & ~np.isnan(level.floor)
+    floor = level.floor.copy()
     floor[unseen] = griddata(np.argwhere(rim), floor[rim], np.argwhere(unseen))
     near &= ~np.isnan(floor)
     free = near.copy()
@@ -276,7 +277,8 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     for new, old in enumerate(shown):
         level = floors.levels[old]
         name = f"level {new}" if level.name == f"level {old}" else level.name
-        floor, standable = level.floor[window].copy(), level.standable[window].copy()
+        floor = level.floor[window].copy()
+        standable = level.standable[window].copy()
         unseen = None if level.unseen is None else level.unseen[window].copy()
         levels.append(LevelFloor(name, level.ground, floor, standable, unseen))
     width = floors.levels[0].floor.shape[1]
@@ -308,7 +310,8 @@ def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSou
     above = given[number + 1].ground if given[number + 1 :] else np.inf
     top = above if level.top is None else min(above, level.top)
     spans = [(block.z.min(), block.z.max()) for block in columns.blocks() if len(block.z)]
-    low, high = float(np.min(spans)), float(np.max(spans))
+    low = float(np.min(spans))
+    high = float(np.max(spans))
     return (
         f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
         f"the scene's surfaces span {low:g} to {high:g} m"

@@ -19,7 +19,8 @@ from navbake.compiled import UNCOUNTED, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
 # In place of a surface beside an edge: there is none, or the region itself goes on
-NOTHING, ITSELF = np.int64(-1), np.int64(-2)
+NOTHING = np.int64(-1)
+ITSELF = np.int64(-2)
 
 
 class Labelled(NamedTuple):
@@ -122,7 +123,8 @@ def _surface_below(labelled, row, col, region, limit):
 @subkernel(**UNCOUNTED)
 def _mark_region(labelled, region, window, reach, mask):
     """Mark a region's cells in a window and within reach of it, in a mask that is all 0."""
-    (row0, row1, col0, col1), lattice = window, labelled.surfaces.lattice
+    row0, row1, col0, col1 = window
+    lattice = labelled.surfaces.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
             if _surface_below(labelled, row, col, region, -math.inf) == ITSELF:
@@ -138,14 +140,17 @@ def find_large(labelled, boxes, regions, start, blocks, test, result, begin, end
     """
     reach = test.reach
     for n in range(begin, end):
-        region, found = regions[n], 0
+        region = regions[n]
+        found = 0
         size = min(boxes[region, 2] - boxes[region, 0], boxes[region, 3] - boxes[region, 1])
         for b in range(start[n], start[n + 1]):
             if found >= test.needed or size <= 2 * reach:
                 break
             row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
-            row0, row1 = max(row0, boxes[region, 0]), min(row1, boxes[region, 2])
-            col0, col1 = max(col0, boxes[region, 1]), min(col1, boxes[region, 3])
+            row0 = max(row0, boxes[region, 0])
+            row1 = min(row1, boxes[region, 2])
+            col0 = max(col0, boxes[region, 1])
+            col1 = min(col1, boxes[region, 3])
             if row1 > row0 and col1 > col0:
                 mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.int32)
                 _mark_region(labelled, region, (row0, row1, col0, col1), reach, mask)
@@ -185,7 +190,9 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
     of another region lies more than a step below within reach, 1 or 0. No region is lower than
     `lowest` [m].
     """
-    (rows,), num, surfaces = columns, 0, labelled.surfaces
+    (rows,) = columns
+    num = 0
+    surfaces = labelled.surfaces
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[k])
@@ -203,10 +210,13 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
                             continue
                         if num == rows.shape[0]:
                             return k
-                        rows[num, 0], rows[num, 1], rows[num, 2] = labelled.part[j], cell, j
+                        rows[num, 0] = labelled.part[j]
+                        rows[num, 1] = cell
+                        rows[num, 2] = j
                         may_drop = limit > lowest
                         drops = may_drop and _drop_at(labelled, row, col, way, region, limit, reach)
-                        rows[num, 3], rows[num, 4] = way, 1 if drops else 0
+                        rows[num, 3] = way
+                        rows[num, 4] = 1 if drops else 0
                         num += 1
         counts[k] = num - before
     return end
@@ -221,9 +231,11 @@ def look_below(labelled, cells, regions, limits, places, below, begin, end):
     """
     width = labelled.surfaces.lattice.width
     for n in range(begin, end):
-        row, col = cells[n] // width, cells[n] % width
+        row = cells[n] // width
+        col = cells[n] % width
         j = _surface_below(labelled, row, col, regions[n], limits[n])
-        places[n], below[n] = j, region_of(labelled, j) if j >= 0 else np.int32(-1)
+        places[n] = j
+        below[n] = region_of(labelled, j) if j >= 0 else np.int32(-1)
 
 
 @kernel(nogil=True)
@@ -235,19 +247,22 @@ def mark_holes(cells, ways, start, lattice, in_hole):
     first of these cells.
     """
     # a margin around the lattice, and an empty column between two rows
-    width, wide = lattice.width, lattice.width + 3
+    width = lattice.width
+    wide = lattice.width + 3
     out = np.array([1, wide, -1, -wide])  # the ways east, south, west and north
     # ITSELF on this side of an edge; beyond it, the parents of union-find, by place
     parent = np.full(wide * (lattice.height + 3), NOTHING, np.int32)
     inner, outer = np.empty((2, cells.shape[0]), np.int64)
     for s in range(start.shape[0] - 1):
-        first, end = start[s], start[s + 1]
+        first = start[s]
+        end = start[s + 1]
         least = np.int64(parent.shape[0])
         for n in range(first, end):
             inner[n] = (cells[n] // width + 1) * wide + cells[n] % width + 1
             outer[n] = inner[n] + out[ways[n]]
             least = min(least, outer[n])
-            parent[inner[n]], parent[outer[n]] = ITSELF, outer[n]
+            parent[inner[n]] = ITSELF
+            parent[outer[n]] = outer[n]
         for n in range(first, end):
             place = outer[n]
             for beside in (place + 1, place + wide - 1, place + wide, place + wide + 1):

@@ -288,6 +288,7 @@ def beside(lattice: Lattice, cell: Int, way: Int | int, steps: int = 1) -> Int:
 
 def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:
     """The bands above a floor at an agent's feet and at its head, see `Site.endings` [m]."""
-    low, high = agent.traversable_floor_height, agent.height
+    low = agent.traversable_floor_height
+    high = agent.height
     thickness = min(PROBE, (high - low) / 2)
     return Band(low, low + thickness), Band(high - thickness, high)

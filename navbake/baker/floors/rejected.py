@@ -42,12 +42,15 @@ SKY_SHARE = 0.5
 HALF = 0.5
 # Where thick walls and eaves leave less of a roof over a floor: the least share that does, and the
 # share that lies over a floor or a wall, or at most so far from one [m]
-FLOOR_SHARE, WALLED_SHARE, EAVES = 0.1, 2 / 3, 1.5
+FLOOR_SHARE = 0.1
+WALLED_SHARE = 2 / 3
+EAVES = 1.5
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
 # A roof is reported if it is this many times as large as the largest floor that is left (walls and
 # eaves alone add less than a third); or if it has this area and no walls under it [m²]
-LARGE_ROOF, TOLD_ROOF = 4 / 3, 50.0
+LARGE_ROOF = 4 / 3
+TOLD_ROOF = 50.0
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 

@@ -34,7 +34,8 @@ GIVEN_TOLERANCE = 0.02
 # A level opened for treads takes in what lies so little below them on their region: noise [m]
 FLAT = 0.005
 # A storey rarely begins higher over another one [m]; a scene with more storeys is a tower
-HIGH_STOREY, FEW = 8.0, 4
+HIGH_STOREY = 8.0
+FEW = 4
 # How many times larger the floors are that a stair joins than any of its treads and landings
 TIMES_LARGER = 4
 # Decimals of the grounds that are found

@@ -18,7 +18,10 @@ from navbake.types import Float, Int32
 
 # Marks: a floor may go on at it, an agent can stand on it, nothing lies above it; an agent could
 # stand on it if the closed mesh or plane around it were hollow
-FLOOR_LIKE, STANDS, TOP, HELD = 1, 2, 4, 8
+FLOOR_LIKE = 1
+STANDS = 2
+TOP = 4
+HELD = 8
 # Sides that are nearly upright face up by at most this, as those of steps in a building that leans
 LEANING = 0.05
 
@@ -49,7 +52,8 @@ class Surfaces(NamedTuple):
 @subkernel(**UNCOUNTED)
 def planes_over(planes, lattice, cell, z):
     """How many infinite planes are over a height in a cell, and the geom of the last, or -1."""
-    count, geom = 0, np.int32(-1)
+    count = 0
+    geom = np.int32(-1)
     for p in range(planes.geom.shape[0]):
         x, y = cell_center(lattice, cell)
         depth = (
@@ -58,7 +62,8 @@ def planes_over(planes, lattice, cell, z):
             + planes.mat[p, 8] * (z - planes.pos[p, 2])
         )
         if depth < -SAME_HEIGHT:
-            count, geom = count + 1, planes.geom[p]
+            count = count + 1
+            geom = planes.geom[p]
     return count, geom
 
 
@@ -78,8 +83,11 @@ def _count_around(hits, i, last):
     A solid that begins at the surface's height (within SAME_HEIGHT) stands on it and holds it; one
     that ends there does not.
     """
-    z, normal, closed = hits.z, hits.normal, hits.closed
-    surfaces, others = 0, 0
+    z = hits.z
+    normal = hits.normal
+    closed = hits.closed
+    surfaces = 0
+    others = 0
     for j in range(i + 1, last):
         if z[j] - z[i] <= SAME_HEIGHT:
             continue
@@ -94,7 +102,10 @@ def _count_around(hits, i, last):
 @subkernel(inline="always")
 def _find_holder(hits, i, last):
     """The geom of the closed surface around the i-th surface that ends lowest, or -1."""
-    z, normal, geom, closed = hits.z, hits.normal, hits.geom, hits.closed
+    z = hits.z
+    normal = hits.normal
+    geom = hits.geom
+    closed = hits.closed
     for j in range(i + 1, last):
         if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[i] <= SAME_HEIGHT:
             continue
@@ -121,14 +132,21 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
     The rows, see `list_rows`: height [m], geom (of HELD surfaces, the one that
     holds them), marks and normal.
     """
-    (heights, geoms, marks, normals), num = columns, 0
+    heights, geoms, marks, normals = columns
+    num = 0
     for n in range(begin, end):
-        first, last, before = hits.start[cells[n]], hits.start[cells[n] + 1], num
+        first = hits.start[cells[n]]
+        last = hits.start[cells[n] + 1]
+        before = num
         if num + last - first > heights.shape[0]:
             return n
-        previous, held, gentle, at = -math.inf, -math.inf, -math.inf, num
+        previous = -math.inf
+        held = -math.inf
+        gentle = -math.inf
+        at = num
         for i in range(first, last):
-            z, up = hits.z[i], hits.normal[i, 2]
+            z = hits.z[i]
+            up = hits.normal[i, 2]
             is_gentle = up >= limits.min_up
             if not is_gentle and not (up > 0.0 and z - gentle <= limits.step + LIMIT_SLACK):
                 continue
@@ -139,11 +157,14 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
                     previous = gentle
                     marks[at] |= STANDS if above < math.inf else STANDS | TOP
                     continue
-            heights[num], geoms[num], marks[num] = z, hits.geom[i], FLOOR_LIKE
+            heights[num] = z
+            geoms[num] = hits.geom[i]
+            marks[num] = FLOOR_LIKE
             for axis in range(normals.shape[1]):
                 normals[num, axis] = hits.normal[i, axis]
             if is_gentle:
-                gentle, at = z, num
+                gentle = z
+                at = num
                 above = _next_above(hits, i, last)
                 if z - previous > SAME_HEIGHT and above - z >= limits.headroom - LIMIT_SLACK:
                     surfaces, others = _count_around(hits, i, last)
@@ -155,7 +176,8 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
                             marks[num] |= TOP
                     elif others <= 0 and (surfaces <= 0 or behind == 0) and z - held > SAME_HEIGHT:
                         marks[num] |= HELD
-                        held, holder = z, _find_holder(hits, i, last)
+                        held = z
+                        holder = _find_holder(hits, i, last)
                         geoms[num] = holder if holder >= 0 else plane
             num += 1
         counts[n] = num - before
@@ -173,10 +195,12 @@ def slope_joins(surfaces, a, b, way, step):
     dz = surfaces.z[b] - surfaces.z[a]
     if abs(dz) <= step + LIMIT_SLACK:
         return False
-    normal, cell_size = surfaces.normal, surfaces.lattice.cell_size
+    normal = surfaces.normal
+    cell_size = surfaces.lattice.cell_size
     # rows run south, against y
     axis, turn = (0, -cell_size) if way == 0 else (1, cell_size)
-    one, other = turn * normal[a, axis] / normal[a, 2], turn * normal[b, axis] / normal[b, 2]
+    one = turn * normal[a, axis] / normal[a, 2]
+    other = turn * normal[b, axis] / normal[b, 2]
     if max(abs(one), abs(other)) <= step + LIMIT_SLACK:
         return False
     if min(one, other) - LIMIT_SLACK <= dz <= max(one, other) + LIMIT_SLACK:

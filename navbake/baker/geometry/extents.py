@@ -70,7 +70,8 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         out.thin[geom] = 2 * np.minimum(one, other)[smaller]
         out.long[geom] = 2 * np.maximum(one, other)[smaller]
     out.center[solids.geom] = solids.pos[:, :2]
-    out.low[solids.geom], out.high[solids.geom] = solids.bounds[:, 2], solids.bounds[:, 5]
+    out.low[solids.geom] = solids.bounds[:, 2]
+    out.high[solids.geom] = solids.bounds[:, 5]
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
@@ -80,14 +81,17 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     angle = find_facing(corners, group, len(first))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    low, high = np.full((len(first), 3), np.inf), np.full((len(first), 3), -np.inf)
+    low = np.full((len(first), 3), np.inf)
+    high = np.full((len(first), 3), -np.inf)
     measure_spans(corners, group, way, low, high)
     one, other, _ = (high - low).T
     middle = (low + high) / 2
     out.across[which] = np.where((one <= other)[:, None], way, turned)
-    out.thin[which], out.long[which] = np.minimum(one, other), np.maximum(one, other)
+    out.thin[which] = np.minimum(one, other)
+    out.long[which] = np.maximum(one, other)
     out.center[which] = way * middle[:, :1] + turned * middle[:, 1:2]
-    out.low[which], out.high[which] = low[:, 2], high[:, 2]
+    out.low[which] = low[:, 2]
+    out.high[which] = high[:, 2]
 
 
 def find_facing(corners: Float, group: Int32, num: int) -> Float:
@@ -96,15 +100,19 @@ def find_facing(corners: Float, group: Int32, num: int) -> Float:
     Takes corners of triangles, (m, 3, 3) [m], and the group of each, below `num`, (m,).
     """
     votes, sums = np.zeros((2, num * DIRECTIONS))
-    way, weight, off = np.empty(CHUNK, np.int32), np.empty(CHUNK), np.empty(CHUNK)
+    way = np.empty(CHUNK, np.int32)
+    weight = np.empty(CHUNK)
+    off = np.empty(CHUNK)
     for first in range(0, len(group), CHUNK):
         some = corners[first : first + CHUNK]
         run_in_chunks(find_ways, len(some), some, DIRECTIONS, way, weight, off, least=4096)
         at = group[first : first + CHUNK] * np.int64(DIRECTIONS) + way[: len(some)]
         np.add.at(votes, at, weight[: len(some)])
         np.add.at(sums, at, off[: len(some)])
-    votes, sums = votes.reshape(num, DIRECTIONS), sums.reshape(num, DIRECTIONS)
+    votes = votes.reshape(num, DIRECTIONS)
+    sums = sums.reshape(num, DIRECTIONS)
     most = votes.argmax(axis=1)
-    total, rest = votes[np.arange(num), most], sums[np.arange(num), most]
+    total = votes[np.arange(num), most]
+    rest = sums[np.arange(num), most]
     angle: Float = most * (RIGHT / DIRECTIONS) + rest / np.where(total > 0.0, total, 1.0)
     return angle

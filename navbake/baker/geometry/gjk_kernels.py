@@ -67,7 +67,9 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
     lx = mat[0] * dx + mat[3] * dy + mat[6] * dz
     ly = mat[1] * dx + mat[4] * dy + mat[7] * dz
     lz = mat[2] * dx + mat[5] * dy + mat[8] * dz
-    px, py, pz = 0.0, 0.0, 0.0
+    px = 0.0
+    py = 0.0
+    pz = 0.0
     if kind == BOX:
         px = size[0] if lx > 0.0 else -size[0]
         py = size[1] if ly > 0.0 else -size[1]
@@ -79,7 +81,9 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
             py = size[0] * ly / across
         pz = size[1] if lz > 0.0 else -size[1]
     elif kind == ELLIPSOID:
-        ax, ay, az = size[0] * lx, size[1] * ly, size[2] * lz
+        ax = size[0] * lx
+        ay = size[1] * ly
+        az = size[2] * lz
         norm = math.sqrt(ax * ax + ay * ay + az * az)
         if norm > 0.0:
             px = size[0] * ax / norm
@@ -124,58 +128,87 @@ def _dot(a, b):
 @subkernel(inline="always")
 def _nearest_on_segment(a, b, keep, v):
     """Nearest point of a segment to the origin into v; keep says which ends it needs."""
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    abx = b[0] - a[0]
+    aby = b[1] - a[1]
+    abz = b[2] - a[2]
     length = abx * abx + aby * aby + abz * abz
     t = -(a[0] * abx + a[1] * aby + a[2] * abz)
     if t <= 0.0 or length == 0.0:
-        v[0], v[1], v[2] = a[0], a[1], a[2]
-        keep[0], keep[1] = True, False
+        v[0] = a[0]
+        v[1] = a[1]
+        v[2] = a[2]
+        keep[0] = True
+        keep[1] = False
     elif t >= length:
-        v[0], v[1], v[2] = b[0], b[1], b[2]
-        keep[0], keep[1] = False, True
+        v[0] = b[0]
+        v[1] = b[1]
+        v[2] = b[2]
+        keep[0] = False
+        keep[1] = True
     else:
         t /= length
-        v[0], v[1], v[2] = a[0] + t * abx, a[1] + t * aby, a[2] + t * abz
-        keep[0], keep[1] = True, True
+        v[0] = a[0] + t * abx
+        v[1] = a[1] + t * aby
+        v[2] = a[2] + t * abz
+        keep[0] = True
+        keep[1] = True
 
 
 @subkernel(**UNCOUNTED)
 def _nearest_on_triangle(a, b, c, keep, v):
     """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
-    keep[0], keep[1], keep[2] = False, False, False
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    keep[0] = False
+    keep[1] = False
+    keep[2] = False
+    abx = b[0] - a[0]
+    aby = b[1] - a[1]
+    abz = b[2] - a[2]
+    acx = c[0] - a[0]
+    acy = c[1] - a[1]
+    acz = c[2] - a[2]
     # beyond a corner: both edges from it lead away from the origin
     d1 = -(abx * a[0] + aby * a[1] + abz * a[2])
     d2 = -(acx * a[0] + acy * a[1] + acz * a[2])
     if d1 <= 0.0 and d2 <= 0.0:
-        v[0], v[1], v[2] = a[0], a[1], a[2]
+        v[0] = a[0]
+        v[1] = a[1]
+        v[2] = a[2]
         keep[0] = True
         return
     d3 = -(abx * b[0] + aby * b[1] + abz * b[2])
     d4 = -(acx * b[0] + acy * b[1] + acz * b[2])
     if d3 >= 0.0 and d4 <= d3:
-        v[0], v[1], v[2] = b[0], b[1], b[2]
+        v[0] = b[0]
+        v[1] = b[1]
+        v[2] = b[2]
         keep[1] = True
         return
     d5 = -(abx * c[0] + aby * c[1] + abz * c[2])
     d6 = -(acx * c[0] + acy * c[1] + acz * c[2])
     if d6 >= 0.0 and d5 <= d6:
-        v[0], v[1], v[2] = c[0], c[1], c[2]
+        v[0] = c[0]
+        v[1] = c[1]
+        v[2] = c[2]
         keep[2] = True
         return
     # beyond an edge: vc, vb, va are the areas that the origin's foot makes with each edge
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         t = d1 / (d1 - d3)
-        v[0], v[1], v[2] = a[0] + t * abx, a[1] + t * aby, a[2] + t * abz
-        keep[0], keep[1] = True, True
+        v[0] = a[0] + t * abx
+        v[1] = a[1] + t * aby
+        v[2] = a[2] + t * abz
+        keep[0] = True
+        keep[1] = True
         return
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         t = d2 / (d2 - d6)
-        v[0], v[1], v[2] = a[0] + t * acx, a[1] + t * acy, a[2] + t * acz
-        keep[0], keep[2] = True, True
+        v[0] = a[0] + t * acx
+        v[1] = a[1] + t * acy
+        v[2] = a[2] + t * acz
+        keep[0] = True
+        keep[2] = True
         return
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
@@ -183,22 +216,31 @@ def _nearest_on_triangle(a, b, c, keep, v):
         v[0] = b[0] + t * (c[0] - b[0])
         v[1] = b[1] + t * (c[1] - b[1])
         v[2] = b[2] + t * (c[2] - b[2])
-        keep[1], keep[2] = True, True
+        keep[1] = True
+        keep[2] = True
         return
     # inside: the foot of the origin on the plane, straight from its normal
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
     scale = (a[0] * nx + a[1] * ny + a[2] * nz) / (nx * nx + ny * ny + nz * nz)
-    v[0], v[1], v[2] = nx * scale, ny * scale, nz * scale
-    keep[0], keep[1], keep[2] = True, True, True
+    v[0] = nx * scale
+    v[1] = ny * scale
+    v[2] = nz * scale
+    keep[0] = True
+    keep[1] = True
+    keep[2] = True
 
 
 @subkernel(inline="always")
 def _origin_outside(a, b, c, d):
     """Whether the origin lies beyond the face a, b, c of a tetrahedron, or d in its plane."""
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    abx = b[0] - a[0]
+    aby = b[1] - a[1]
+    abz = b[2] - a[2]
+    acx = c[0] - a[0]
+    acy = c[1] - a[1]
+    acz = c[2] - a[2]
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
@@ -220,27 +262,39 @@ def _nearest_on_faces(simplex, num):
     best = math.inf
     outside = False
     for f in range(4 if num == 4 else 1):  # a triangle is the first face
-        i, j, k, m = FACES[f, 0], FACES[f, 1], FACES[f, 2], FACES[f, 3]
+        i = FACES[f, 0]
+        j = FACES[f, 1]
+        k = FACES[f, 2]
+        m = FACES[f, 3]
         if num == 4 and not _origin_outside(points[i], points[j], points[k], points[m]):
             continue
         outside = True
-        keep, trial = simplex.keep, simplex.trial
+        keep = simplex.keep
+        trial = simplex.trial
         _nearest_on_triangle(points[i], points[j], points[k], keep, trial)
         distance = _dot(trial, trial)
         if num == 3 or distance < best:  # a triangle's may be NaN
             best = distance
-            simplex.v[0], simplex.v[1], simplex.v[2] = trial[0], trial[1], trial[2]
-            simplex.best_keep[i], simplex.best_keep[j] = keep[0], keep[1]
-            simplex.best_keep[k], simplex.best_keep[m] = keep[2], False
+            simplex.v[0] = trial[0]
+            simplex.v[1] = trial[1]
+            simplex.v[2] = trial[2]
+            simplex.best_keep[i] = keep[0]
+            simplex.best_keep[j] = keep[1]
+            simplex.best_keep[k] = keep[2]
+            simplex.best_keep[m] = False
     return outside
 
 
 @subkernel(inline="always")
 def _reduce(simplex, num):
     """Nearest point to the origin into v; keeps the points it needs, all 4 if it is inside."""
-    points, keep, v = simplex.points, simplex.keep, simplex.v
+    points = simplex.points
+    keep = simplex.keep
+    v = simplex.v
     if num == 1:
-        v[0], v[1], v[2] = points[0, 0], points[0, 1], points[0, 2]
+        v[0] = points[0, 0]
+        v[1] = points[0, 1]
+        v[2] = points[0, 2]
         return 1
     if num == 2:
         keep[2] = keep[3] = False
@@ -263,10 +317,16 @@ def _reduce(simplex, num):
 @subkernel(**UNCOUNTED)
 def solid_meets_prism(solids, s, prism, simplex):
     """Does a solid meet a prism? UNDECIDED without a proof."""
-    kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
-    points, v = simplex.points, simplex.v
+    kind = solids.kind[s]
+    pos = solids.pos[s]
+    mat = solids.mat[s]
+    size = solids.size[s]
+    points = simplex.points
+    v = simplex.v
     # any point of the difference does to begin with: here that of the two centres
-    v[0], v[1], v[2] = pos[0] - prism.x, pos[1] - prism.y, pos[2] - (prism.low + prism.high) / 2.0
+    v[0] = pos[0] - prism.x
+    v[1] = pos[1] - prism.y
+    v[2] = pos[2] - (prism.low + prism.high) / 2.0
     if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
         return MEETS  # both centres are inside
     num = 0

@@ -14,7 +14,8 @@ from navbake.baker.core.union_find import find_root, unite
 from navbake.compiled import kernel, subkernel
 
 # In place of a closed part's number: of a sheet, or a copy of another triangle
-SHEET, COPY = np.int32(-1), np.int32(-2)
+SHEET = np.int32(-1)
+COPY = np.int32(-2)
 
 
 @subkernel(inline="always")
@@ -26,7 +27,8 @@ def _opposite(faces, half):
 @subkernel(inline="always")
 def _direction(faces, turned, half):
     """1 for a half-edge, of turned triangles turned, that runs to its higher corner, else -1."""
-    face, k = half // 3, half % 3
+    face = half // 3
+    k = half % 3
     runs_up = faces[face, k] < faces[face, (k + 1) % 3]
     return 1 if runs_up != turned[face] else -1
 
@@ -39,7 +41,8 @@ def _sort_keys(keys, num):
         gap = 3 * gap + 1
     while gap > 0:
         for i in range(gap, num):
-            key, j = keys[i], i
+            key = keys[i]
+            j = i
             while j >= gap and keys[j - gap] > key:
                 keys[j] = keys[j - gap]
                 j -= gap
@@ -54,7 +57,8 @@ def _list_edges(faces, num_points):
     Those with one lower point (counting sort) are sorted by the upper one. Returns `start`,
     (edges + 1,), and `half`, ragged, ascending, both int32.
     """
-    stop, half = np.zeros(num_points, np.int32), np.empty(3 * faces.shape[0], np.int32)
+    stop = np.zeros(num_points, np.int32)
+    half = np.empty(3 * faces.shape[0], np.int32)
     for writing in (False, True):
         for f in range(faces.shape[0]):
             for k in range(3):
@@ -68,8 +72,10 @@ def _list_edges(faces, num_points):
                 count = stop[low]
                 stop[low] = total
                 total += count
-    start, keys = np.empty(half.shape[0] + 1, np.int32), np.empty(16, np.int64)
-    first, edges = np.int32(0), 0
+    start = np.empty(half.shape[0] + 1, np.int32)
+    keys = np.empty(16, np.int64)
+    first = np.int32(0)
+    edges = 0
     for low in range(num_points):
         count = stop[low] - first
         if count > keys.shape[0]:
@@ -98,8 +104,11 @@ def _drop_copies(faces, start, half, part):
             keys = np.empty(2 * (start[e + 1] - start[e]), np.int64)
         count = 0
         for h in half[start[e] : start[e + 1]]:
-            f, k = h // 3, h % 3
-            here, after, third = faces[f, k], faces[f, (k + 1) % 3], _opposite(faces, h)
+            f = h // 3
+            k = h % 3
+            here = faces[f, k]
+            after = faces[f, (k + 1) % 3]
+            third = _opposite(faces, h)
             # each triangle is listed once, at the edge behind its lowest corner
             if here < after and here < third:
                 keys[count] = (np.int64(third) << 32) | f
@@ -179,8 +188,10 @@ def _find_patches(faces, edge, start, half, kept, left):
     which triangles face the other way than the first one of their patch.
     """
     num = faces.shape[0]
-    patch, differs = np.full(num, np.int32(-1), np.int32), np.zeros(num, np.bool_)
-    queue, first = np.empty(num, np.int32), np.empty(num + 1, np.int32)
+    patch = np.full(num, np.int32(-1), np.int32)
+    differs = np.zeros(num, np.bool_)
+    queue = np.empty(num, np.int32)
+    first = np.empty(num + 1, np.int32)
     count = at = end = 0
     for seed in range(num):
         if not kept[seed] or patch[seed] >= 0:
@@ -274,7 +285,8 @@ def _unite_patches(faces, start, half, kept, patch, turned, num):
 
     Returns each patch's parent, and by root, whether an edge of it stays without partner.
     """
-    parent, is_open = np.arange(num), np.zeros(num, np.bool_)
+    parent = np.arange(num)
+    is_open = np.zeros(num, np.bool_)
     own = np.zeros(num, np.int64)  # balance of each patch at one edge
     for turn in range(2):
         for e in range(start.shape[0] - 1):
@@ -313,7 +325,8 @@ def find_parts(faces, area, num_points):
             bool.
     """
     num = faces.shape[0]
-    part, turned = np.full(num, SHEET, np.int32), np.zeros(num, np.bool_)
+    part = np.full(num, SHEET, np.int32)
+    turned = np.zeros(num, np.bool_)
     if num == 0:
         return part, turned
     start, half = _list_edges(faces, num_points)

@@ -31,7 +31,8 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     those with two corners at one place.
     """
     triangles, point, part = _find_shells(vertices, np.ascontiguousarray(faces, dtype=np.int32))
-    turned, is_open = np.zeros(len(triangles), dtype=np.bool_), part == OPEN
+    turned = np.zeros(len(triangles), dtype=np.bool_)
+    is_open = part == OPEN
     if is_open.any():
         rest = np.flatnonzero(is_open)  # these hang together with no shell
         found, turned[rest] = find_parts(
@@ -42,7 +43,8 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     kept = part != COPY
     # closed parts are numbered from 1 by their lowest triangles; sheets are 0
     lowest = np.flatnonzero(part == np.arange(len(part), dtype=np.int32))
-    num, number = len(lowest), np.empty(len(part), dtype=np.int32)
+    num = len(lowest)
+    number = np.empty(len(part), dtype=np.int32)
     number[lowest] = np.arange(1, num + 1)
 
     def count(first: int, end: int) -> None:
@@ -51,7 +53,9 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
 
     run_in_chunks(count, len(part), least=LEAST)
     if not kept.all():
-        triangles, part, turned = triangles[kept], part[kept], turned[kept]
+        triangles = triangles[kept]
+        part = part[kept]
+        turned = turned[kept]
     encloses = _find_enclosing(vertices, triangles, turned, part, num)
     number = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)
     closed = np.empty(len(triangles), dtype=np.uint8)
@@ -65,7 +69,8 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     turned &= part > 0
     if turned.any():
         triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
-    num_closed, num_turned = np.count_nonzero(part), np.count_nonzero(turned)
+    num_closed = np.count_nonzero(part)
+    num_turned = np.count_nonzero(turned)
     kind = "closed surface" if num_closed == len(part) else "partly closed"
     kind += f", {num_turned} turned" if num_turned else ""
     return GeomTriangles(vertices, triangles, part, closed, kind if num_closed else "surface")
@@ -77,17 +82,21 @@ def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
     Points are numbered by the first one at their place, shells by their lowest triangle.
     """
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
-    number, shares = np.empty(len(bits), dtype=np.int32), count_shares(len(bits))
+    number = np.empty(len(bits), dtype=np.int32)
+    shares = count_shares(len(bits))
     run_in_chunks(weld_points, shares, bits, shares, number)
     while True:
-        point, kept = np.empty_like(faces), np.empty(len(faces), dtype=np.bool_)
-        mate, shares = np.empty(3 * len(faces), dtype=np.int32), count_shares(len(faces))
+        point = np.empty_like(faces)
+        kept = np.empty(len(faces), dtype=np.bool_)
+        mate = np.empty(3 * len(faces), dtype=np.int32)
+        shares = count_shares(len(faces))
         last = np.full((shares, len(bits)), -1, dtype=np.int32)
         run_in_chunks(chain_edges, shares, number, faces, point, kept, last, mate)
         if kept.all():
             break
         faces = faces[kept]
-    shell, corners = np.empty(len(faces), dtype=np.int32), point.reshape(-1)
+    shell = np.empty(len(faces), dtype=np.int32)
+    corners = point.reshape(-1)
     run_in_chunks(find_shells, len(bits), corners, last, mate, shell, least=LEAST)
     find_shells(corners, last, mate, shell, len(bits), len(bits) + 1)
     return faces, point, shell
@@ -107,7 +116,8 @@ def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, nu
     if not len(inner) or not encloses.any():
         return encloses
     box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
-    best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
+    best = np.full(num + 1, -1.0)
+    largest = np.zeros(num + 1, dtype=np.int64)
     bound_parts(*mesh, box, best, largest)
     some = np.flatnonzero(encloses[part])
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
@@ -125,11 +135,13 @@ def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
     Triangles count as they wind round the vertical line (Sunday, Inclusion of a point, 2001).
     """
     order = np.argsort(point[:, 0])
-    west, east = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
+    west = corners[:, :, 0].min(axis=1)
+    east = corners[:, :, 0].max(axis=1)
     first = np.searchsorted(point[order, 0], west)
     count = np.searchsorted(point[order, 0], east, side="right") - first
     ends = np.cumsum(count)
-    key, turns = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    key = [np.empty(0, np.int64)]
+    turns = [np.empty(0, np.int64)]
     cuts = np.searchsorted(ends, np.arange(MOST_PAIRS, count.sum(), MOST_PAIRS))
     for chosen in np.split(np.arange(len(count)), cuts):
         num = count[chosen]
@@ -146,15 +158,21 @@ def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
 
 def _winding_above(corners: Float, point: Float) -> Int:
     """How triangles above points wind round them, seen from there: 1, 0, or -1 (down), (n,)."""
-    x, y = point[:, :1], point[:, 1:2]
-    ax, ay = corners[:, :, 0], corners[:, :, 1]
-    bx, by = np.roll(ax, -1, axis=1), np.roll(ay, -1, axis=1)
+    x = point[:, :1]
+    y = point[:, 1:2]
+    ax = corners[:, :, 0]
+    ay = corners[:, :, 1]
+    bx = np.roll(ax, -1, axis=1)
+    by = np.roll(ay, -1, axis=1)
     # left of the edge from its lower end to its upper one, so that both ways give one answer
     is_back = ~((ax < bx) | ((ax == bx) & (ay < by)))
-    ux, uy = np.where(is_back, ax - bx, bx - ax), np.where(is_back, ay - by, by - ay)
-    vx, vy = x - np.where(is_back, bx, ax), y - np.where(is_back, by, ay)
+    ux = np.where(is_back, ax - bx, bx - ax)
+    uy = np.where(is_back, ay - by, by - ay)
+    vx = x - np.where(is_back, bx, ax)
+    vy = y - np.where(is_back, by, ay)
     is_left = (ux * vy - uy * vx > 0) ^ is_back
-    rises, falls = (ay <= y) & (by > y) & is_left, (ay > y) & (by <= y) & ~is_left
+    rises = (ay <= y) & (by > y) & is_left
+    falls = (ay > y) & (by <= y) & ~is_left
     turns = rises.sum(axis=1) - falls.sum(axis=1)
     a, b, c = np.moveaxis(corners, 1, 0)
     normal = np.cross(b - a, c - a)

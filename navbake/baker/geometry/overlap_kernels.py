@@ -20,7 +20,9 @@ from navbake.types import Float
 # A triangle has at most nine corners when six planes have clipped it
 MOST_CORNERS = 12
 # Axes; plain integers would compile what takes them once for each
-X, Y, Z = np.int64(0), np.int64(1), np.int64(2)
+X = np.int64(0)
+Y = np.int64(1)
+Z = np.int64(2)
 ANY_GEOM = np.int32(-1)
 
 
@@ -76,7 +78,9 @@ def clip(points, num, out, axis, limit, sign):
         di = sign * (points[i, axis] - limit)
         dj = sign * (points[j, axis] - limit)
         if di >= 0.0:
-            out[kept, 0], out[kept, 1], out[kept, 2] = points[i, 0], points[i, 1], points[i, 2]
+            out[kept, 0] = points[i, 0]
+            out[kept, 1] = points[i, 1]
+            out[kept, 2] = points[i, 2]
             kept += 1
         # an edge that ends on the limit crosses nothing: that corner is kept by itself
         if (di > 0.0 and dj < 0.0) or (di < 0.0 and dj > 0.0):
@@ -98,16 +102,20 @@ def clip_between(points, num, spare, axis, band, out):
 @subkernel(inline="always")
 def _disc_meets_polygon(points, num, prism):
     """Whether a polygon, seen from above, comes nearer to the disc's middle than its radius."""
-    left, right = False, False
+    left = False
+    right = False
     for i in range(num):
         j = i + 1 if i + 1 < num else 0
-        ax, ay = points[i, 0] - prism.x, points[i, 1] - prism.y
-        ex, ey = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        ax = points[i, 0] - prism.x
+        ay = points[i, 1] - prism.y
+        ex = points[j, 0] - points[i, 0]
+        ey = points[j, 1] - points[i, 1]
         length = ex * ex + ey * ey
         t = 0.0
         if length > 0.0:
             t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0)
-        dx, dy = ax + t * ex, ay + t * ey
+        dx = ax + t * ex
+        dy = ay + t * ey
         if dx * dx + dy * dy < prism.half * prism.half:
             return True
         side = ex * ay - ey * ax
@@ -120,13 +128,16 @@ def _disc_meets_polygon(points, num, prism):
 @subkernel(**UNCOUNTED)
 def triangle_meets_prism(corners, prism, polygons):
     """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
-    one, other = polygons.one, polygons.other
+    one = polygons.one
+    other = polygons.other
     num = clip_between(corners, corners.shape[0], other, Z, (prism.low, prism.high), one)
     if num == 0:
         return False
     if prism.is_round:
         return _disc_meets_polygon(one, num, prism)
-    x, y, half = prism.x, prism.y, prism.half
+    x = prism.x
+    y = prism.y
+    half = prism.half
     num = clip_between(one, num, other, X, (x - half, x + half), one)
     return clip_between(one, num, other, Y, (y - half, y + half), one) > 0
 
@@ -134,9 +145,13 @@ def triangle_meets_prism(corners, prism, polygons):
 @subkernel(**UNCOUNTED)
 def plane_meets_prism(planes, p, prism):
     """Does the half-space behind an infinite plane meet a prism?"""
-    pos, mat = planes.pos[p], planes.mat[p]
-    nx, ny, nz = mat[2], mat[5], mat[8]
-    middle, half_z = (prism.low + prism.high) / 2.0, (prism.high - prism.low) / 2.0
+    pos = planes.pos[p]
+    mat = planes.mat[p]
+    nx = mat[2]
+    ny = mat[5]
+    nz = mat[8]
+    middle = (prism.low + prism.high) / 2.0
+    half_z = (prism.high - prism.low) / 2.0
     depth = nx * (prism.x - pos[0]) + ny * (prism.y - pos[1]) + nz * (middle - pos[2])
     depth -= abs(nz) * half_z
     # how far the disc's rim or the square's corner reaches against the normal

@@ -24,7 +24,9 @@ spatial = lazy("scipy.spatial")
 # Half-size in place of the infinite side of a plane with a finite one; heights on a tilted one are
 # off by about 1e-16 FAR^2 [m]
 FAR = 1e4
-LEAST, MOST_SHARES = 4096, 8  # points or triangles of a share; shares, each with arrays of its own
+# points or triangles of a share; shares, each with arrays of its own
+LEAST = 4096
+MOST_SHARES = 8
 SIDES = 32  # of a round solid that is drawn by triangles
 
 
@@ -110,7 +112,8 @@ class Meshes:
     def expand(self) -> Facets:
         """All triangles, by geom."""
         ends = np.cumsum([0, *self.counts])
-        corners, bounds = np.empty((ends[-1], 3, 3)), np.empty((ends[-1], 6))
+        corners = np.empty((ends[-1], 3, 3))
+        bounds = np.empty((ends[-1], 6))
         facing = np.empty(ends[-1], dtype=np.int8)
 
         def write(first: int, end: int) -> None:
@@ -118,9 +121,11 @@ class Meshes:
             while first < end:
                 begin, last = ends[geom : geom + 2].tolist()
                 arrays = (array[begin:last] for array in (corners, bounds, facing))
-                mesh, last = self.triangles[geom], min(last, end)
+                mesh = self.triangles[geom]
+                last = min(last, end)
                 expand_mesh(mesh.vertices, mesh.faces, *arrays, first - begin, last - begin)
-                first, geom = last, geom + 1
+                first = last
+                geom = geom + 1
 
         run_in_chunks(write, int(ends[-1]), least=4096)
         parts: list[list[NDArray[Any]]] = [[one.part, one.closed] for one in self.triangles]
@@ -149,7 +154,8 @@ class Shapes:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
         ends = self.meshes.boxes[~self.endless[self.meshes.geom]]
         boxes = np.concatenate([self.solids.bounds, ends])
-        low, high = boxes[:, :3], boxes[:, 3:]
+        low = boxes[:, :3]
+        high = boxes[:, 3:]
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
     @cached_property
@@ -205,18 +211,21 @@ class Shapes:
                 array[at] = values
             return type(old)._make(arrays)
 
-        triangles, boxes = list(self.meshes.triangles), self.meshes.boxes.copy()
+        triangles = list(self.meshes.triangles)
+        boxes = self.meshes.boxes.copy()
         at = np.flatnonzero(geoms[self.meshes.geom])
         boxes[at] = new.meshes.boxes
         for n, one in zip(at.tolist(), new.meshes.triangles, strict=True):
             triangles[n] = one
         meshes = Meshes(self.meshes.geom, triangles, boxes)
-        solids, planes = put(self.solids, new.solids), put(self.planes, new.planes)
+        solids = put(self.solids, new.solids)
+        planes = put(self.planes, new.planes)
         return Shapes(solids, planes, meshes, self.endless)
 
     def turned(self, axes: Float) -> Shapes:
         """The solids in a frame with these axes, its rows, shape (3, 3)."""
-        solids, mats = self.solids, axes @ self.solids.mat.reshape(-1, 3, 3)
+        solids = self.solids
+        mats = axes @ self.solids.mat.reshape(-1, 3, 3)
         pose = solids.pos @ axes.T, np.ascontiguousarray(mats.reshape(-1, 9)), solids.size
         bounds = solid_bounds(solids.kind, *pose)
         planes = Planes._make(array[:0] for array in self.planes)
@@ -228,7 +237,8 @@ class Shapes:
 def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
     """The meshes of some geoms, by ascending ids, without those of no triangle."""
     some = {geom: one for geom, one in triangles.items() if len(one.faces)}
-    boxes, known = np.empty((len(some), 6)), dict[int, Bool]()
+    boxes = np.empty((len(some), 6))
+    known = dict[int, Bool]()
     for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
         if id(faces) not in known:  # geoms of one mesh share it
             known[id(faces)] = find_used(len(vertices), faces)
@@ -246,11 +256,13 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
 
 def find_reach(kind: Int32, way: Float, size: Float) -> Float:
     """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
-    along, reach = np.abs(way), np.empty(len(kind))
+    along = np.abs(way)
+    reach = np.empty(len(kind))
     kinds = set(kind.tolist())
     for number in kinds:
         own = kind == number if len(kinds) > 1 else slice(None)
-        up, sizes = along[own, 2], size[own]
+        up = along[own, 2]
+        sizes = size[own]
         if number == BOX:
             reach[own] = (along[own] * sizes).sum(axis=1)
         elif number == ELLIPSOID:
@@ -273,12 +285,15 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
     top = np.stack([x, y, heights * size[2]], axis=-1)
     base = np.stack([x, y, np.full_like(x, -size[3])], axis=-1)
-    a, b, c, d = top[:-1, :-1], top[:-1, 1:], top[1:, 1:], top[1:, :-1]
+    a = top[:-1, :-1]
+    b = top[:-1, 1:]
+    c = top[1:, 1:]
+    d = top[1:, :-1]
     parts = [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]
-    upper, lower = (
-        np.concatenate([z[0, :-1], z[:-1, -1], z[-1, :0:-1], z[:0:-1, 0]]) for z in (top, base)
-    )
-    beside, under = np.roll(upper, -1, axis=0), np.roll(lower, -1, axis=0)
+    upper = np.concatenate([top[0, :-1], top[:-1, -1], top[-1, :0:-1], top[:0:-1, 0]])
+    lower = np.concatenate([base[0, :-1], base[:-1, -1], base[-1, :0:-1], base[:0:-1, 0]])
+    beside = np.roll(upper, -1, axis=0)
+    under = np.roll(lower, -1, axis=0)
     # the bottom is fanned over the same border points, so that every edge is met from both sides
     middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, lower.shape)
     for corners in ((lower, under, beside), (lower, beside, upper), (middle, under, lower)):
@@ -322,7 +337,8 @@ def find_box(points: Float) -> Float:
 
     def measure(first: int, end: int) -> None:
         for k in range(first, end):  # numpy takes ten times as long along narrow rows
-            box[k], box[3 + k] = points[:, k].min(), points[:, k].max()
+            box[k] = points[:, k].min()
+            box[3 + k] = points[:, k].max()
 
     run_in_chunks(measure, 3, least=1 if len(points) > LEAST else 3)
     return box
@@ -334,7 +350,8 @@ def find_used(num: int, faces: Int32) -> Bool:
 
     def mark(first: int, end: int) -> None:
         for share in range(first, end):
-            begin, last = (len(faces) * k // len(marks) for k in (share, share + 1))
+            begin = len(faces) * share // len(marks)
+            last = len(faces) * (share + 1) // len(marks)
             marks[share][faces[begin:last]] = True
 
     run_in_chunks(mark, len(marks))
@@ -366,7 +383,8 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
         hull = hull_faces(corners.astype(np.float64))
         assert hull is not None
         return Mesh(corners, hull)
-    radius, half = size[0], size[1] if len(size) > 1 else 0.0
+    radius = size[0]
+    half = size[1] if len(size) > 1 else 0.0
     arc = np.linspace(-math.pi / 2, 0.0, SIDES // 4 + 1)
     if kind == "cylinder":
         profile = [(0.0, -half), (radius, -half), (radius, half), (0.0, half)]
@@ -376,17 +394,21 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
         lift = half if kind == "capsule" else 0.0
         lower = [(radius * math.cos(a), radius * math.sin(a) - lift) for a in arc.tolist()]
         profile = lower + [(r, -z) for r, z in lower[::-1][lift == 0 :]]
-    ends, rings = (profile[0], profile[-1]), profile[1:-1]
+    ends = (profile[0], profile[-1])
+    rings = profile[1:-1]
     turn = np.arange(SIDES) * (2 * math.pi / SIDES)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     layers = [np.column_stack([r * around, np.full(SIDES, z)]) for r, z in rings]
     vertices = np.concatenate([*layers, [[0.0, 0.0, ends[0][1]], [0.0, 0.0, ends[1][1]]]])
-    here, beside = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
-    low, high = len(vertices) - 2, len(vertices) - 1
+    here = np.arange(SIDES)
+    beside = (np.arange(SIDES) + 1) % SIDES
+    low = len(vertices) - 2
+    high = len(vertices) - 1
     top = (len(rings) - 1) * SIDES
     faces = [np.column_stack([np.full(SIDES, low), beside, here])]
     for start in range(0, top, SIDES):
-        a, b = start + here, start + beside
+        a = start + here
+        b = start + beside
         faces += [np.column_stack([a, b, b + SIDES]), np.column_stack([a, b + SIDES, a + SIDES])]
     faces.append(np.column_stack([top + here, top + beside, np.full(SIDES, high)]))
     if kind == "ellipsoid":
@@ -403,7 +425,8 @@ def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32
     """
     if not len(holes) and (counts == 3).all():
         return np.asarray(indices.reshape(-1, 3).astype(np.int32))
-    start, found = np.cumsum(counts) - counts, [np.empty((0, 3), dtype=np.int32)]
+    start = np.cumsum(counts) - counts
+    found = [np.empty((0, 3), dtype=np.int32)]
     kept = counts >= 3
     kept[holes[(holes >= 0) & (holes < len(counts))]] = False
     for size in np.unique(counts[kept]).tolist():
@@ -435,11 +458,13 @@ def _cut_ears(points: Float, corners: Int32) -> Int32:
     drop = int(np.abs(normal).argmax())  # the plane in which the polygon is widest
     flat = np.delete(points, drop, axis=1)
     way = 1.0 if (normal[drop] > 0) == (drop != 1) else -1.0
-    left, found = list(range(len(points))), list[list[int]]()
+    left = list(range(len(points)))
+    found = list[list[int]]()
 
     def area(a: Float, b: Float, c: Float) -> Float:
         """Twice the area of triangles, positive where they wind as the polygon."""
-        ab, ac = b - a, c - a
+        ab = b - a
+        ac = c - a
         return np.asarray(way * (ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]))
 
     while len(left) > 3:

@@ -56,9 +56,11 @@ def weld_points(points, num_shares, number, first, end):
     Points are divided into shares by their hashes, each with a filter and a hash table with open
     addressing. Writes the numbers, (n,) int32, of the shares ``range(first, end)``.
     """
-    num, shares = points.shape[0], np.uint64(num_shares)
+    num = points.shape[0]
+    shares = np.uint64(num_shares)
     for share in range(first, end):
-        own, count = np.empty(num + 1, np.int32), 0
+        own = np.empty(num + 1, np.int32)
+        count = 0
         for i in range(num):
             own[count] = i  # without a branch, which nobody could predict
             count += (
@@ -67,7 +69,8 @@ def weld_points(points, num_shares, number, first, end):
         size = 16
         while size < count:  # 8 bits a point
             size *= 2
-        once, twice = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
+        once = np.zeros(size, np.uint8)
+        twice = np.zeros(size, np.uint8)
         for i in own[:count]:
             place, bit = _place_of(_hash(points, i), size)
             twice[place] |= once[place] & bit
@@ -107,11 +110,16 @@ def chain_edges(number, faces, point, kept, last, before, first, end):
     each, -1 if none, (3 m,) int32. Writes also the points of each triangle by their numbers,
     (m, 3) int32, and whether it has three, (m,) bool; those with fewer are in no chain.
     """
-    num, shares = faces.shape[0], last.shape[0]
+    num = faces.shape[0]
+    shares = last.shape[0]
     for share in range(first, end):
         for f in range(num * share // shares, num * (share + 1) // shares):
-            a, b, c = number[faces[f, 0]], number[faces[f, 1]], number[faces[f, 2]]
-            point[f, 0], point[f, 1], point[f, 2] = a, b, c
+            a = number[faces[f, 0]]
+            b = number[faces[f, 1]]
+            c = number[faces[f, 2]]
+            point[f, 0] = a
+            point[f, 1] = b
+            point[f, 2] = c
             kept[f] = a != b and b != c and c != a
             for k in range(3 if kept[f] else 0):
                 low = min(point[f, k], point[f, (k + 1) % 3])
@@ -133,7 +141,8 @@ def find_shells(corners, last, mate, shell, first, end):
         last: the chains of `chain_edges`.
         shell: (m,) int32; receives the lowest triangle of each one's shell, or OPEN.
     """
-    upper, half = np.empty(MOST_EDGES, np.int32), np.empty(MOST_EDGES, np.int64)
+    upper = np.empty(MOST_EDGES, np.int32)
+    half = np.empty(MOST_EDGES, np.int64)
     num = np.empty(MOST_EDGES, np.int64)
     for low in range(first, min(end, last.shape[1])):
         edges = 0
@@ -143,21 +152,27 @@ def find_shells(corners, last, mate, shell, first, end):
                 h = following
                 following = np.int64(mate[h])
                 mate[h] = OPEN
-                high, e = max(corners[h], corners[_next(h)]), 0
+                high = max(corners[h], corners[_next(h)])
+                e = 0
                 while e < edges and upper[e] != high:
                     e += 1
                 if e == MOST_EDGES:
                     continue
                 if e == edges:
-                    upper[e], half[e], num[e] = high, h, 0
+                    upper[e] = high
+                    half[e] = h
+                    num[e] = 0
                     edges += 1
-                one, num[e] = half[e], num[e] + 1
+                one = half[e]
+                num[e] = num[e] + 1
                 if num[e] == 2:
                     is_opposite = corners[one] != corners[h]
                     if is_opposite and corners[_next(_next(one))] != corners[_next(_next(h))]:
-                        mate[one], mate[h] = h, one
+                        mate[one] = h
+                        mate[h] = one
                 elif num[e] == 3 and mate[one] != OPEN:
-                    mate[mate[one]], mate[one] = OPEN, OPEN
+                    mate[mate[one]] = OPEN
+                    mate[one] = OPEN
     if end <= last.shape[1]:
         return
     is_shell = np.ones(shell.shape[0], np.bool_)

@@ -30,14 +30,20 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
 
     Its own axis number `upright` points up or down.
     """
-    mat, size = solids.mat[s], solids.size[s]
+    mat = solids.mat[s]
+    size = solids.size[s]
     if solids.kind[s] == CYLINDER:
         if is_round:
             return math.hypot(dx, dy) - size[0] - half
         return _point_gap(dx, dy, half, SQUARE) - size[0]
-    a, b = (upright + 1) % 3, (upright + 2) % 3
-    ax, ay, bx, by = mat[a], mat[3 + a], mat[b], mat[3 + b]
-    on_a, on_b = abs(dx * ax + dy * ay) - size[a], abs(dx * bx + dy * by) - size[b]
+    a = (upright + 1) % 3
+    b = (upright + 2) % 3
+    ax = mat[a]
+    ay = mat[3 + a]
+    bx = mat[b]
+    by = mat[3 + b]
+    on_a = abs(dx * ax + dy * ay) - size[a]
+    on_b = abs(dx * bx + dy * by) - size[b]
     if is_round:
         return math.hypot(max(on_a, 0.0), max(on_b, 0.0)) - half
     # two rectangles are apart when one of their four axes separates them
@@ -49,13 +55,21 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
 @subkernel(inline="always")
 def _axis_gap(solids, s, prism, half, is_round):
     """A lower bound for leaning capsules and cylinders; negative only where they do overlap."""
-    pos, mat, radius, length = solids.pos[s], solids.mat[s], solids.size[s, 0], solids.size[s, 1]
-    dx, dy = prism.x - pos[0], prism.y - pos[1]
-    ax, ay, az = mat[2] * length, mat[5] * length, mat[8] * length
+    pos = solids.pos[s]
+    mat = solids.mat[s]
+    radius = solids.size[s, 0]
+    length = solids.size[s, 1]
+    dx = prism.x - pos[0]
+    dy = prism.y - pos[1]
+    ax = mat[2] * length
+    ay = mat[5] * length
+    az = mat[8] * length
     square = ax * ax + ay * ay
     # the point of the axis that is nearest to the prism's middle, seen from above
     t = min(max((dx * ax + dy * ay) / square, -1.0), 1.0) if square > 0.0 else 0.0
-    px, py, pz = dx - t * ax, dy - t * ay, pos[2] + t * az
+    px = dx - t * ax
+    py = dy - t * ay
+    pz = pos[2] + t * az
     if solids.kind[s] == CAPSULE:  # the ball round it proves most overlaps
         over = max(prism.low - pz, pz - prism.high, 0.0)
         gap = math.hypot(_point_gap(px, py, half, is_round), over) - radius
@@ -68,8 +82,10 @@ def _axis_gap(solids, s, prism, half, is_round):
 @subkernel(inline="always")
 def _gap(solids, s, prism, half, is_round):
     """A lower bound of a solid's distance to a prism; < 0 for an overlap, 0 for unknown."""
-    kind, pos = solids.kind[s], solids.pos[s]
-    dx, dy = prism.x - pos[0], prism.y - pos[1]
+    kind = solids.kind[s]
+    pos = solids.pos[s]
+    dx = prism.x - pos[0]
+    dy = prism.y - pos[1]
     if kind == SPHERE:
         over = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
         return math.hypot(_point_gap(dx, dy, half, is_round), over) - solids.size[s, 0]

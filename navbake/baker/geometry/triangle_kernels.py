@@ -16,8 +16,12 @@ UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as uprigh
 @subkernel(inline="always")
 def _cross(a, b, c):
     """The normal of a triangle, as long as twice its area."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ux = b[0] - a[0]
+    uy = b[1] - a[1]
+    uz = b[2] - a[2]
+    vx = c[0] - a[0]
+    vy = c[1] - a[1]
+    vz = c[2] - a[2]
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
@@ -47,9 +51,12 @@ def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
         for i in range(3):
             for k in range(3):
                 corners[t, i, k] = vertices[faces[t, i], k]
-        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+        a = corners[t, 0]
+        b = corners[t, 1]
+        c = corners[t, 2]
         for k in range(3):
-            bounds[t, k], bounds[t, 3 + k] = min(a[k], b[k], c[k]), max(a[k], b[k], c[k])
+            bounds[t, k] = min(a[k], b[k], c[k])
+            bounds[t, 3 + k] = max(a[k], b[k], c[k])
         x, y, z = _cross(a, b, c)
         length = _length(x, y, z)
         up = z / length if length > 0.0 else 0.0
@@ -69,10 +76,13 @@ def measure_areas(vertices, faces, area, first, end):
 @kernel
 def describe_triangles(vertices, faces):
     """The centres, (m, 3), unit normals, (m, 3), and areas of triangles, (m,) [m, m²]."""
-    center, normal = np.empty((faces.shape[0], 3)), np.empty((faces.shape[0], 3))
+    center = np.empty((faces.shape[0], 3))
+    normal = np.empty((faces.shape[0], 3))
     area = np.empty(faces.shape[0])
     for f in range(faces.shape[0]):
-        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        a = vertices[faces[f, 0]]
+        b = vertices[faces[f, 1]]
+        c = vertices[faces[f, 2]]
         across = _cross(a, b, c)
         size = _length(across[0], across[1], across[2])
         area[f] = size / 2
@@ -88,22 +98,33 @@ def measure_parts(vertices, faces, turned, part, volume, area, first, end):
 
     `part` and `turned` are by triangle; the sums (num,) of 0. Triangles are added in their order.
     """
-    origin, current, cubes, squares = vertices[faces[0, 0]], np.int64(first), 0.0, 0.0
+    origin = vertices[faces[0, 0]]
+    current = np.int64(first)
+    cubes = 0.0
+    squares = 0.0
     for f in range(faces.shape[0]):
         p = np.int64(part[f])
         if not first <= p < end:
             continue
         if p != current:  # most triangles follow others of their part: its sums are at hand
-            volume[current], area[current] = cubes, squares
-            current, cubes, squares = p, volume[p], area[p]
+            volume[current] = cubes
+            area[current] = squares
+            current = p
+            cubes = volume[p]
+            squares = area[p]
         one, other = (2, 0) if turned[f] else (0, 2)
-        a, b, c = vertices[faces[f, one]], vertices[faces[f, 1]], vertices[faces[f, other]]
+        a = vertices[faces[f, one]]
+        b = vertices[faces[f, 1]]
+        c = vertices[faces[f, other]]
         x, y, z = _cross(a, b, c)
         # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
-        ox, oy, oz = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
+        ox = a[0] - origin[0]
+        oy = a[1] - origin[1]
+        oz = a[2] - origin[2]
         cubes += (ox * x + oy * y + oz * z) / 6.0
         squares += _length(x, y, z) / 2.0
-    volume[current], area[current] = cubes, squares
+    volume[current] = cubes
+    area[current] = squares
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -117,11 +138,14 @@ def bound_parts(vertices, faces, turned, part, box, best, largest):
     for f in range(faces.shape[0]):
         p = part[f]
         one, other = (2, 0) if turned[f] else (0, 2)
-        a, b, c = vertices[faces[f, one]], vertices[faces[f, 1]], vertices[faces[f, other]]
+        a = vertices[faces[f, one]]
+        b = vertices[faces[f, 1]]
+        c = vertices[faces[f, other]]
         x, y, z = _cross(a, b, c)
         size = _length(x, y, z)
         if size >= best[p]:
-            best[p], largest[p] = size, f
+            best[p] = size
+            largest[p] = f
         for k in range(3):
             box[p, k] = min(box[p, k], a[k], b[k], c[k])
             box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
@@ -135,7 +159,9 @@ def find_nearest(normal, axes, reach, nearest, first, end):
     axes of normals ``range(first, end)``, int64.
     """
     for n in range(first, end):
-        x, y, z = normal[n, 0], normal[n, 1], normal[n, 2]
+        x = normal[n, 0]
+        y = normal[n, 1]
+        z = normal[n, 2]
         begin = np.searchsorted(axes[:, 2], abs(z) - reach)
         best = -1.0
         for k in range(begin, axes.shape[0]):
@@ -143,7 +169,8 @@ def find_nearest(normal, axes, reach, nearest, first, end):
                 break
             along = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
             if along > best:
-                best, nearest[n] = along, k
+                best = along
+                nearest[n] = k
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -156,7 +183,9 @@ def find_ways(corners, directions, way, weight, off, first, end):
     step = RIGHT / directions
     for t in range(first, end):
         x, y, _ = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
-        way[t], weight[t], off[t] = 0, math.sqrt(x * x + y * y), 0.0
+        way[t] = 0
+        weight[t] = math.sqrt(x * x + y * y)
+        off[t] = 0.0
         if weight[t] > 0.0:
             angle = math.atan2(y, x) % RIGHT
             direction = np.int64(math.floor(angle / step + 0.5)) % directions
@@ -174,8 +203,14 @@ def measure_spans(corners, group, way, low, high):
     for t in range(corners.shape[0]):
         g = group[t]
         for corner in range(3):
-            x, y, z = corners[t, corner, 0], corners[t, corner, 1], corners[t, corner, 2]
-            along, left = x * way[g, 0] + y * way[g, 1], y * way[g, 0] - x * way[g, 1]
-            low[g, 0], high[g, 0] = min(low[g, 0], along), max(high[g, 0], along)
-            low[g, 1], high[g, 1] = min(low[g, 1], left), max(high[g, 1], left)
-            low[g, 2], high[g, 2] = min(low[g, 2], z), max(high[g, 2], z)
+            x = corners[t, corner, 0]
+            y = corners[t, corner, 1]
+            z = corners[t, corner, 2]
+            along = x * way[g, 0] + y * way[g, 1]
+            left = y * way[g, 0] - x * way[g, 1]
+            low[g, 0] = min(low[g, 0], along)
+            high[g, 0] = max(high[g, 0], along)
+            low[g, 1] = min(low[g, 1], left)
+            high[g, 1] = max(high[g, 1], left)
+            low[g, 2] = min(low[g, 2], z)
+            high[g, 2] = max(high[g, 2], z)

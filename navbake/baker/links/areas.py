@@ -55,7 +55,8 @@ def paint_areas(
         ConfigError: an area's level doesn't exist.
     """
     layers = [np.zeros(lattice.shape, dtype=np.uint8) for _ in levels]
-    table, warnings = list[Json](), list[str]()
+    table = list[Json]()
+    warnings = list[str]()
     for number, area in enumerate(config.areas, 1):
         if area.room is not None:
             masks, width, notes = _mark_room(area, rooms)
@@ -104,7 +105,8 @@ def _mark_outline(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFl
     if not on:
         listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
         raise ConfigError(f"no level {area.level!r} for area {area.name!r}: there are {listed}")
-    masks, outline = [np.zeros(lattice.shape, np.bool_) for _ in levels], area.polygon or []
+    masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
+    outline = area.polygon or []
     masks[on[0]] = cover([outline, *area.rings], lattice)
     corners = np.array(outline)
     sides = np.roll(corners, -1, axis=0) - corners
@@ -121,7 +123,8 @@ def _mark_geoms(
     The agent is `high` [m].
     """
     names = [geom.geom for geom in all_names(scene.model).geoms]
-    masks, warnings = [np.zeros(lattice.shape, np.bool_) for _ in levels], list[str]()
+    masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
+    warnings = list[str]()
     chosen = np.zeros(len(names), dtype=np.bool_)
     for pattern in area.geoms:
         found = [fnmatchcase(name, pattern) for name in names]
@@ -131,7 +134,8 @@ def _mark_geoms(
             warnings.append(f"of area {area.name!r}, {text}")
     if not chosen.any():
         return masks, np.nan, warnings
-    geoms, known = np.flatnonzero(chosen).tolist(), scene.choices
+    geoms = np.flatnonzero(chosen).tolist()
+    known = scene.choices
     modes = {geom: known[geom].mesh if known[geom].counted else "surface" for geom in geoms}
     choices = {geom: Choice(True, "marks an area", modes[geom]) for geom in geoms}
     shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts, geoms)
@@ -148,7 +152,8 @@ def _mark_geoms(
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window].ravel()
         cells = np.flatnonzero(~np.isnan(floor))
-        floors, inside = floor[cells], np.zeros(len(cells), dtype=np.bool_)
+        floors = floor[cells]
+        inside = np.zeros(len(cells), dtype=np.bool_)
         if area.keeps_out:
             inside = look_at_cells(columns, tiled, touching, cells, floors).occupied
         else:

@@ -92,17 +92,21 @@ class Ground(NamedTuple):
         It lies straight beyond a cell in a direction, over free cells without a step between;
         where these end earlier, on the last of them.
         """
-        (down, right), (rows, cols) = WAYS[way], self.lattice.shape
+        down, right = WAYS[way]
+        rows, cols = self.lattice.shape
         row, col = divmod(cell, cols)
         for _ in range(
             math.ceil(min(width / 2, ROOM) / self.lattice.cell_size - 0.5 - LIMIT_SLACK)
         ):
-            r, c, floor = row + down, col + right, self.floors[level]
+            r = row + down
+            c = col + right
+            floor = self.floors[level]
             if not (0 <= r < rows and 0 <= c < cols and self.free[level, r, c]):
                 break
             if abs(floor[r, c] - floor[row, col]) > self.step:
                 break
-            row, col = r, c
+            row = r
+            col = c
         return self.stop(level, row * cols + col)
 
     def look_out(
@@ -110,30 +114,42 @@ class Ground(NamedTuple):
     ) -> Leaps:
         """Go straight from marked cells of a level over a gap [m] until `land` lands."""
         level, marked = starts
-        parts, (rows, cols) = [np.empty(0, dtype=LEAP)], self.lattice.shape
+        parts = [np.empty(0, dtype=LEAP)]
+        rows, cols = self.lattice.shape
         for way in ways:
             down, right = WAYS[way]
             row, col = np.nonzero(marked)
             z = self.floors[level, row, col]
             for between in range(math.floor(gap / self.lattice.cell_size + LIMIT_SLACK) + 1):
-                r, c = row + (between + 1) * down, col + (between + 1) * right
+                r = row + (between + 1) * down
+                c = col + (between + 1) * right
                 inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
-                row, col, r, c = (array[inside] for array in (row, col, r, c))
+                row = row[inside]
+                col = col[inside]
+                r = r[inside]
+                c = c[inside]
                 z = z[inside]
                 other, lands, goes_on = land(r, c, z, between)
                 found = np.empty(int(np.count_nonzero(lands)), dtype=LEAP)
-                found["way"], found["level"], found["between"] = way, level, between
-                found["cell"], found["z"] = (row * cols + col)[lands], z[lands]
-                found["other_cell"], found["other_level"] = (r * cols + c)[lands], other[lands]
+                found["way"] = way
+                found["level"] = level
+                found["between"] = between
+                found["cell"] = (row * cols + col)[lands]
+                found["z"] = z[lands]
+                found["other_cell"] = (r * cols + c)[lands]
+                found["other_level"] = other[lands]
                 found["other_z"] = self.floors[other, r, c][lands]
                 parts.append(found)
                 goes_on = goes_on & ~lands
-                row, col, z = row[goes_on], col[goes_on], z[goes_on]
+                row = row[goes_on]
+                col = col[goes_on]
+                z = z[goes_on]
         return np.concatenate(parts)
 
     def are_clear(self, found: Leaps, space: Space) -> Bool:
         """Whether nothing stands in the way of each, over its higher end and to its lower one."""
-        count, width = found["between"] + 1, self.lattice.width
+        count = found["between"] + 1
+        width = self.lattice.width
         owner = np.repeat(np.arange(len(found)), count)
         step = np.array([down * width + right for down, right in WAYS])[found["way"]]
         nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 1
@@ -164,7 +180,9 @@ class Ground(NamedTuple):
 
         Returns each group, its middle one, and how wide it is for discs [m].
         """
-        groups, cols, size = [], self.lattice.width, self.lattice.cell_size
+        groups = []
+        cols = self.lattice.width
+        size = self.lattice.cell_size
         for key in np.unique(found[["level", "other_level", "way"]]):
             own = found[found[["level", "other_level", "way"]] == key]
             own = own[np.argsort(own["cell"], kind="stable")]

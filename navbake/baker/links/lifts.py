@@ -34,9 +34,13 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     whose floor lies between a step below its foot and a step above its top: at the nearest one. It
     is as wide as its box, seen from above.
     """
-    model, names = ground.scene.model, all_names(ground.scene.model)
-    patterns, gap = rule.patterns or LADDERS, LADDER_GAP if rule.gap is None else rule.gap
-    things, ends, taken = list[tuple[str, Bool]](), find_subtree_ends(model), set[int]()
+    model = ground.scene.model
+    names = all_names(ground.scene.model)
+    patterns = rule.patterns or LADDERS
+    gap = LADDER_GAP if rule.gap is None else rule.gap
+    things = list[tuple[str, Bool]]()
+    ends = find_subtree_ends(model)
+    taken = set[int]()
     bodies = [(name, mark_body(model, k, int(ends[k]))) for k, name in enumerate(names.bodies)][1:]
     geoms = [(own.geom, np.arange(model.ngeom) == k) for k, own in enumerate(names.geoms)]
     for name, mask in bodies + geoms:
@@ -58,7 +62,8 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
 def _stops_beside(box: Float, gap: float, ground: Ground) -> Iterator[Stop]:
     """The nearest free cell to a box on each level whose floors it reaches."""
     (x0, y0, low), (x1, y1, high) = box.tolist()
-    x, y = ground.lattice.center_x(), ground.lattice.center_y()[:, None]
+    x = ground.lattice.center_x()
+    y = ground.lattice.center_y()[:, None]
     off = np.hypot(np.clip(x, x0, x1) - x, np.clip(y, y0, y1) - y)
     for level, (floor, free) in enumerate(zip(ground.floors, ground.free, strict=True)):
         here = free & (off <= gap + LIMIT_SLACK)
@@ -91,9 +96,11 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     way; on each level once at each of its sides, in the middle. A lift is as wide as its floor, or
     the narrowest way out of it.
     """
-    links, gap = [], LIFT_GAP if rule.gap is None else rule.gap
+    links = []
+    gap = LIFT_GAP if rule.gap is None else rule.gap
     for car in _find_cars(ground, rule.patterns or ("*",), gap):
-        stops, width = list[Stop](), car.width
+        stops = list[Stop]()
+        width = car.width
         for level in range(len(ground.floors)):
             land = _landing(car, level, ground)
             found = ground.look_out((level, car.floor), range(len(WAYS)), gap, land)
@@ -104,7 +111,8 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
                 if len(clear):
                     _, middle, out = max(ground.group(clear), key=lambda part: len(part[0]))
                     width = min(width, out)
-                    way, cell = int(middle["way"]), int(middle["other_cell"])
+                    way = int(middle["way"])
+                    cell = int(middle["other_cell"])
                     stops.append(ground.stand_back(level, cell, way, min(car.width, out)))
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
@@ -153,10 +161,13 @@ def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[
         reach = model.jnt_range[joint].tolist()
         low, high = sorted(car_floor.height + axis * (end - now) for end in reach)
         # where it stands: by its floor's frame if that is an upright box, else by its bounds
-        middle, yaw, size = bounds.mean(axis=0), 0.0, np.diff(bounds, axis=0)[0]
+        middle = bounds.mean(axis=0)
+        yaw = 0.0
+        size = np.diff(bounds, axis=0)[0]
         turn = scene.data.geom_xmat[carrier]
         if model.geom_type[carrier] == BOX and turn[8] >= VERTICAL:
-            middle, size = scene.data.geom_xpos[carrier], 2.0 * model.geom_size[carrier]
+            middle = scene.data.geom_xpos[carrier]
+            size = 2.0 * model.geom_size[carrier]
             yaw = float(np.arctan2(turn[3], turn[0]))
         place = (round(float(v), 6) + 0.0 for v in (middle[0], middle[1], yaw, size[0], size[1]))
         yield Car(

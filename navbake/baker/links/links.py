@@ -15,7 +15,9 @@ from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
 
 NEAR = 0.5  # of a given stop from its cell, seen from above, and in height [m]
-DROP, GAP = 1.0, 0.5  # heights of drops, and gaps, that are not in the settings [m]
+# heights of drops, and gaps, that are not in the settings [m]
+DROP = 1.0
+GAP = 0.5
 
 
 class BakedLinks(NamedTuple):
@@ -31,7 +33,8 @@ def find_links(ground: Ground, settings: list[LinkSettings]) -> BakedLinks:
     A stop without a free cell nearby, or on the cell of one before, is left out, and so is a link
     of fewer than two stops.
     """
-    links, warnings = list[MadeLink](), list[str]()
+    links = list[MadeLink]()
+    warnings = list[str]()
     finders = {"ladder": find_ladders, "lift": find_lifts}
     for given in settings:
         if given.auto is None:
@@ -61,7 +64,9 @@ def _stated(settings: LinkSettings) -> dict[str, object]:
 
 def _place_link(given: LinkSettings, ground: Ground) -> tuple[MadeLink, list[str]]:
     """The link with each stop on the nearest free cell; and what is wrong with its stops."""
-    stops, wrong, taken = list[Stop](), list[str](), set[tuple[int, int]]()
+    stops = list[Stop]()
+    wrong = list[str]()
+    taken = set[tuple[int, int]]()
     for number, (x, y, z) in enumerate(given.stops, 1):
         found = _find_stop(x, y, z, ground)
         if isinstance(found, Stop) and (found.level, found.cell) in taken:
@@ -81,7 +86,8 @@ def _place_link(given: LinkSettings, ground: Ground) -> tuple[MadeLink, list[str
 
 def _find_stop(x: float, y: float, z: float, ground: Ground) -> Stop | str:
     """The nearest free cell on the level whose floor is nearest to z; or why there is none."""
-    lattice, at = ground.lattice, np.array([[x, y], [x, y]])
+    lattice = ground.lattice
+    at = np.array([[x, y], [x, y]])
     window = lattice.window(at, NEAR)
     if window is None:
         return "lies outside of the grid"
@@ -122,14 +128,16 @@ def find_edges(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
         goes_on = np.asarray(~(np.abs(rise) <= ground.step).any(axis=0))
         if is_drop:  # it falls onto the highest
             rise = np.where(rise < -ground.step, rise, -np.inf)
-            level, lands = rise.argmax(axis=0), goes_on & (rise.max(axis=0) >= -most)
+            level = rise.argmax(axis=0)
+            lands = goes_on & (rise.max(axis=0) >= -most)
         else:
             level = np.abs(rise).argmin(axis=0)
             lands = (np.abs(rise).min(axis=0) <= most) & (between > 0)
         lands = lands & ground.free[level, rows, cols]
         return level, np.asarray(lands), goes_on
 
-    gap, ways = GAP if rule.gap is None else rule.gap, range(len(WAYS) if is_drop else 2)
+    gap = GAP if rule.gap is None else rule.gap
+    ways = range(len(WAYS) if is_drop else 2)
     parts = [ground.look_out((n, free), ways, gap, land) for n, free in enumerate(ground.free)]
     found = np.concatenate([np.empty(0, dtype=LEAP), *parts])
     links = []

@@ -70,7 +70,8 @@ class Footprint(NamedTuple):
     @classmethod
     def of(cls, agent: AgentSettings, cell_size: float) -> Footprint:
         """The footprint of an agent on cells of a size [m]."""
-        half, radius = cell_size / 2, agent.radius
+        half = cell_size / 2
+        radius = agent.radius
         return cls(
             square=half - TOUCH_DEPTH if radius < half * np.sqrt(2.0) else 0.0,
             radius=radius - TOUCH_DEPTH if radius > half else 0.0,
@@ -135,7 +136,9 @@ def look_at_cells(
         back[order] = np.arange(len(order))
         found = look_at_cells(columns, tiled, footprint, cells[order], floors[order])
         return found._replace(occupied=found.occupied[back], solid=found.solid[back])
-    shapes, lattice, cells = tiled.shapes, columns.lattice, cells.astype(np.int64, copy=False)
+    shapes = tiled.shapes
+    lattice = columns.lattice
+    cells = cells.astype(np.int64, copy=False)
     state, *scratch = np.zeros((3, len(cells)), dtype=np.uint8)
     queries = Queries(cells, np.ascontiguousarray(floors), state, *scratch)
     parts: dict[int, tuple[Int32, NDArray[np.uint8]]] = {}
@@ -149,7 +152,8 @@ def look_at_cells(
     if len(cells):
         rows = cells[[0, -1]] // lattice.width // TILE
         run_in_chunks(look, int(rows[1] - rows[0]) + 1, begin=int(rows[0]))
-    firsts, used = sorted(parts), 0
+    firsts = sorted(parts)
+    used = 0
     if len(listing.first):  # places are counted in each part
         ends = np.searchsorted(cells, [row * TILE * lattice.width for row in firsts[1:]])
         for own, first in zip(np.split(listing.first, ends), firsts, strict=True):
@@ -183,7 +187,9 @@ def look_at_cells(
 
 def ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
     """FCL's answer for one cell, over all solids of its tile."""
-    lattice, tiles, solids = tiled.lattice, tiled.tiles, tiled.shapes.solids
+    lattice = tiled.lattice
+    tiles = tiled.tiles
+    solids = tiled.shapes.solids
     tile = tile_of(lattice, cell)
     half_z = (footprint.high - footprint.low) / 2
     x, y = lattice.positions(*divmod(cell, lattice.width))

@@ -40,11 +40,17 @@ from navbake.types import Bool, Float, Int, Int32
 
 # What a geom does in a cell: it stands there, meets the occupancy's volume, meets the square in the
 # probed band, and meets the square in the band of the occupancy
-STANDS, BLOCKS, PROBED, SOLID = 1, 2, 4, 8
+STANDS = 1
+BLOCKS = 2
+PROBED = 4
+SOLID = 8
 # No proof whether it meets the occupancy's volume, or the square there
-UNPROVED, UNPROVED_SOLID = 16, 32
+UNPROVED = 16
+UNPROVED_SOLID = 32
 BY_LINE = 64  # of a cell: its line alone proves it occupied
-PLANE, SOLIDS, TRIANGLES = np.int64(0), np.int64(1), np.int64(2)
+PLANE = np.int64(0)
+SOLIDS = np.int64(1)
+TRIANGLES = np.int64(2)
 NO_GEOM = np.int32(2**31 - 1)
 
 
@@ -166,8 +172,10 @@ def look_near(lattice, hits, geometry, tiles, footprint, queries, listing, first
         make_polygons(),
     )
     solids, facets, planes = geometry
-    geom, flags = np.empty(1024, np.int32), np.empty(1024, np.uint8)
-    geom[0], flags[0] = -1, 0
+    geom = np.empty(1024, np.int32)
+    flags = np.empty(1024, np.uint8)
+    geom[0] = -1
+    flags[0] = 0
     used = np.int64(1)  # a plain 1 has a type of its own, and its functions would be compiled twice
     entries = _make_entries(1024)
     tiles_x = (lattice.width + TILE - 1) // TILE
@@ -188,10 +196,13 @@ def look_near(lattice, hits, geometry, tiles, footprint, queries, listing, first
             continue
         if used + count + num > geom.shape[0]:
             size = 2 * geom.shape[0] + count + num
-            wider, marks = np.empty(size, np.int32), np.empty(size, np.uint8)
+            wider = np.empty(size, np.int32)
+            marks = np.empty(size, np.uint8)
             for i in range(used):  # slices take longer to compile: their errors are text
-                wider[i], marks[i] = geom[i], flags[i]
-            geom, flags = wider, marks
+                wider[i] = geom[i]
+                marks[i] = flags[i]
+            geom = wider
+            flags = marks
         used = _write_lists(here.run, entries, count, listing.first, geom, flags, used)
     return geom, flags, used
 
@@ -211,7 +222,8 @@ def _find_queries(lattice, window, cells, run):
         # queries are sorted by cell, so a tile's follow on those of the tile before
         n = run[r, 1]
         if window[2] == 0:
-            n, last = 0, cells.shape[0]
+            n = 0
+            last = cells.shape[0]
             while n < last:
                 middle = (n + last) // 2
                 if cells[middle] < row * lattice.width:
@@ -238,33 +250,43 @@ def _write_lists(run, entries, count, first, geom, flags, used):
             if first[n] > 0:
                 used += first[n] + 1
                 first[n] = used - 1  # past its last entry, from which it is filled
-                geom[first[n]], flags[first[n]] = -1, 0
+                geom[first[n]] = -1
+                flags[first[n]] = 0
     for e in range(count - 1, -1, -1):
         n = entries.query[e]
         first[n] -= 1
-        geom[first[n]], flags[first[n]] = entries.geom[e], entries.flags[e]
+        geom[first[n]] = entries.geom[e]
+        flags[first[n]] = entries.flags[e]
     return used
 
 
 @subkernel(inline="always")
 def _column(walk, n, row, col):
     """The volume around all that is tested of a query; a hair wider, see `facet_meets_prism`."""
-    lattice, footprint, floor = walk.lattice, walk.footprint, walk.queries.floor[n]
+    lattice = walk.lattice
+    footprint = walk.footprint
+    floor = walk.queries.floor[n]
     x, y = center_of(lattice, row, col)
     reach = max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH_DEPTH
-    low, high = floor + footprint.low, floor + footprint.high
+    low = floor + footprint.low
+    high = floor + footprint.high
     if walk.listing.ceiling.shape[0] > 0:
-        low, high = floor, walk.listing.ceiling[n]
+        low = floor
+        high = walk.listing.ceiling[n]
     return Prism(x, y, low, high, reach, SQUARE)
 
 
 @subkernel(inline="always")
 def _volumes(walk, n, row, col):
     """The volumes of STANDS, BLOCKS, PROBED and SOLID over a query's floor."""
-    footprint, listing, floor = walk.footprint, walk.listing, walk.queries.floor[n]
+    footprint = walk.footprint
+    listing = walk.listing
+    floor = walk.queries.floor[n]
     x, y = center_of(walk.lattice, row, col)
-    low, high = floor + footprint.low, floor + footprint.high
-    half, is_round = walk.lattice.cell_size / 2 - TOUCH_DEPTH, footprint.radius > 0.0
+    low = floor + footprint.low
+    high = floor + footprint.high
+    half = walk.lattice.cell_size / 2 - TOUCH_DEPTH
+    is_round = footprint.radius > 0.0
     ceiling = listing.ceiling[n] if listing.ceiling.shape[0] > 0 else high
     return (
         Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, SQUARE),
@@ -277,14 +299,22 @@ def _volumes(walk, n, row, col):
 @subkernel(**UNCOUNTED)
 def _ask_lines(walk):
     """Test the lines of a tile's cells, and note the cells that these leave undecided."""
-    queries, listing, here, hits = walk.queries, walk.listing, walk.here, walk.hits
-    footprint, lists = walk.footprint, listing.ceiling.shape[0] > 0
-    here.first[:], here.end[:] = 0, 0
-    here.open[0], here.span[0], here.span[1] = 0, math.inf, -math.inf
+    queries = walk.queries
+    listing = walk.listing
+    here = walk.here
+    hits = walk.hits
+    footprint = walk.footprint
+    lists = listing.ceiling.shape[0] > 0
+    here.first[:] = 0
+    here.end[:] = 0
+    here.open[0] = 0
+    here.span[0] = math.inf
+    here.span[1] = -math.inf
     for r in range(here.run.shape[0]):
         row = walk.window[0] + r
         for n in range(here.run[r, 0], here.run[r, 1]):
-            cell, floor = queries.cell[n], queries.floor[n]
+            cell = queries.cell[n]
+            floor = queries.floor[n]
             col = cell - row * walk.lattice.width
             c = col - walk.window[2]
             if here.end[r, c] == 0:
@@ -307,7 +337,8 @@ def _ask_lines(walk):
 @subkernel(inline="always")
 def _describe_floor(hits, cell, floor, min_up):
     """The geom that carries a floor, or -1, and the gap to another geom's floor below [m]."""
-    carrier, gap = np.int32(-1), math.inf
+    carrier = np.int32(-1)
+    gap = math.inf
     for i in range(hits.start[cell], hits.start[cell + 1]):
         if hits.z[i] == floor and hits.normal[i, 2] >= min_up:
             carrier = hits.geom[i]
@@ -323,40 +354,60 @@ def _describe_floor(hits, cell, floor, min_up):
 @subkernel(**UNCOUNTED)
 def _look_at_tile(walk, tiles, tile, entries):
     """Test the geoms over a tile, by geom id; returns the number of entries, -1 for no room."""
-    solids, facets, planes, here = walk.solids, walk.facets, walk.planes, walk.here
+    solids = walk.solids
+    facets = walk.facets
+    planes = walk.planes
+    here = walk.here
     _ask_lines(walk)
-    p, count = 0, np.int64(0)  # see `used` above
-    s, last_s = tiles.solid_start[tile], tiles.solid_start[tile + 1]
-    t, last_t = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
+    # see `used` above
+    p = 0
+    count = np.int64(0)
+    s = tiles.solid_start[tile]
+    last_s = tiles.solid_start[tile + 1]
+    t = tiles.triangle_start[tile]
+    last_t = tiles.triangle_start[tile + 1]
     while count >= 0 and here.open[0] != 0:
         plane = planes.geom[p] if p < planes.geom.shape[0] else NO_GEOM
         solid = solids.geom[tiles.solid_item[s]] if s < last_s else NO_GEOM
         facet = facets.geom[tiles.triangle_item[t]] if t < last_t else NO_GEOM
-        geom, box = min(plane, solid, facet), here.box
+        geom = min(plane, solid, facet)
+        box = here.box
         if geom == NO_GEOM:
             break
-        kind, items, bounds, begin, end = SOLIDS, tiles.solid_item, solids.bounds, s, s + 1
+        kind = SOLIDS
+        items = tiles.solid_item
+        bounds = solids.bounds
+        begin = s
+        end = s + 1
         if geom == plane:
-            kind, items, begin, end = PLANE, here.plane, np.int64(0), np.int64(1)
+            kind = PLANE
+            items = here.plane
+            begin = np.int64(0)
+            end = np.int64(1)
             here.plane[0] = p
             p += 1
         elif geom == solid:
             s += 1
         else:
-            kind, items, bounds, begin = TRIANGLES, tiles.triangle_item, facets.bounds, t
+            kind = TRIANGLES
+            items = tiles.triangle_item
+            bounds = facets.bounds
+            begin = t
             while t < last_t and facets.geom[items[t]] == geom:
                 t += 1
             end = t
         # one loop for solids and triangles, as what it calls is compiled where it stands
         for k in range(3):
-            box[0, k], box[0, 3 + k] = math.inf, -math.inf
+            box[0, k] = math.inf
+            box[0, 3 + k] = -math.inf
         for i in items[begin : end if kind != PLANE else begin]:
             for k in range(3):
                 box[0, k] = min(box[0, k], bounds[i, k])
                 box[0, 3 + k] = max(box[0, 3 + k], bounds[i, 3 + k])
         if kind == PLANE:
             for k in range(3):
-                box[0, k], box[0, 3 + k] = -math.inf, math.inf
+                box[0, k] = -math.inf
+                box[0, 3 + k] = math.inf
             if (
                 planes.mat[items[0], 2] == 0.0
                 and planes.mat[items[0], 5] == 0.0
@@ -373,18 +424,26 @@ def _ask_geom(walk, kind, items, geom, entries, count):
 
     A geom's triangles follow one another; the box around them is tested first.
     """
-    lattice, window, here, queries = walk.lattice, walk.window, walk.here, walk.queries
+    lattice = walk.lattice
+    window = walk.window
+    here = walk.here
+    queries = walk.queries
     if here.box[0, 2] >= here.span[1] or here.box[0, 5] <= here.span[0]:
         return count
-    footprint, facets = walk.footprint, walk.facets
+    footprint = walk.footprint
+    facets = walk.facets
     half = lattice.cell_size / 2 + 2.0 * TOUCH_DEPTH
     reach = max(half, max(footprint.square, footprint.radius) + 2.0 * TOUCH_DEPTH)
     all_near = cells_near(lattice, window, here.box, 0, reach)
-    still, bands = here.still, here.bands
-    still[:], bands[:, 0], bands[:, 1] = 0, math.inf, -math.inf
+    still = here.still
+    bands = here.bands
+    still[:] = 0
+    bands[:, 0] = math.inf
+    bands[:, 1] = -math.inf
     for row in range(all_near[0], all_near[1]):
         for col in range(all_near[2], all_near[3]):
-            r, c = row - window[0], col - window[2]
+            r = row - window[0]
+            c = col - window[2]
             for n in range(here.first[r, c], here.end[r, c]):
                 queries.wanted[n] = 0
                 column = _column(walk, n, row, col)
@@ -404,7 +463,9 @@ def _ask_geom(walk, kind, items, geom, entries, count):
         if still[0] | still[1] | still[2] | still[3] == 0:
             break
         # the cells that want the disc's flag, or a square's, at the heights of a triangle
-        wide, narrow, near = np.int64(0), np.int64(0), all_near
+        wide = np.int64(0)
+        narrow = np.int64(0)
+        near = all_near
         for k in range(4):
             is_level = kind != TRIANGLES or (
                 facets.bounds[i, 2] < bands[k, 1] and facets.bounds[i, 5] > bands[k, 0]
@@ -421,7 +482,8 @@ def _ask_geom(walk, kind, items, geom, entries, count):
             continue
         for row in range(near[0], near[1]):
             for col in range(near[2], near[3]):
-                r, c = row - window[0], col - window[2]
+                r = row - window[0]
+                c = col - window[2]
                 if (wide | narrow) & cell_bit(r, c) == 0:
                     continue
                 left = np.int64(0)
@@ -437,8 +499,12 @@ def _ask_geom(walk, kind, items, geom, entries, count):
 @subkernel(inline="always")
 def _begin(walk, kind, geom, n, volumes):
     """Note what is wanted of a geom over a query, and what the cell's line proves of it."""
-    queries, listing, footprint = walk.queries, walk.listing, walk.footprint
-    state, wanted, flags = np.int64(queries.state[n]), 0, 0
+    queries = walk.queries
+    listing = walk.listing
+    footprint = walk.footprint
+    state = np.int64(queries.state[n])
+    wanted = 0
+    flags = 0
     # a square that is a part of the footprint is tested for each geom, others until one meets it
     if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & SOLID):
         wanted = SOLID
@@ -452,7 +518,8 @@ def _begin(walk, kind, geom, n, volumes):
         flags = proved & proves & wanted
     elif not state & BLOCKS:
         wanted |= BLOCKS
-    queries.wanted[n], queries.flags[n] = wanted, flags
+    queries.wanted[n] = wanted
+    queries.flags[n] = flags
 
 
 @subkernel(**UNCOUNTED)
@@ -460,7 +527,10 @@ def _ask_line(hits, cell, geom, volumes):
     """The flags that a cell's line proves of a geom: `line_is_blocked` for each volume."""
     stands, blocks, probed, _ = volumes
     lowest = min(stands.low, blocks.low, probed.low)
-    flags, in_stands, in_blocks, in_probed = 0, 0, 0, 0
+    flags = 0
+    in_stands = 0
+    in_blocks = 0
+    in_probed = 0
     for i in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
         z = hits.z[i]
         if z <= lowest:
@@ -491,7 +561,8 @@ def _ask_line(hits, cell, geom, volumes):
 @subkernel(**UNCOUNTED)
 def _ask_shape(walk, kind, i, n, volumes):
     """Add the wanted flags of a plane, a solid or a triangle over a query."""
-    queries, footprint = walk.queries, walk.footprint
+    queries = walk.queries
+    footprint = walk.footprint
     flags = np.int64(queries.flags[n])
     wanted = np.int64(queries.wanted[n]) & ~flags
     for k, volume in enumerate(volumes):
@@ -526,11 +597,14 @@ def _ask_shape(walk, kind, i, n, volumes):
 @subkernel(**UNCOUNTED)
 def _note_entries(walk, near, geom, entries, count):
     """Note what a geom does over the queries near; the number of entries, -1 for no room."""
-    here, queries, footprint = walk.here, walk.queries, walk.footprint
+    here = walk.here
+    queries = walk.queries
+    footprint = walk.footprint
     lists = walk.listing.ceiling.shape[0] > 0
     for row in range(near[0], near[1]):
         for col in range(near[2], near[3]):
-            r, c = row - walk.window[0], col - walk.window[2]
+            r = row - walk.window[0]
+            c = col - walk.window[2]
             is_open = lists
             for n in range(here.first[r, c], here.end[r, c]):
                 flags = np.int64(queries.flags[n])
@@ -547,7 +621,8 @@ def _note_entries(walk, near, geom, entries, count):
                     if lists and flags:
                         if count == entries.geom.shape[0]:
                             return -1
-                        entries.query[count], entries.geom[count] = n, geom
+                        entries.query[count] = n
+                        entries.geom[count] = geom
                         entries.flags[count] = flags
                         count += 1
                 queries.wanted[n] = 0

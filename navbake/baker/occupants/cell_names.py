@@ -15,7 +15,9 @@ from navbake.types import Int
 Names = dict[str, list[str]]
 
 # Bits: how a geom is in a cell, and the keys of user data for them
-OBJECTS, WALLS, BLOCKERS = 1, 2, 4
+OBJECTS = 1
+WALLS = 2
+BLOCKERS = 4
 KEYS = {"objects": OBJECTS, "walls": WALLS}
 NAMED = OBJECTS | WALLS
 ALL_BITS = 8
@@ -74,11 +76,16 @@ def name_cells(
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
     """Unique pairs of cell and name, sorted, with their bits."""
     kept = bits > 0
-    cell, name, bits = cell[kept], name[kept], bits[kept]
+    cell = cell[kept]
+    name = name[kept]
+    bits = bits[kept]
     pair = cell * num_names + name
     if (np.diff(pair) < 0).any():
         order = np.argsort(pair, kind="stable")
-        pair, cell, name, bits = pair[order], cell[order], name[order], bits[order]
+        pair = pair[order]
+        cell = cell[order]
+        name = name[order]
+        bits = bits[order]
     first = np.flatnonzero(np.diff(pair, prepend=-1))
     merged = np.bitwise_or.reduceat(bits, first) if len(first) else bits
     return cell[first], name[first], merged
@@ -91,7 +98,8 @@ def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[Na
     token = token[np.arange(len(owner)) + (begin - np.cumsum(size) + size)[owner]]
     name, bits = np.divmod(token, ALL_BITS)
     order = np.lexsort((_ranks(names)[name], owner))
-    name, bits = name[order], bits[order]
+    name = name[order]
+    bits = bits[order]
     differs = ((bits & BLOCKERS) > 0) != ((bits & NAMED) > 0)
     tells_blockers = np.bincount(owner, differs, len(size)) > 0
     chosen = {key: (bits & bit) > 0 for key, bit in KEYS.items()}

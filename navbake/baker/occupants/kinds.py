@@ -30,23 +30,31 @@ from navbake.types import Bool, Float, Int, Int32
 HINTED = re.compile("wall|partition")  # in the names of walls, whatever the case
 
 # A wall begins at most this far over a floor (a window over its sill), and is this high [m]
-NEAR_FLOOR, TALL = 0.6, 1.5
+NEAR_FLOOR = 0.6
+TALL = 1.5
 # Most thickness, least length and least ratio of both, of a thin wall and of a thick one [m, m, 1]
 THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
 # The same of one that is thicker still, and meets another at a corner, with tops this near [m]
-THICK, AS_HIGH = (1.2, 3.0, 3.0), 0.1
+THICK = (1.2, 3.0, 3.0)
+AS_HIGH = 0.1
 # Two walls meet at a corner where they are no nearer to one direction than 45 degrees [1]
 CROSSWISE = 0.5**0.5
 # Least heights of geoms named like a wall, and of those of them that are thin and long [m]
-NAMED_TALL, LOW = 1.0, 0.5
+NAMED_TALL = 1.0
+LOW = 0.5
 # A body is furniture if it is this much deeper than its panel, and at most so deep, so long [m],
 # and of so many geoms
-DEEPER, FURNITURE_DEPTH, FURNITURE_LENGTH, FURNITURE_PARTS = 0.1, 1.2, 3.0, 200
+DEEPER = 0.1
+FURNITURE_DEPTH = 1.2
+FURNITURE_LENGTH = 3.0
+FURNITURE_PARTS = 200
 # A piece that continues a wall is at most this thicker on a side, and so far from its end [m]
-IN_LINE, TOUCHING = 0.03, 0.05
+IN_LINE = 0.03
+TOUCHING = 0.05
 PAIRS = 1_000_000  # of walls and pieces that are compared at once, for the memory they take
 # Least width both ways of a mesh that holds a building [m], and share of it that is filled at most
-BUILDING_WIDTH, HOLLOW = 2.0, 0.5
+BUILDING_WIDTH = 2.0
+HOLLOW = 0.5
 # Its shape in the report of geoms
 TRIANGLES = ("surface", "closed surface", "partly closed", "shell")
 # Heights over a floor where such a mesh is wall [m]
@@ -57,7 +65,9 @@ UPRIGHT = 0.5
 
 # A thing that one can stand on is at most this large, and lies at most this high over a floor
 # unless it is solid down to it [m², m], in at least this share of its cells
-THING_AREA, THING_HEIGHT, MOSTLY = 4.0, 1.0, 0.9
+THING_AREA = 4.0
+THING_HEIGHT = 1.0
+MOSTLY = 0.9
 # A lower rise is no step on the way up [m]
 COVERING = 0.03
 # A ceiling is at least this wide both ways [m]
@@ -152,7 +162,8 @@ def find_walls(
     """
     named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
     hinted = np.array([bool(HINTED.search(names)) for names in named_by_geom], dtype=np.bool_)
-    static, slender = (scene.roles == STANDING) & ~excluded, _is_slender(extents, *THIN)
+    static = (scene.roles == STANDING) & ~excluded
+    slender = _is_slender(extents, *THIN)
     stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted
     named &= (over_floors.rise >= NAMED_TALL) | (slender & (over_floors.rise >= LOW))
@@ -248,7 +259,8 @@ def _in_line(walls: Bool, candidates: Bool, extents: Extents) -> Bool:
         found = np.zeros(len(walls), dtype=np.bool_)
         for wall, piece in _near_pairs(new, pieces, extents):
             offset = extents.center[piece] - extents.center[wall]
-            across, along = extents.across[wall], extents.along[wall]
+            across = extents.across[wall]
+            along = extents.along[wall]
             beyond = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
             gap = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
             fits = beyond <= extents.thin[wall] / 2 + IN_LINE
@@ -284,7 +296,8 @@ def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) ->
             return False
         sides = []
         for way in (extents.across[geom], extents.along[geom]):
-            middle, half = extents.center[parts] @ way, extents.half_widths(parts, way)
+            middle = extents.center[parts] @ way
+            half = extents.half_widths(parts, way)
             sides.append(float((middle + half).max() - (middle - half).min()))
         is_deeper = extents.thin[geom] + DEEPER <= sides[0] <= FURNITURE_DEPTH
         if is_deeper and sides[1] <= FURNITURE_LENGTH:
@@ -327,14 +340,17 @@ def find_carriers(
         step: the highest one [m].
     """
     cells, over, near = counts
-    carries, is_over, covering = cells > 0, over >= MOSTLY * cells, near >= MOSTLY * cells
+    carries = cells > 0
+    is_over = over >= MOSTLY * cells
+    covering = near >= MOSTLY * cells
     low, high, rise = steps
     is_level = rise <= SAME_HEIGHT
     plateau = connect(np.stack([low[is_level], high[is_level]]), len(cells))
     area = np.bincount(plateau, cells)[plateau] * cell_size**2
     things = carries & (area <= THING_AREA + LIMIT_SLACK) & is_over
     is_step = (rise > SAME_HEIGHT) & (rise <= step + LIMIT_SLACK) & ~covering[low]
-    low, high = low[is_step], high[is_step]
+    low = low[is_step]
+    high = high[is_step]
     # a thing that leads to the building is part of it, and may make another one lead there
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
@@ -389,7 +405,8 @@ def classify_geoms(
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
     kinds[buildings] = BUILDING
-    partitions, warnings = kinds.copy(), list[str]()
+    partitions = kinds.copy()
+    warnings = list[str]()
     if settings.walls:  # walls of the settings replace those by shape
         named, warnings = match_walls(scene, settings.walls)
         kinds[kinds == WALL] = OBJECT

@@ -52,8 +52,10 @@ def _open_row(columns, row_of, before, num, geom):
         if num == rows.shape[0]:
             return np.int64(-1)
         at = row_of[geom] = num
-        rows[at, 0], rows[at, 1:] = geom, 0
-        over[at, 0], over[at, 1] = math.inf, -math.inf
+        rows[at, 0] = geom
+        rows[at, 1:] = 0
+        over[at, 0] = math.inf
+        over[at, 1] = -math.inf
     return at
 
 
@@ -72,9 +74,12 @@ def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, beg
         limits: up to which gaps a geom that carries a floor lies on another one, by geom id, and
             up to which it only covers it [m].
     """
-    (rows, over), (floors, standable), (lows, highs) = columns, layers, heights
+    rows, over = columns
+    floors, standable = layers
+    lows, highs = heights
     on_floor, covering = limits
-    num, row_of = np.int64(0), np.full(lows.shape[0], np.int64(-1))
+    num = np.int64(0)
+    row_of = np.full(lows.shape[0], np.int64(-1))
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(listed.lattice, blocks[k])
@@ -83,7 +88,8 @@ def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, beg
             for cell in range(first + col0, first + col1):
                 i = listed.first[cell]
                 while listed.geom[i] >= 0:
-                    g, flags = listed.geom[i], np.int64(listed.flags[i])
+                    g = listed.geom[i]
+                    flags = np.int64(listed.flags[i])
                     i += 1
                     if not flags & STANDS:
                         continue
@@ -93,12 +99,15 @@ def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, beg
                     num = max(num, at + 1)
                     rows[at, 1] += 1
                     rows[at, 2] += 1 if flags & PROBED else 0
-                    floor, low, high = floors[cell], lows[g], highs[g]
+                    floor = floors[cell]
+                    low = lows[g]
+                    high = highs[g]
                     if low - floor < over[at, 0]:  # never of an endless plane: heights are NaN
                         over[at, 0] = low - floor
                     if high - max(low, floor) > over[at, 1]:
                         over[at, 1] = high - max(low, floor)
-                carrier, gap = listed.carrier[cell], listed.gap[cell]
+                carrier = listed.carrier[cell]
+                gap = listed.gap[cell]
                 if carrier >= 0:
                     at = _open_row(columns, row_of, before, num, carrier)
                     if at < 0:
@@ -120,9 +129,12 @@ def mark_walls(listed, kinds, cells, walls, lows, begin, end):
     """
     for n in range(begin, end):
         i = listed.first[cells[n]]
-        walls[n], lows[n], is_upper = False, False, False
+        walls[n] = False
+        lows[n] = False
+        is_upper = False
         while listed.geom[i] >= 0:
-            kind, flags = kinds[listed.geom[i]], np.int64(listed.flags[i])
+            kind = kinds[listed.geom[i]]
+            flags = np.int64(listed.flags[i])
             i += 1
             if not flags & STANDS:
                 continue
@@ -142,11 +154,15 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
     is a hole if the next surface more than a step over the level's `ground` is higher than the
     agent, unless it is a top. What stands on a floor is tall from `above_heads` on [m].
     """
-    start, z, normal = hits.start, hits.z, hits.normal
+    start = hits.start
+    z = hits.z
+    normal = hits.normal
     min_up = np.float32(limits.min_up)
     for n in range(begin, end):
-        entry, last = start[n], start[n + 1]
-        has_floor, found = not np.isnan(floor[n]), 0 if entry < last else EMPTY
+        entry = start[n]
+        last = start[n + 1]
+        has_floor = not np.isnan(floor[n])
+        found = 0 if entry < last else EMPTY
         top = z[last - 1] if entry < last else np.inf
         up = normal[last - 1, 2] if entry < last else np.float32(0.0)
         least = floor[n] + SAME_HEIGHT if has_floor else ground + limits.step

@@ -61,7 +61,9 @@ class _Building:
     """A building's file, and where its vertices are in the world."""
 
     def __init__(self, content: Json, path: Path) -> None:
-        self.content, self.path, self.found = content, path, Gathered()
+        self.content = content
+        self.path = path
+        self.found = Gathered()
         self.levels: Json = content["levels"]
         system = content.get("coordinate_system", "reference_image")
         if system in GEOGRAPHIC:
@@ -84,7 +86,8 @@ class _Building:
 
     def _scale(self, level: str) -> float:
         """Metres of a pixel, as the mean of the level's measurements."""
-        points, shares = self._points(level), []
+        points = self._points(level)
+        shares = []
         for one, other, values in self.levels[level].get("measurements") or []:
             shares.append(float(values["distance"][1]) / abs(points[one] - points[other]))
         if not shares:
@@ -111,7 +114,8 @@ class _Building:
             return own + 0.0j, 0.0j
         ref, own_marks = (np.array([each[name] for name in shared]) for each in marks)
         first, second = np.array(list(combinations(range(len(shared)), 2))).T
-        apart, own_apart = ref[second] - ref[first], own_marks[second] - own_marks[first]
+        apart = ref[second] - ref[first]
+        own_apart = own_marks[second] - own_marks[first]
         turns = own_apart * apart.conj()
         turn = (turns / abs(turns)).sum().conj()  # mean of the directions' differences
         factor = turn / abs(turn) / np.mean(abs(own_apart) / abs(apart))
@@ -129,7 +133,8 @@ class _Building:
         thick, high = WALL
         shafts = {name: self._shaft(lift) for name, lift in lifts.items()}
         for level, content in self.levels.items():
-            xy, z = self.place(level), float(content.get("elevation", 0.0))
+            xy = self.place(level)
+            z = float(content.get("elevation", 0.0))
             served = [shafts[name] for name, lift in lifts.items() if self._passes(lift, z)]
             for number, floor in enumerate(content.get("floors") or [], 1):
                 holes = [xy[hole["vertices"]] for hole in content.get("holes") or []] + served
@@ -145,7 +150,8 @@ class _Building:
             for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
                 name = f"{level}/wall_{number}"
                 with reading(f"{name} of {self.path}"):
-                    (x, y), middle = xy[other] - xy[one], (xy[one] + xy[other]) / 2
+                    x, y = xy[other] - xy[one]
+                    middle = (xy[one] + xy[other]) / 2
                     size = (math.hypot(x, y) + thick) / 2, thick / 2, high / 2
                     self._add_box(name, size, pose_of((*middle, z + high / 2), math.atan2(y, x)))
             for number, (one, other, values) in enumerate(content.get("doors") or [], 1):
@@ -164,7 +170,8 @@ class _Building:
 
     def _add_door(self, ends: Float, z: float, values: Json) -> None:
         """Add a door's leaves, closed; each moves by a joint."""
-        name, kind = str(values["name"]), str(values["type"])
+        name = str(values["name"])
+        kind = str(values["type"])
         if kind not in SLIDING + HINGED:
             self._warn(
                 f"door {name!r} of {self.path} is of type {kind!r}, which is not known: it is left "
@@ -174,7 +181,8 @@ class _Building:
         if values.get("motion_axis") == "end":
             ends = ends[::-1]
         back = ends[0] - ends[1]  # x of the door's frame leads from its end to its start
-        length, yaw = math.hypot(*back), math.atan2(back[1], back[0])
+        length = math.hypot(*back)
+        yaw = math.atan2(back[1], back[0])
         if length == 0:
             raise SceneError(f"door {name!r} of {self.path} has no width: its vertices coincide")
         ratio = float(values.get("right_left_ratio", 1.0))
@@ -204,7 +212,8 @@ class _Building:
 
     def _passes(self, lift: Json, z: float) -> bool:
         """Whether a lift's shaft leads through the floors at a height."""
-        low, high = lift.get("lowest_floor"), lift.get("highest_floor")
+        low = lift.get("lowest_floor")
+        high = lift.get("highest_floor")
         is_above = not low or z >= self._elevation(low)
         is_below = not high or z <= self._elevation(high)
         return bool(lift.get("level_doors")) and is_above and is_below
@@ -261,9 +270,12 @@ def _walls_of_car(
             begin = -reach
             for low, end in [*sorted(gaps), (reach, reach)]:
                 if low - begin > 1e-6:
-                    middle, size = [0.0, 0.0], [0.0, 0.0]
-                    middle[axis], size[axis] = sign * (half[axis] - thick / 2), thick / 2
-                    middle[across], size[across] = (begin + low) / 2, (low - begin) / 2
+                    middle = [0.0, 0.0]
+                    size = [0.0, 0.0]
+                    middle[axis] = sign * (half[axis] - thick / 2)
+                    size[axis] = thick / 2
+                    middle[across] = (begin + low) / 2
+                    size[across] = (low - begin) / 2
                     yield (middle[0], middle[1]), (size[0], size[1])
                 begin = max(begin, end)
 
@@ -288,7 +300,8 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     flat, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
     faces = index.reshape(-1, 3).astype(np.int32)
     a, b, c = (flat[faces[:, k]] for k in range(3))
-    (dx, dy), (ex, ey) = (b - a).T, (c - a).T
+    dx, dy = (b - a).T
+    ex, ey = (c - a).T
     turned = dx * ey - dy * ex < 0
     faces[turned] = faces[turned][:, ::-1]
     # an edge of one triangle alone is the outline's, and gets a wall down

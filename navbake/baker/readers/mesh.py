@@ -205,7 +205,8 @@ def turn_up(up: Direction) -> Float:
 
 def _dae_asset(path: Path) -> tuple[float, str | None]:
     """Metres per unit of a DAE, 1 if it states none; and its axis that is up, or None."""
-    meters, up = 1.0, None
+    meters = 1.0
+    up = None
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rpartition("}")[2]
         if event == "start" and tag == "unit":
@@ -260,7 +261,9 @@ def check_part(part: MeshPart, path: Path) -> MeshPart:
 
 # ---------------------------------------------------------------- files
 
-STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
+# [bytes]
+STL_HEADER = 84
+STL_TRIANGLE = 50
 MOST_HEADER = 1 << 20  # of a PLY; what counts stands before that [bytes]
 LEAST_READ = 1 << 16  # vertices or triangles of a plain file that a thread reads at once
 
@@ -273,7 +276,8 @@ def prepare_obj(path: Path) -> bytes:
         text = b"\n".join(b" ".join(line.split()) for line in text.split(b"\n"))
     if not re.search(rb"(?m)^f(?=.*(?:#| -| 0+(?:[/ ]|$)))", text):
         return text
-    lines, num_vertices = text.split(b"\n"), 0
+    lines = text.split(b"\n")
+    num_vertices = 0
     for number, line in enumerate(lines):
         num_vertices += line.startswith(b"v ")
         if line.startswith(b"f "):
@@ -292,7 +296,8 @@ def prepare_stl(path: Path) -> bytes:
     """An STL's bytes; refuses one that is cut off, or neither text nor binary."""
     data = path.read_bytes()
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in (words := data.lower()):
-        starts, ends = (re.findall(rb"(?m)^\s*%ssolid" % end, words) for end in (b"", b"end"))
+        starts = re.findall(b"(?m)^\\s*%ssolid" % b"", words)
+        ends = re.findall(b"(?m)^\\s*%ssolid" % b"end", words)
         if len(ends) < len(starts):
             raise SceneError(f"{path} is cut off: its last solid has no end")
         return _as_utf8(data)
@@ -368,14 +373,17 @@ def _read_plain_ply(path: Path) -> tuple[Float, Int32] | None:
     if not is_known or not kinds <= PLY_TYPES.keys():
         return None
     vertex = np.dtype([(name.decode(), order + PLY_TYPES[kind]) for kind, name in named])
-    count, index = (order + PLY_TYPES[header[key]] for key in ("count", "index"))
+    count = order + PLY_TYPES[header["count"]]
+    index = order + PLY_TYPES[header["index"]]
     face = np.dtype([("count", count), ("index", index, 3)])
-    num_vertices, num_faces = int(header["vertices"]), int(header["faces"])
+    num_vertices = int(header["vertices"])
+    num_faces = int(header["faces"])
     middle = header.end() + num_vertices * vertex.itemsize
     size = middle + num_faces * face.itemsize
     if not num_vertices or not num_faces or path.stat().st_size != size:
         return None
-    vertices, faces = np.empty((num_vertices, 3)), np.empty((num_faces, 3), dtype=np.int32)
+    vertices = np.empty((num_vertices, 3))
+    faces = np.empty((num_faces, 3), dtype=np.int32)
     is_odd = np.zeros(num_faces, dtype=np.bool_)
 
     def read_vertices(first: int, end: int) -> None:
@@ -388,7 +396,8 @@ def _read_plain_ply(path: Path) -> tuple[Float, Int32] | None:
         faces[first:end] = some["index"]  # one too large for that is negative
         # the number of a polygon's corners stands before each; it has to be three for all
         np.not_equal(some["count"], 3, out=is_odd[first:end])
-        low, high = faces[first:end].min(), faces[first:end].max()
+        low = faces[first:end].min()
+        high = faces[first:end].max()
         is_odd[first] |= low < 0 or high >= num_vertices
 
     run_in_chunks(read_vertices, num_vertices, least=LEAST_READ)

@@ -34,7 +34,8 @@ TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]
 """Vertices and faces, counter-clockwise from outside."""
 BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
-MOST_PIECES, FEW_PIECES = 10_000, 3000
+MOST_PIECES = 10_000
+FEW_PIECES = 3000
 MAX_PIECES = 2_000_000  # of a scene, instances counted each
 STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
 # MuJoCo's types by the names that they have in its XML
@@ -164,7 +165,9 @@ def build_model(
 ) -> tuple[Any, dict[int, MeshPart]]:
     """Compile what a reader found; returns the model, and the static meshes by geom id."""
     warnings += found.warnings
-    taken, parts, moving = set[str](), dict[str, MeshPart](), dict[str, MeshPart]()
+    taken = set[str]()
+    parts = dict[str, MeshPart]()
+    moving = dict[str, MeshPart]()
     pieces = list[Piece]()
     for piece in merge_pieces(found, path, warnings):
         piece = piece._replace(name=unique_name(piece.name, taken))
@@ -196,10 +199,12 @@ def build_model(
             made = holder.add_joint(name=joint.name, type=JOINTS[joint.kind])
             if joint.kind != "free":  # the others are in the body's frame
                 turn = body.pose[:3, :3]
-                made.pos, made.axis = (joint.anchor - body.pose[:3, 3]) @ turn, joint.axis @ turn
+                made.pos = (joint.anchor - body.pose[:3, 3]) @ turn
+                made.axis = joint.axis @ turn
                 made.ref = joint.position
             if joint.limits is not None:
-                made.range, made.limited = joint.limits, mujoco.mjtLimited.mjLIMITED_TRUE
+                made.range = joint.limits
+                made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         if parts:
             fill_mesh(spec.add_mesh(name=STAND_IN), *TETRAHEDRON)
         for piece in pieces:
@@ -216,14 +221,16 @@ def build_model(
                 geom.meshname = piece.name
             else:
                 place = _place_of(_own_pose(piece.pose, found.bodies.get(piece.body)))
-                geom.pos, geom.quat = place["pos"], place["quat"]
+                geom.pos = place["pos"]
+                geom.quat = place["quat"]
                 if piece.heights is None:
                     last = float(piece.kind == "plane")  # MuJoCo wants the spacing of its lines
                     geom.size = (*piece.size, last, 0.0)[:3]
                 else:
                     rows, cols = piece.heights.shape
                     field = spec.add_hfield(name=piece.name, nrow=rows, ncol=cols)
-                    field.size, field.userdata = piece.size, piece.heights.ravel()
+                    field.size = piece.size
+                    field.userdata = piece.heights.ravel()
                     geom.hfieldname = piece.name
         return compile_geometry(spec, ground, warnings)
 
@@ -246,7 +253,8 @@ def _place_of(pose: Float) -> dict[str, Float]:
 def _place(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
     """Meshes at poses, shape (n, 4, 4), as one."""
     counts = [len(mesh.vertices) for mesh in meshes]
-    owner, turns = np.repeat(np.arange(len(meshes)), counts), poses[:, :3, :3]
+    owner = np.repeat(np.arange(len(meshes)), counts)
+    turns = poses[:, :3, :3]
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
     vertices = (turns[owner] @ vertices[:, :, None])[:, :, 0] + poses[owner, :3, 3]
     if decimals is not None:
@@ -273,7 +281,8 @@ def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece
     owners = [f"{piece.body}\0{number}" for number, piece in enumerate(pieces)]
     while len(left := set(owners)) > FEW_PIECES:
         count = Counter(map(_above, left))
-        num, chosen = len(left), set[str]()
+        num = len(left)
+        chosen = set[str]()
         for name, size in count.most_common():
             if num <= FEW_PIECES or (size == 1 and chosen):
                 break
@@ -333,7 +342,9 @@ def model_of_parts(
             fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
             body = spec.worldbody.add_body(name=part.name)
             geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH)
-            geom.meshname, geom.contype, geom.conaffinity = part.name, 0, 0
+            geom.meshname = part.name
+            geom.contype = 0
+            geom.conaffinity = 0
         return compile_geometry(spec, ground, warnings)
 
     model = compile_model(path, warnings, build)

@@ -49,7 +49,8 @@ HINGES = ("revolute", "continuous")
 MOST_NESTED = 50  # models in models
 LAST_IN_MODEL = 1, 4  # the last version of SDF whose axes are in the frame of the model
 # Models that come with Gazebo itself, where they aren't found
-SUN, GROUND = "sun", "ground_plane"
+SUN = "sun"
+GROUND = "ground_plane"
 
 
 def read_world(path: Path, settings: SceneSettings) -> Gathered:
@@ -66,13 +67,15 @@ def read_world(path: Path, settings: SceneSettings) -> Gathered:
 
 class _Reader:
     def __init__(self, path: Path, settings: SceneSettings) -> None:
-        self._path, self._folders = path, settings.model_path
+        self._path = path
+        self._folders = settings.model_path
         self._result = Gathered()
         self._poses: dict[str, Float] = {}  # of bodies that may move
         self._bodies: dict[str, str] = {}  # by link with its scope's names, its body
         self._joints: list[tuple[Scope, Element]] = []
         self._meshes: dict[Any, Mesh] = {}
-        self._parse, self._find_model = cache(parse_sdf), cache(self._search_model)
+        self._parse = cache(parse_sdf)
+        self._find_model = cache(self._search_model)
         self._count = 0  # of models and pieces
 
     def read(self) -> Gathered:
@@ -139,7 +142,8 @@ class _Reader:
                 if _model_name(uri) == GROUND and self._find_model(uri, scope.file) is None:
                     text = "taken as Gazebo's own, endless ground"
                     self._warn(f"{uri} of {scope.file} not found: {text}")
-                    name, pose = text_of(element, "name") or GROUND, scope.place(element)
+                    name = text_of(element, "name") or GROUND
+                    pose = scope.place(element)
                     self._add(name, name, "plane", (0.0, 0.0), pose, is_visual=False)
         for model in scope.models:
             self._read_model(model)
@@ -188,7 +192,9 @@ class _Reader:
                 return default
             return numbers_of(text_of(shape, key), count, f"<{key}> of {where}")
 
-        mesh, heights, size = None, None, tuple[float, ...]()
+        mesh = None
+        heights = None
+        size = tuple[float, ...]()
         kind = shape.tag
         if kind in SOLIDS:
             key, count, share = SOLIDS[kind]
@@ -198,7 +204,8 @@ class _Reader:
             if kind == "cone":
                 kind, size, mesh = "mesh", (), tessellate(kind, size)
         elif kind == "plane":
-            turn, pose = turn_up(np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))).T, pose.copy()
+            turn = turn_up(np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))).T
+            pose = pose.copy()
             pose[:3, :3] = pose[:3, :3] @ turn
             # what collides is endless, what is drawn has a size
             sides = numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
@@ -211,7 +218,8 @@ class _Reader:
                 mesh = self._read_mesh(file, shape, where)
                 pose = pose @ np.diag([*numbers("scale", 3, [1.0] * 3), 1.0])
             else:
-                kind, shift = "hfield", numbers("pos", 3, [0.0] * 3)
+                kind = "hfield"
+                shift = numbers("pos", 3, [0.0] * 3)
                 heights, size, lift = _read_heights(file, numbers("size", 3, [1.0] * 3))
                 pose = pose.copy()
                 pose[:3, 3] += pose[:3, :3] @ np.add(shift, [0.0, 0.0, lift])
@@ -254,7 +262,8 @@ class _Reader:
 
     def _body_of(self, scope: Scope, name: str) -> str:
         """The body that a joint's end belongs to, by a link's or a frame's name; empty for none."""
-        at, end = scope, name
+        at = scope
+        end = name
         for _ in range(MOST_NESTED):  # frames may be attached to frames
             if end in WORLD:
                 return ""
@@ -272,10 +281,14 @@ class _Reader:
         raise SceneError(f"no link {name!r} of {scope.name or 'the world'} in {scope.file}")
 
     def _tie(self, ties: Ties, scope: Scope, element: Element) -> None:
-        kind, name = str(element.get("type")), scope.full(str(element.get("name")))
-        parent, child = (self._body_of(scope, text_of(element, key)) for key in ("parent", "child"))
-        where, joint = f"joint {name!r} of {scope.file}", None
-        place, axis = scope.pose_of(str(element.get("name"))), element.find("axis")
+        kind = str(element.get("type"))
+        name = scope.full(str(element.get("name")))
+        parent = self._body_of(scope, text_of(element, "parent"))
+        child = self._body_of(scope, text_of(element, "child"))
+        where = f"joint {name!r} of {scope.file}"
+        joint = None
+        place = scope.pose_of(str(element.get("name")))
+        axis = element.find("axis")
         if kind == "ball":
             joint = Joint(name, "ball", place[:3, 3], np.zeros(3))
         elif kind in (*HINGES, "prismatic") and axis is not None:
@@ -286,10 +299,12 @@ class _Reader:
             is_old = _version_of(self._parse(scope.file)) <= LAST_IN_MODEL
             if is_old or is_true(text_of(axis, "use_parent_model_frame")):
                 turn = scope.pose_of("")
-            low, high = (
-                numbers_of(text_of(axis, f"limit/{key}") or default, 1, f"<{key}> of {where}")[0]
-                for key, default in (("lower", "-1e16"), ("upper", "1e16"))
-            )
+            low = numbers_of(
+                text_of(axis, f"limit/{'lower'}") or "-1e16", 1, f"<{'lower'}> of {where}"
+            )[0]
+            high = numbers_of(
+                text_of(axis, f"limit/{'upper'}") or "1e16", 1, f"<{'upper'}> of {where}"
+            )[0]
             is_limited = low < high and max(-low, high) < ENDLESS and kind != "continuous"
             limits = (low, high) if is_limited else None
             kind = "hinge" if kind in HINGES else "slide"
@@ -331,7 +346,8 @@ def _read_heights(file: Path, sides: list[float]) -> tuple[Float, tuple[float, .
     except FormatError as error:
         raise SceneError(str(error)) from error
     light /= max(float(light.max()), 1.0)
-    low, high = float(light.min()), float(light.max())
+    low = float(light.min())
+    high = float(light.max())
     rise = max((high - low) * sides[2], FLAT)
     heights = (light - low) / ((high - low) or 1.0)
     return heights, (sides[0] / 2, sides[1] / 2, rise, BASE), low * sides[2]

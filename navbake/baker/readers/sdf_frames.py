@@ -36,8 +36,11 @@ class Scope:
     def __init__(
         self, find: FindModels, element: Element, placing: Element, file: Path, above: Scope | None
     ) -> None:
-        self._find_models, self.element, self._placing = find, element, placing
-        self.file, self.above = file, above
+        self._find_models = find
+        self.element = element
+        self._placing = placing
+        self.file = file
+        self.above = above
         self._frames = {
             str(each.get("name")): each
             for each in element
@@ -46,7 +49,9 @@ class Scope:
         self._poses: dict[str, Float] = {} if above is not None else {"": np.eye(4)}
         self._open: list[str] = []
         self.name = self.own = ""
-        self.depth, self.is_static, self.is_merged = 0, False, False
+        self.depth = 0
+        self.is_static = False
+        self.is_merged = False
         if above is None:
             return
         # a model's name, pose and static are those of an include, where it has them
@@ -55,7 +60,8 @@ class Scope:
             self.own = text_of(placing, "name") or self.own
             self.is_merged = above.above is not None and is_true(placing.get("merge", ""))
         self.name = f"{above.name}::{self.own}" if above.name else self.own
-        self.depth, self.is_static = above.depth + 1, above.is_static
+        self.depth = above.depth + 1
+        self.is_static = above.is_static
         if self.is_merged:
             self.name = above.name
             return
@@ -190,12 +196,14 @@ def read_pose(pose: Element | None, file: Path) -> Float:
     place[:3, 3] = numbers[:3]
     if is_quat:
         x, y, z, w = numbers[3:]
-        turn, quat = np.empty(9), np.array([w, x, y, z]) / (math.hypot(w, x, y, z) or 1.0)
+        turn = np.empty(9)
+        quat = np.array([w, x, y, z]) / (math.hypot(w, x, y, z) or 1.0)
         mujoco.mju_quat2Mat(turn, quat)
         place[:3, :3] = turn.reshape(3, 3)
         return place
     angles = np.radians(numbers[3:]) if is_true(pose.get("degrees", "")) else numbers[3:]
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles).tolist(), np.sin(angles).tolist()
+    cr, cp, cy = np.cos(angles).tolist()
+    sr, sp, sy = np.sin(angles).tolist()
     place[:3, :3] = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],

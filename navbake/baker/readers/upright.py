@@ -35,7 +35,9 @@ APART = np.cos(np.radians(40.0))  # of two directions that are looked at
 THICK = 0.08  # of what is one flat surface, on both sides [m]
 STANDING = 0.12, 1.1  # heights over a floor at which most furniture is [m]
 PLANES = 4  # flat surfaces that are looked at in a direction
-FLOOR, WALL = 0.5, 0.25  # shares of the largest one that floors have, and that is no furniture
+# shares of the largest one that floors have, and that is no furniture
+FLOOR = 0.5
+WALL = 0.25
 AWAY = 0.2  # of a floor's surface that may face down, beside what faces up
 SIZE_WEIGHT = 0.1  # of a flat surface, beside what stands on it
 LEAST = 4.0  # area of a floor; a mesh whose flat surfaces are smaller may be furniture [m²]
@@ -112,7 +114,9 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
     """
     from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
 
-    kept, dropped, lost = list[MeshPart](), 0, 0.0
+    kept = list[MeshPart]()
+    dropped = 0
+    lost = 0.0
     for part in parts:
         _, place = np.unique(part.vertices, axis=0, return_inverse=True)
         corners = place.reshape(-1)[part.faces]
@@ -122,7 +126,8 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
         piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
         area = np.bincount(piece, find_areas(part.vertices, part.faces))
         small = (area > 0.0) & (area < SPECK)
-        dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
+        dropped = dropped + int(small.sum())
+        lost = lost + float(area[small].sum())
         vertices, faces = only_used(part.vertices, part.faces[~small[piece]])
         if len(faces):
             kept.append(MeshPart(part.name, vertices, faces))
@@ -171,7 +176,8 @@ def find_up(surface: Surface) -> tuple[list[Upright], bool]:
     rest = np.ones(len(area), dtype=np.bool_)
     for plane in (plane for planes in found for plane in planes if plane.size > WALL * largest):
         rest &= ~plane.own
-    center, area = center[rest], area[rest]
+    center = center[rest]
+    area = area[rest]
     ups = list[Upright]()
     for planes in found:
         flats = [plane for plane in planes if plane.size >= FLOOR * largest]
@@ -179,7 +185,8 @@ def find_up(surface: Surface) -> tuple[list[Upright], bool]:
             floors = [plane for plane in flats if way * plane.facing >= -AWAY * plane.size]
             if not floors:
                 continue
-            up, stands = way * floors[0].normal, np.zeros(len(area), dtype=np.bool_)
+            up = way * floors[0].normal
+            stands = np.zeros(len(area), dtype=np.bool_)
             for plane in floors:
                 height = (center - plane.middle) @ up
                 stands |= (height >= STANDING[0]) & (height <= STANDING[1])
@@ -203,7 +210,8 @@ def list_axes() -> Float:
     """`NUM_AXES` directions of a hemisphere, by ascending z: Fibonacci's lattice."""
     number = np.arange(NUM_AXES)
     up = (number + 0.5) / NUM_AXES
-    turn, wide = np.pi * (3.0 - np.sqrt(5.0)) * number, np.sqrt(1.0 - up * up)
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * number
+    wide = np.sqrt(1.0 - up * up)
     return np.stack([wide * np.cos(turn), wide * np.sin(turn), up], axis=1)
 
 
@@ -237,14 +245,16 @@ class _Plane(NamedTuple):
 
 def _find_planes(axis: Float, surface: Surface) -> list[_Plane]:
     """The largest flat surfaces that face along an axis, the largest first."""
-    left, planes = np.flatnonzero(np.abs(surface.normal @ axis) >= FACING), list[_Plane]()
+    left = np.flatnonzero(np.abs(surface.normal @ axis) >= FACING)
+    planes = list[_Plane]()
     slot, slots = np.unique(np.floor(surface.center[left] @ axis / THICK), return_inverse=True)
     for _ in range(PLANES):
         if not len(left):
             break
         center, normal, area = (array[left] for array in surface)
         middle = axis * slot[np.bincount(slots, area).argmax()] * THICK
-        best, own = axis, np.abs((center - middle) @ axis) <= 2 * THICK
+        best = axis
+        own = np.abs((center - middle) @ axis) <= 2 * THICK
         for _ in range(4):  # fitted to what lies near it
             total = area[own].sum()
             middle = area[own] @ center[own] / total
@@ -258,5 +268,6 @@ def _find_planes(axis: Float, surface: Surface) -> list[_Plane]:
         mask = np.zeros(len(surface.area), dtype=np.bool_)
         mask[left[own]] = True
         planes.append(_Plane(float(area[own].sum()), facing, middle, best, mask))
-        left, slots = left[~own], slots[~own]
+        left = left[~own]
+        slots = slots[~own]
     return sorted(planes, key=lambda plane: -plane.size)

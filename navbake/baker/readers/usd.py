@@ -32,8 +32,12 @@ from navbake.known_names import list_first
 from navbake.lazy import lazy
 from navbake.types import Float
 
-Gf, Tf, Usd = lazy("pxr.Gf"), lazy("pxr.Tf"), lazy("pxr.Usd")
-UsdGeom, UsdPhysics, UsdUtils = lazy("pxr.UsdGeom"), lazy("pxr.UsdPhysics"), lazy("pxr.UsdUtils")
+Gf = lazy("pxr.Gf")
+Tf = lazy("pxr.Tf")
+Usd = lazy("pxr.Usd")
+UsdGeom = lazy("pxr.UsdGeom")
+UsdPhysics = lazy("pxr.UsdPhysics")
+UsdUtils = lazy("pxr.UsdUtils")
 
 DECIMALS = 6  # of lengths [m]; of turns three more
 # The frames of solids whose axis is x, y or z, as columns: their third one is the axis
@@ -100,7 +104,8 @@ def read_stage(path: Path, settings: SceneSettings) -> Gathered:
 
 class _Reader:
     def __init__(self, stage: Any, path: Path, settings: SceneSettings) -> None:
-        self._stage, self._path = stage, path
+        self._stage = stage
+        self._path = path
         self._time = Usd.TimeCode.EarliestTime()
         self._unit, self._to_world = _frame_of(stage, path, settings)
         self._result = Gathered(decimals=DECIMALS)
@@ -175,7 +180,8 @@ class _Reader:
                 rigid = UsdPhysics.RigidBodyAPI(prim)
                 if rigid.GetRigidBodyEnabledAttr().Get(self._time):
                     _rigid(self._world_of(matrix))  # which fails here, by the prim's name
-                    body, self._rigid[name] = name, matrix
+                    body = name
+                    self._rigid[name] = matrix
                     if rigid.GetKinematicEnabledAttr().Get(self._time):
                         self._kinematic.add(name)
             if prim.HasAPI(UsdPhysics.CollisionAPI):
@@ -221,7 +227,8 @@ class _Reader:
             return "ellipsoid", (float(self._get(prim, "radius")),) * 3, np.eye(3), None
         axis = self._axis_of(prim, "axis")
         if kind == "Plane":
-            width, length = (float(self._get(prim, key)) / 2 for key in ("width", "length"))
+            width = float(self._get(prim, "width")) / 2
+            length = float(self._get(prim, "length")) / 2
             sides = (width, length) if axis == "Z" else (length, width)
             return "plane", (0.0, 0.0) if state.collides else sides, FRAMES[axis], None
         radii = [prim.GetAttribute(key) for key in ("radius", "radiusBottom", "radiusTop")]
@@ -243,7 +250,8 @@ class _Reader:
         if not points or not counts:
             return None
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
-        counts, indices = np.array(counts), np.array(indices if indices is not None else [], int)
+        counts = np.array(counts)
+        indices = np.array(indices if indices is not None else [], int)
         where = f"mesh {prim.GetPath()} of {self._path}"
         if counts.min() < 0 or counts.sum() != len(indices):
             corners = f"{counts.sum()} corners, but faceVertexIndices {len(indices)}"
@@ -254,7 +262,8 @@ class _Reader:
             raise SceneError(f"{where} is broken: {expected}, {got}")
         if is_box:
             box = tessellate("box", (0.5, 0.5, 0.5))
-            low, high = vertices.min(axis=0), vertices.max(axis=0)
+            low = vertices.min(axis=0)
+            high = vertices.max(axis=0)
             return Mesh(low + (box.vertices + 0.5) * (high - low), box.faces)
         holes = np.array(self._get(prim, "holeIndices") or [], dtype=np.int64)
         faces = triangulate(vertices, counts, indices, holes)
@@ -298,16 +307,19 @@ class _Reader:
                 continue
             if proto not in samples:  # found once, at the origin
                 samples[proto] = self._find_sample(roots[proto], state)
-            matrix, own = place * state.matrix, f"{name}/{number}"
+            matrix = place * state.matrix
+            own = f"{name}/{number}"
             check_count(len(self._found) + len(samples[proto]), self._path)
             for one in samples[proto]:
-                place, body = one.matrix * matrix, state.body or own
+                place = one.matrix * matrix
+                body = state.body or own
                 self._found.append(one._replace(name=own + one.name, body=body, matrix=place))
         self._open.pop()
 
     def _find_sample(self, root: Any, state: _State) -> list[_Found]:
         """The geometry of a prototype, which is of one piece, by names below it."""
-        kept, self._found = (self._found, dict(self._rigid), list(self._joints)), []
+        kept = (self._found, dict(self._rigid), list(self._joints))
+        self._found = []
         self._walk(root, state._replace(matrix=Gf.Matrix4d(1.0)), str(root.GetPath()))
         sample = self._found
         self._found, self._rigid, self._joints = kept
@@ -321,7 +333,8 @@ class _Reader:
         frames = UsdGeom.XformCache(self._time)
         for prim in self._joints:
             joint = UsdPhysics.Joint(prim)
-            name, kind = str(prim.GetPath()), JOINT_KINDS.get(str(prim.GetTypeName()), "")
+            name = str(prim.GetPath())
+            kind = JOINT_KINDS.get(str(prim.GetTypeName()), "")
             if not joint.GetJointEnabledAttr().Get(self._time):
                 continue
             relations = joint.GetBody0Rel(), joint.GetBody1Rel()
@@ -364,12 +377,15 @@ class _Reader:
             ends.append((world[:3, :3] @ place + world[:3, 3], _rigid(world)[:3, :3] @ turn))
         (start, before), (anchor, after) = ends
         number = 0 if kind == "ball" else "XYZ".index(self._axis_of(prim, "physics:axis"))
-        axis, position, limits = after[:, number], 0.0, None
+        axis = after[:, number]
+        position = 0.0
+        limits = None
         if kind == "slide":
             position = float(axis @ (anchor - start))
         elif kind == "hinge":
             across = before.T @ after
-            one, two = (number + 1) % 3, (number + 2) % 3
+            one = (number + 1) % 3
+            two = (number + 2) % 3
             position = float(np.arctan2(across[two, one], across[one, one]))
         if kind != "ball":
             ends_at = [float(self._get(prim, f"physics:{key}Limit")) for key in ("lower", "upper")]
@@ -412,13 +428,18 @@ class _Reader:
         rows = zip(self._found, world, poses, scales.tolist(), skews.tolist(), strict=True)
         for one, matrix, pose, scale, is_skew in rows:
             size = None if one.mesh is not None else _scaled(one.kind, one.size, scale, is_skew)
-            kind, mesh = one.kind, one.mesh
+            kind = one.kind
+            mesh = one.mesh
             if size is None:
-                kind, pose, mesh = "mesh", matrix, mesh or solid(one.kind, one.size)
+                kind = "mesh"
+                pose = matrix
+                mesh = mesh or solid(one.kind, one.size)
             elif kind == "ellipsoid" and size[0] == size[1] == size[2]:
-                kind, size = "sphere", size[:1]
+                kind = "sphere"
+                size = size[:1]
             drawn = bool(one.purpose) and not (has_render and one.purpose == "proxy")
-            shape, rights = (kind, size or (), pose, mesh, None), (one.mode, one.collides, drawn)
+            shape = (kind, size or (), pose, mesh, None)
+            rights = (one.mode, one.collides, drawn)
             self._result.pieces.append(Piece(one.name, one.body, *shape, *rights))
 
 

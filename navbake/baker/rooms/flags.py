@@ -107,7 +107,8 @@ def read_flags(
     `occupied` are the cells of each level, of the whole lattice, that have no floor, or whose
     squares are met by what stands in an agent's way.
     """
-    lattice, levels = columns.lattice, list[LevelFlags]()
+    lattice = columns.lattice
+    levels = list[LevelFlags]()
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
         if contents is not None:
@@ -238,7 +239,8 @@ def _mark_by_sites(
     names = all_names(scene.model).sites
     chosen, warnings = _match(names, tuple(settings.sites), "sites")
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
-    kept, small = list[str | None](), list[str]()
+    kept = list[str | None]()
+    small = list[str]()
     for site in chosen:
         if not scene.stands[scene.model.site_bodyid[site]]:
             continue
@@ -264,8 +266,10 @@ def _stand_in(
     The cell's line meets the volume over a length, of which at least half, or half of an agent,
     lies between 5 cm below the floor and the agent's height.
     """
-    model, data = scene.model, scene.data
-    kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
+    model = scene.model
+    data = scene.data
+    kind = model.site_type[[site]].astype(np.int32)
+    place = np.zeros(1, dtype=np.int32)
     pose = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
     solid = Solids(place, kind, *pose, solid_bounds(kind, *pose))
     masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
@@ -302,12 +306,14 @@ def _mark_by_polygons(
             raise ConfigError(
                 f"no level {polygon.level!r} for {called} of `rooms.polygons`: there are {listed}"
             )
-        level, label = levels[on[0]], labels[on[0]]
+        level = levels[on[0]]
+        label = labels[on[0]]
         mask = cover_cells([polygon.points, *polygon.rings], lattice)
         known = ~np.isnan(level.floor)
         if not (mask & known).any():
             rows, cols = np.nonzero(known)
-            x, y = lattice.center_x()[cols], lattice.center_y()[rows]
+            x = lattice.center_x()[cols]
+            y = lattice.center_y()[rows]
             warnings.append(
                 f"{called} of `rooms.polygons` has no floor on {level.name}, whose floor spans "
                 f"x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
@@ -345,7 +351,8 @@ def _match(
     names: tuple[str, ...], patterns: tuple[str, ...], setting: str
 ) -> tuple[list[int], list[str]]:
     """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
-    chosen, warnings = set[int](), list[str]()
+    chosen = set[int]()
+    warnings = list[str]()
     for pattern in patterns:
         matches = re.compile(translate(pattern)).match
         found = [k for k, name in enumerate(names) if name and matches(name)]

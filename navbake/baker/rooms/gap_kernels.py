@@ -21,9 +21,12 @@ FAR = 4.0
 REACH = 2
 # Two spaces are one where the gap between them is at least this share of both, or of the narrower;
 # but a passage is a space of its own where the other one is wider by this factor
-BOTH, NARROWER, WIDER = 0.8, 0.78, 1.5
+BOTH = 0.8
+NARROWER = 0.78
+WIDER = 1.5
 # Widths are measured on the walls' geometry where so many cells could decide about these shares
-WAVERING, DECIDING = 2.0, (BOTH, NARROWER, 1 / WIDER)
+WAVERING = 2.0
+DECIDING = (BOTH, NARROWER, 1 / WIDER)
 # A doorway's lines differ by so many columns, as its jambs waver in the lattice
 JITTER = 2.0
 # The bit of a way that follows its line exactly, see `_hold`
@@ -130,7 +133,8 @@ def _mark_doorway(run, shift, row, col, gap):
     """Mark all of a cell's run as a doorway's, see `measure_runs`."""
     gap[row, col] = 2
     for way in (-1, 1):
-        here, end = row, col + way
+        here = row
+        end = col + way
         while 0 <= end < len(shift):
             there = here - shift[end - way] + shift[end]
             if not 0 <= there < len(run) or run[there, end] == 0 or gap[there, end] == 2:
@@ -138,7 +142,8 @@ def _mark_doorway(run, shift, row, col, gap):
             if run[there, end - way] == 0 and run[here, end] == 0:
                 break  # between two closed cells that touch at their corners
             gap[there, end] = 2
-            here, end = there, end + way
+            here = there
+            end = end + way
 
 
 @kernel(nogil=True)
@@ -150,7 +155,8 @@ def mark_bridges(low, wall, shift, bridge):
     cells, but not furniture along a wall.
     """
     rows, cols = low.shape
-    low, wall = low.T, wall.T
+    low = low.T
+    wall = wall.T
     held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
         to_before = shift[col - 1] - shift[col]
@@ -178,8 +184,10 @@ def _hold(low, wall, to_next, next_wall, held, found):
     """
     rows = low.shape[0]
     for row in range(max(0, -to_next), min(rows, rows - to_next)):
-        at_wall, there = next_wall[row + to_next], held[row + to_next]
-        first, last = max(row - 1, 0), min(row + 1, rows - 1)
+        at_wall = next_wall[row + to_next]
+        there = held[row + to_next]
+        first = max(row - 1, 0)
+        last = min(row + 1, rows - 1)
         if there == 0 and not at_wall:  # most cells: nothing there holds anything
             continue
         bits = EXACT if low[row] and (at_wall or there & EXACT) else 0
@@ -217,13 +225,16 @@ def measure_gaps(scan, gaps, chosen, whole, walls):
     """
     beside, far, known = walls
     lines = np.empty((len(chosen), 2, len(scan.depths), 8), np.int64)
-    shares, waits = np.empty((len(chosen), 2)), np.empty(len(chosen), np.bool_)
+    shares = np.empty((len(chosen), 2))
+    waits = np.empty(len(chosen), np.bool_)
     openings = np.empty((2, len(scan.depths)))
     met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
-        above, below = np.int64(whole[gaps.above[k]]), np.int64(whole[gaps.below[k]])
-        wavers, waits[i] = False, False
+        above = np.int64(whole[gaps.above[k]])
+        below = np.int64(whole[gaps.below[k]])
+        wavers = False
+        waits[i] = False
         for side in range(2):
             shares[i, side] = 1.0
             for depth in range(len(scan.depths)):
@@ -233,7 +244,8 @@ def measure_gaps(scan, gaps, chosen, whole, walls):
             own, other = (above, below) if side == 0 else (below, above)
             # how many open rows lie behind the gap in its middle, up to the first depth
             ends, way = (gaps.top[k], -1) if side == 0 else (gaps.bottom[k], 1)
-            row, col = (ends[0] + ends[1]) // 2, (gaps.first[k] + gaps.last[k]) // 2
+            row = (ends[0] + ends[1]) // 2
+            col = (gaps.first[k] + gaps.last[k]) // 2
             deep = 0
             while deep < scan.depths[0] and 0 <= row + way * (deep + 1) < len(scan.is_open):
                 if not scan.is_open[row + way * (deep + 1), col]:
@@ -242,14 +254,16 @@ def measure_gaps(scan, gaps, chosen, whole, walls):
             shortest = len(scan.shift)
             for depth in range(len(scan.depths)):
                 measured = lines[i, side, depth]
-                rows, lean = scan.depths[depth], scan.leans[depth]
+                rows = scan.depths[depth]
+                lean = scan.leans[depth]
                 if depth == 0 and deep < rows:
                     rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
                 _measure_line(scan, gaps, k, (side, rows, lean, own, other), whole, met, measured)
                 width = 0.0
                 for end in range(2):
                     # up to the wall at the gap's end, or at that of openings beyond it
-                    passed, cell = measured[2 + end], measured[6 + end]
+                    passed = measured[2 + end]
+                    cell = measured[6 + end]
                     if passed > 0:
                         waits[i] |= cell >= 0 and known[cell, end] == 0.0
                         width += passed + _beyond(known, cell, end, far[k])
@@ -264,7 +278,8 @@ def measure_gaps(scan, gaps, chosen, whole, walls):
         for side in range(2 if wavers else 0):
             shares[i, side] = 1.0
             for depth in range(len(scan.depths)):
-                measured, length = lines[i, side, depth], 0.0
+                measured = lines[i, side, depth]
+                length = 0.0
                 for end in range(2):
                     cell = measured[4 + end]
                     waits[i] |= cell >= 0 and known[cell, end] == 0.0
@@ -301,24 +316,33 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
     it leans on the way up so far, and the regions on its side and on the other one.
     """
     side, depth, rise, own, other = line
-    label, is_open, shift = scan.label, scan.is_open, scan.shift
+    label = scan.label
+    is_open = scan.is_open
+    shift = scan.shift
     rows, cols = label.shape
     # from the gap to the line behind it, and on the other side to that before it
     down = -depth if side == 0 else depth
     lean = rise if side == 0 else -rise
     width = gaps.last[k] - gaps.first[k] + 1
-    length, whole_width = width, width
+    length = width
+    whole_width = width
     # first to find how wide the opening is that this gap is a part of
     for is_last in (False, True):
         for end in range(2):
             way = -1 if end == 0 else 1
             start = gaps.first[k] if end == 0 else gaps.last[k]
-            top, bottom = gaps.top[k, end], gaps.bottom[k, end]
+            top = gaps.top[k, end]
+            bottom = gaps.bottom[k, end]
             near_row, far_row = (top, bottom) if side == 0 else (bottom, top)
-            reached, opened, passed, last, through = 0, 0, 0, np.int64(-1), np.int64(-1)
+            reached = 0
+            opened = 0
+            passed = 0
+            last = np.int64(-1)
+            through = np.int64(-1)
             for step in range(cols):
                 col = start + way * step
-                near, far = col + lean, col - lean
+                near = col + lean
+                far = col - lean
                 most = max(whole_width, width + opened) if is_last else np.int64(cols)
                 if step > REACH * most or not 0 <= near < cols:
                     last = np.int64(-1)
@@ -328,7 +352,8 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                     if step == 0:
                         continue  # there is wall beside the gap's end
                     if last >= 0:
-                        reached, passed = step - 1, opened
+                        reached = step - 1
+                        passed = opened
                     break
                 here = np.int64(whole[label[row, near]])
                 last = row * cols + near
@@ -354,16 +379,19 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                         elif there > 0:
                             _meet(met, k, there)
                 if here > 0:
-                    reached, passed = step, opened
+                    reached = step
+                    passed = opened
                 if not is_last and opened < step:
                     break
             if is_last:
                 length += reached
-                measured[2 + end], measured[4 + end] = passed, last
+                measured[2 + end] = passed
+                measured[4 + end] = last
                 measured[6 + end] = through if passed > 0 and last >= 0 else np.int64(-1)
             else:
                 whole_width += opened
-    measured[0], measured[1] = length, width
+    measured[0] = length
+    measured[1] = width
 
 
 @kernel(nogil=True)
@@ -411,6 +439,7 @@ def _sweep_rows(along, reach, squared, first, end):
             squares[col + reach] = value * value
             nearest[col] = beyond
         for shift in range(2 * reach + 1):
-            add, shifted = np.int32((shift - reach) ** 2), squares[shift : shift + cols]
+            add = np.int32((shift - reach) ** 2)
+            shifted = squares[shift : shift + cols]
             for col in range(cols):
                 nearest[col] = min(nearest[col], np.int32(shifted[col] + add))

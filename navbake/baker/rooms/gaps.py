@@ -17,9 +17,12 @@ Marks = NDArray[np.uint8]
 
 # Unless a door's width is given: the widest opening that parts two rooms, the widest mouth of a
 # passage that is a room of its own, and the widest opening in whose line another wall can end [m]
-WIDEST, PASSAGE, WIDE = 2.5, 3.2, 4.0
+WIDEST = 2.5
+PASSAGE = 3.2
+WIDE = 4.0
 # A gap is looked for where the space widens by this factor, and by this much [m]
-GROWTH, RISE = 1.15, 0.2
+GROWTH = 1.15
+RISE = 0.2
 # Walls are at most this thick at a doorway [m]
 THICKNESS = 0.6
 # Where a gap goes on in the next column, its middle is on a line at most so far apart [lines]
@@ -33,7 +36,9 @@ DEPTHS = (0.1, 0.25, 0.45)
 LONG = 3.0
 # A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
 # are so large [m²]
-CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
+CLOSE = 0.04
+CLOSE_WIDTH = 0.8
+CLOSE_AREA = 4.0
 # Of the widest gap [m]
 ROUNDING = 1e-9
 
@@ -72,9 +77,11 @@ def find_gaps(
     # doorways, come first, and close the way for others: so a line across a corridor does not go
     # through a door, and a wall's end at a wide opening is continued up to the opening's line
     marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
-    marked, least = closed.copy(), door_width or 0.0
+    marked = closed.copy()
+    least = door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
-        waiting, left = [], space & ~marked
+        waiting = []
+        left = space & ~marked
         for direction, thick, own in zip(directions, thickness, marks, strict=True):
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
@@ -92,7 +99,8 @@ def find_gaps(
     if not keeps.all():  # those that are left keep their order
         marked |= open_cells & ~keeps[label]
         number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
-        label, cells = number[label], np.bincount(number, cells).astype(np.int64)
+        label = number[label]
+        cells = np.bincount(number, cells).astype(np.int64)
     found = []
     for direction, own in zip(directions, marks, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
@@ -109,7 +117,8 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
 
     They lie between the same two spaces, one cell of each is marked in `own`, and all are open.
     """
-    label, shift = scan.label, scan.shift
+    label = scan.label
+    shift = scan.shift
     col, top, end, _ = list_runs(marked.T)
     bottom = end - 1
     starts = np.cumsum(end - top) - (end - top)
@@ -119,13 +128,17 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
     # at the lattice's edge that is a marked cell, which has no label
     crosses = (above > 0) & (below > 0) & (above != below) & (mark > 0)
     crosses &= np.logical_and.reduceat(scan.is_open.T[marked.T], starts)
-    col, top, bottom, above, below, mark = (
-        array[crosses].astype(np.int64) for array in (col, top, bottom, above, below, mark)
-    )
+    col = col[crosses].astype(np.int64)
+    top = top[crosses].astype(np.int64)
+    bottom = bottom[crosses].astype(np.int64)
+    above = above[crosses].astype(np.int64)
+    below = below[crosses].astype(np.int64)
+    mark = mark[crosses].astype(np.int64)
     # the first hit of the column before, between the same spaces, whose line is near
     key = (above * (label.max(initial=0) + 1) + below) * (label.shape[1] + 1) + col
     order = np.argsort(key, kind="stable")
-    begin, end = (np.searchsorted(key[order], key - 1, side) for side in ("left", "right"))
+    begin = np.searchsorted(key[order], key - 1, "left")
+    end = np.searchsorted(key[order], key - 1, "right")
     line = (top + bottom) / 2 - shift[col]
     before = np.full(len(col), -1)
     for k in range(int((end - begin).max(initial=0))):
@@ -136,9 +149,11 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
     number = connect(np.stack([before[goes_on], goes_on]), len(col))
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(np.diff(number[order], prepend=-1))
-    a, b = order[first], order[np.append(first[1:], len(order))[: len(first)] - 1]
+    a = order[first]
+    b = order[np.append(first[1:], len(order))[: len(first)] - 1]
     is_doorway = np.maximum.reduceat(mark[order], first) == 2
-    tops, bottoms = (np.stack([rows[a], rows[b]], axis=1) for rows in (top, bottom))
+    tops = np.stack([top[a], top[b]], axis=1)
+    bottoms = np.stack([bottom[a], bottom[b]], axis=1)
     return Gaps(col[a], col[b], tops, bottoms, above[a], below[a], is_doorway)
 
 
@@ -158,9 +173,13 @@ class Spaces:
         rays: WallRays | None = None,
     ) -> None:
         """Without rays, walls begin half a column beyond the last open cells."""
-        self._found, self._cell_size, self._door_width = found, cell_size, door_width
+        self._found = found
+        self._cell_size = cell_size
+        self._door_width = door_width
         self._rays = rays
-        self._cells, self._first = cells.astype(np.int64), cells  # now, and before any was joined
+        # now, and before any was joined
+        self._cells = cells.astype(np.int64)
+        self._first = cells
         self.whole = np.arange(len(cells), dtype=np.int32)
         # of each gap, those of all directions together
         counts = [len(gaps.first) for *_, gaps in found]
@@ -176,13 +195,15 @@ class Spaces:
             doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
             far = np.where(gaps.is_doorway, doorway, FAR)
             # a gap that ends where the opening goes on between other spaces ends at no wall
-            rows, last = (gaps.top + gaps.bottom) // 2, len(scan.label) - 1
+            rows = (gaps.top + gaps.bottom) // 2
+            last = len(scan.label) - 1
             aside = np.clip(cols + np.array([-1, 1]), 0, len(scan.shift) - 1)
             on = scan.shift[aside] - scan.shift[cols]
-            top, middle, bottom = (
-                np.clip(at + on, 0, last) for at in (gaps.top - 1, rows, gaps.bottom + 1)
-            )
-            above, below = scan.label[top, aside], scan.label[bottom, aside]
+            top = np.clip(gaps.top - 1 + on, 0, last)
+            middle = np.clip(rows + on, 0, last)
+            bottom = np.clip(gaps.bottom + 1 + on, 0, last)
+            above = scan.label[top, aside]
+            below = scan.label[bottom, aside]
             goes_on = scan.is_open[middle, aside] & (above > 0) & (below > 0)
             goes_on &= (above != gaps.above[:, None]) | (below != gaps.below[:, None])
             ends = np.where(goes_on, -1, rows * len(scan.shift) + cols)
@@ -251,7 +272,8 @@ class Spaces:
         close &= self._width * self._cell_size >= CLOSE_WIDTH
         calls = []
         for k in np.flatnonzero(close).tolist():
-            parts, pair = self.parts(k), self._pairs[k]
+            parts = self.parts(k)
+            pair = self._pairs[k]
             sizes = self._cells[self.whole[pair]] if parts else self._first[pair]
             if (sizes < CLOSE_AREA / self._cell_size**2).any():
                 continue
@@ -292,13 +314,15 @@ class Spaces:
         """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
         one, other = self.whole[self._pairs[gap]].tolist()
         changed = (self._at[one] & self._met_by[other]) | (self._at[other] & self._met_by[one])
-        to, gone = min(one, other), max(one, other)
+        to = min(one, other)
+        gone = max(one, other)
         self.whole[self.whole == gone] = to
         self._cells[to] += self._cells[gone]
         for gaps in (self._at, self._met_by):
             small, large = sorted((gaps[to], gaps[gone]), key=len)
             large |= small
-            gaps[to], gaps[gone] = large, set()
+            gaps[to] = large
+            gaps[gone] = set()
         apart = list(filter(self.parts, sorted(changed)))
         self.measure(np.array(apart, dtype=np.int64))
         return apart

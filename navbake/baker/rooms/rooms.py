@@ -138,7 +138,8 @@ def find_rooms(
             assignment.segment()
         else:
             assignment.add(flags.marks[source], source)
-    index, named = list[RoomIndex](), list[list[NamedRoom]]()
+    index = list[RoomIndex]()
+    named = list[list[NamedRoom]]()
     for level, owner in enumerate(assignment.owner):
         number, order = renumber(owner)
         if len(order) > MAX_ROOMS:
@@ -175,7 +176,8 @@ class _Assignment:
     def __init__(
         self, flags: RoomFlags, settings: RoomSettings, closed_leaves: Sequence[ClosedLeaf]
     ) -> None:
-        self._flags, self._settings = flags, settings
+        self._flags = flags
+        self._settings = settings
         self._closed_leaves = closed_leaves
         shape = flags.lattice.shape
         self.owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
@@ -204,10 +206,13 @@ class _Assignment:
 
     def segment(self) -> None:
         """Divide the remaining cells, see `segment_by_gaps`, `share_rest` and `find_outdoors`."""
-        lattice, least = self._flags.lattice, self._settings.min_area
+        lattice = self._flags.lattice
+        least = self._settings.min_area
         given = self._settings.door_width
         door_width = None if given == "auto" else given
-        labels, count, outdoors = list[Int32](), 0, set[int]()
+        labels = list[Int32]()
+        count = 0
+        outdoors = set[int]()
         leaf_cells: list[Bool | None] = []
         for number, level in enumerate(self._flags.levels):
             leaves = mark_leaves(level, number, self._closed_leaves, lattice.cell_size)
@@ -241,7 +246,8 @@ class _Assignment:
     def _share(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
         """Share a level's segments between marked rooms and new ones; returns the new ones."""
         level = self._flags.levels[number]
-        cell_size, least = self._flags.lattice.cell_size, self._settings.min_area
+        cell_size = self._flags.lattice.cell_size
+        least = self._settings.min_area
         marked = self.owner[number]
         owner = marked if leaves is None else np.where(leaves.parting, np.int32(0), marked)
         owner = give_covered(owner, self._under[number] * level.open, segment)

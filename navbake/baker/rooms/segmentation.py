@@ -19,7 +19,9 @@ from navbake.types import Bool, Float, Int, Int32
 SLIVER = 0.5
 # A cell is steep, like a stair, where the floor rises by this share of the distance, over so far
 # on both sides of it [m]; a region is a stair where this share of its cells is as steep as one
-STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
+STEEPNESS = 0.3
+SLOPE_REACH = 0.3
+STAIR_SHARE = 0.5
 # By how much the distance from a corridor's middle to its walls varies at most, over all angles and
 # offsets to the lattice [half cells]
 ROUGHNESS = 1.0
@@ -77,8 +79,10 @@ def segment_by_gaps(
     window = bounding_window(level.open)
     row, col = (max(part.start - 1, 0) for part in window)
     around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
-    floor, edge = level.floor[around], level.edge[around]
-    open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
+    floor = level.floor[around]
+    edge = level.edge[around]
+    open_cells = np.ascontiguousarray(level.open[around])
+    hole = np.ascontiguousarray(level.hole[around])
     rays = None
     if walls is not None and lattice is not None:
         rays = WallRays(walls, lattice.cut(*around), floor)
@@ -99,7 +103,8 @@ def segment_by_gaps(
         beyond = np.stack([rows - around[0].start, cols - around[1].start])
     spread(label, open_cells)
     _label_cavities(label, open_cells, beyond)
-    least, count = min_area / cell_size**2 - ROUNDING, int(label.max(initial=0)) + 1
+    least = min_area / cell_size**2 - ROUNDING
+    count = int(label.max(initial=0)) + 1
     cells = count_cells(label, count)
     steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
     is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
@@ -149,19 +154,25 @@ def spread(label: Int32, open_cells: Bool) -> None:
         reached = np.logical_or.reduce([labels[waiting + step] > 0 for *_, step in steps])
         if not reached.any():
             break
-        wave, waiting = waiting[reached], waiting[~reached]
+        wave = waiting[reached]
+        waiting = waiting[~reached]
         nearest, own, row, col = np.zeros((4, len(wave)), dtype=np.int32)
         for to_row, to_col, step in steps:
             cell = wave + step
-            there, down, right = labels[cell], downs[cell] + to_row, rights[cell] + to_col
+            there = labels[cell]
+            down = downs[cell] + to_row
+            right = rights[cell] + to_col
             square = down**2 + right**2
             same = (there < own) | (there == own) & (col * down - row * right > 0)
             better = (own == 0) | (square < nearest) | (square == nearest) & same
             better &= there > 0
-            kept, new = (nearest, own, row, col), (square, there, down, right)
+            kept = (nearest, own, row, col)
+            new = (square, there, down, right)
             for old, array in zip(kept, new, strict=True):
                 np.copyto(old, array, where=better)
-        labels[wave], downs[wave], rights[wave] = own, row, col
+        labels[wave] = own
+        downs[wave] = row
+        rights[wave] = col
     label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 
@@ -199,7 +210,8 @@ class _Regions:
         beside = list_differing(label)
         ends = np.sort(label.ravel()[beside].astype(np.int64), axis=0)
         meet = (ends[0] > 0) & joins[ends].any(axis=0)
-        ends, nodes = ends[:, meet], 2 * np.array(np.divmod(beside[:, meet], label.shape[1])) + 1
+        ends = ends[:, meet]
+        nodes = 2 * np.array(np.divmod(beside[:, meet], label.shape[1])) + 1
         # an edge and its ends lie across the way from cell to cell
         across = (nodes[:, 0] == nodes[:, 1]) * np.array([-1, 0, 1])[:, None, None]
         row, col = ((nodes[:, :1] + nodes[:, 1:]) // 2 + across.swapaxes(0, 1)).reshape(2, -1)
@@ -366,7 +378,8 @@ def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
     """The owner that each part has most edges in common with, 0 for none; of several the first."""
     node = np.where(owner > 0, owner + np.int32(count), part)  # parts have no owner
     low, high = np.sort(node.ravel()[list_differing(node)], axis=0)
-    base, meet = int(node.max(initial=0)) + 1, (low > 0) & (low < count) & (high >= count)
+    base = int(node.max(initial=0)) + 1
+    meet = (low > 0) & (low < count) & (high >= count)
     keys = low[meet].astype(np.int64) * base + high[meet]
     key, edges = np.unique(keys, return_counts=True)
     order = np.lexsort((-key, edges))  # the last one written stays
@@ -393,7 +406,8 @@ def find_cavities(
     A cavity meets no other space or level, nor the edge of the grid; no leaf leads into it, by the
     cells `beyond` leaves; and it is smaller or narrower than `CAVITY`. The largest segment is none.
     """
-    cell_size, count = flags.lattice.cell_size, int(segment.max(initial=0)) + 1
+    cell_size = flags.lattice.cell_size
+    count = int(segment.max(initial=0)) + 1
     area = count_cells(segment, count) * cell_size**2
     space = np.where(owner > 0, owner + count, segment)
     pairs = space.ravel()[list_differing(space)]
@@ -424,7 +438,8 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
     unless the ground is endless; a ditch does not. Returns the segments and the numbers of those
     outdoors.
     """
-    own, cell_size = flags.levels[level], flags.lattice.cell_size
+    own = flags.levels[level]
+    cell_size = flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
     candidates = _longest_runs(segment, own.edge & (segment > 0), count) * cell_size > EDGE_LENGTH
     if not candidates.any():
@@ -467,7 +482,8 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     run = connect(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
     reach = np.zeros(len(cell))
     for place in (rows, cols):
-        low, high = np.full(len(cell), np.inf), np.full(len(cell), -np.inf)
+        low = np.full(len(cell), np.inf)
+        high = np.full(len(cell), -np.inf)
         np.minimum.at(low, run, place)
         np.maximum.at(high, run, place)
         reach = np.hypot(reach, (high - low)[run])

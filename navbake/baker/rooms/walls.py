@@ -25,16 +25,25 @@ STRIP = 64  # columns that are worth a thread's while
 NO_ROWS = np.empty((0, 0), dtype=np.int32)
 # Directions of walls are taken from their geometry, at points about so far apart [m], in bins of so
 # many degrees and lines so wide [m], if this share of the points lies on walls with a direction
-SPACING, FINE_BIN, FINE_LINE, MOST_POINTS = 0.1, 1.0, 0.01, 0.5
+SPACING = 0.1
+FINE_BIN = 1.0
+FINE_LINE = 0.01
+MOST_POINTS = 0.5
 # Else they are measured at this distance from walls [m], in such bins [°] and lines [cells]
-OFF_WALL, BIN, LINE = 0.3, 5.0, 0.5
+OFF_WALL = 0.3
+BIN = 5.0
+LINE = 0.5
 # Each direction needs this length of wall [m], and this share of all
-LEAST_WALL, LEAST_SHARE = 1.2, 0.01
+LEAST_WALL = 1.2
+LEAST_SHARE = 0.01
 # So much of a wall lies on one line; its gaps begin or end so near to it [m]
-LINE_WALL, NEAR_WALL = 0.8, 1.5
+LINE_WALL = 0.8
+NEAR_WALL = 1.5
 # The steps in which a direction is refined [bins], by about so many points; an axis of the lattice
 # is taken if it is as sharp as this share of the sharpest
-FINE, ENOUGH, AS_SHARP = 0.05, 2000, 0.9
+FINE = 0.05
+ENOUGH = 2000
+AS_SHARP = 0.9
 # A direction is one of the whole building if it is the first or at right angles to it, within so
 # many degrees; others are those of the walls near to them
 SQUARE = 1.0
@@ -50,7 +59,9 @@ CHUNK = 1 << 14  # triangles that are looked at together
 OVER_CELL = np.array([-0.5, 0.0, 0.5])
 NOWHERE = -1e9  # the height of rays from cells without a floor, which meet nothing [m]
 # Most rays end within so many cells; of many, the others are cast once more, as far as needed
-NEAR_CELLS, MANY_RAYS, FAR_DIAGONAL = 2.5, 200, math.sqrt(2) * FAR
+NEAR_CELLS = 2.5
+MANY_RAYS = 200
+FAR_DIAGONAL = math.sqrt(2) * FAR
 # Walls farther from the centres of doorways' end cells are ignored [m]; farther than those of other
 # gaps, `FAR`, as they lean in the lattice where they are at an angle to it
 FAR_OF_DOORWAY = 0.6
@@ -72,10 +83,13 @@ def squared_distances(target: Bool, reach: int) -> Int32:
 def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
     """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
     closed = np.pad(~open_cells, 1, constant_values=True)
-    along, far = np.empty(closed.shape, dtype=np.int16), reach // 2 + 1
+    along = np.empty(closed.shape, dtype=np.int16)
+    far = reach // 2 + 1
     run_in_chunks(kernels.sweep, closed.shape[1], closed, far, along, NO_ROWS, least=STRIP)
     nearest = np.full(len(row), (reach + 1) ** 2)
-    over, under, last = (row + 1) // 2, (row + 2) // 2, closed.shape[1] - 1
+    over = (row + 1) // 2
+    under = (row + 2) // 2
+    last = closed.shape[1] - 1
     for shift in range(-(reach // 2) - 1, reach // 2 + 3):
         beside = np.clip(col // 2 + shift, 0, last)
         cells = np.minimum(along[over, beside], along[under, beside]).astype(np.int64)
@@ -144,7 +158,9 @@ def _list_directions(
     # round the corners of walls the slope has all directions alike
     around = 2.0 * float(np.median(_smooth(np.bincount(bins, minlength=num))))
     least = max(LEAST_WALL / apart, LEAST_SHARE * len(bins))
-    directions, main, total = list[Direction](), 0.0, 0
+    directions = list[Direction]()
+    main = 0.0
+    total = 0
     left = np.ones(len(bins), dtype=np.bool_)
     while True:
         count = _smooth(np.bincount(bins[left], minlength=num))
@@ -182,13 +198,18 @@ def _find_points(open_cells: Bool, cell_size: float) -> WallPoints:
     squared = squared_distances(closed, reach + 2)
     at = (squared >= (reach - 1) ** 2) & (squared < reach**2)
     at[[0, 1, -2, -1]] = at[:, [0, 1, -2, -1]] = False
-    cells, width = np.flatnonzero(at), closed.shape[1]
+    cells = np.flatnonzero(at)
+    width = closed.shape[1]
     beside = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
     below, above, after, before, distance = np.sqrt(squared.ravel()[beside], dtype=np.float32)
-    down, right = below - above, after - before
+    down = below - above
+    right = after - before
     # a wall runs across the slope; where two walls are as near, there is less of one
     clear = np.hypot(down, right) > 3.2
-    cells, distance, down, right = cells[clear], distance[clear], down[clear], right[clear]
+    cells = cells[clear]
+    distance = distance[clear]
+    down = down[clear]
+    right = right[clear]
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
     slope = np.hypot(down, right)
     foot = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
@@ -254,18 +275,22 @@ class WallRays:
     """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        self._lattice, self._heights = lattice, floor + RAY_HEIGHT
+        self._lattice = lattice
+        self._heights = floor + RAY_HEIGHT
         # a triangle is met at no heights but those of the floor's rays, told to a HEIGHT_BIN
         heights = self._heights[~np.isnan(floor)]
-        low, high = heights.min(), heights.max()
+        low = heights.min()
+        high = heights.max()
         bins = np.zeros(int((high - low) / HEIGHT_BIN) + 1, dtype=np.int64)
         bins[((heights - low) / HEIGHT_BIN).astype(np.int64)] = 1
         before = np.append(0, np.cumsum(bins))  # of each bin, those with a ray
-        bounds, parts = walls.triangles.bounds, dict[int, Int]()
+        bounds = walls.triangles.bounds
+        parts = dict[int, Int]()
 
         def choose(first: int, end: int) -> None:
             for begin in range(first * CHUNK, end * CHUNK, CHUNK):  # which caches hold
-                bottom, top = bounds[begin : begin + CHUNK, 2], bounds[begin : begin + CHUNK, 5]
+                bottom = bounds[begin : begin + CHUNK, 2]
+                top = bounds[begin : begin + CHUNK, 5]
                 some = np.flatnonzero((bottom <= high) & (top >= low))
                 ends = np.stack([bottom[some] - HAIR, top[some] + HAIR]) - low
                 one, other = (ends / HEIGHT_BIN).astype(np.int64).clip(0, len(bins) - 1)
@@ -290,9 +315,11 @@ class WallRays:
         """
         axes, tiled, known = self._turn(direction)
         at = np.nonzero(cells >= 0)
-        cell, way = cells[at], at[-1]
+        cell = cells[at]
+        way = at[-1]
         new = known[cell, way] == 0.0
-        cell, way = cell[new], way[new]
+        cell = cell[new]
+        way = way[new]
         if len(cell):
             row, col = np.divmod(cell, self._heights.shape[0 if direction.swapped else 1])
             row, col = (col, row) if direction.swapped else (row, col)
@@ -305,22 +332,30 @@ class WallRays:
 
         Rays along the lattice's axes meet them.
         """
-        closed, size = np.pad(~open_cells, 1, mode="edge"), self._lattice.cell_size
-        has_floor, every = open_cells & (self._heights > NOWHERE), max(1, int(SPACING / size))
+        closed = np.pad(~open_cells, 1, mode="edge")
+        size = self._lattice.cell_size
+        has_floor = open_cells & (self._heights > NOWHERE)
+        every = max(1, int(SPACING / size))
         rows, cols = open_cells.shape
-        places, angles, asked = list[Float](), list[Float](), 0
+        places = list[Float]()
+        angles = list[Float]()
+        asked = 0
         for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             beside = closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
             row, col = np.divmod(np.flatnonzero(has_floor & beside), cols)
             some = (row + col) % every == 0
-            row, col = row[some], col[some]
+            row = row[some]
+            col = col[some]
             axes, tiled, _ = self._turn(direction_of(90.0 * abs(down), open_cells.shape))
             is_after = np.full(len(row), down + right > 0)
             away, normal = self._cast(axes, tiled, row, col, is_after, np.zeros(1))
             # what is steeper to the ray is met by those along the other axis
             own = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
-            met, asked = own & np.isfinite(away), asked + int(own.sum())
-            row, col, away = row[met], col[met], away[met] / size
+            met = own & np.isfinite(away)
+            asked = asked + int(own.sum())
+            row = row[met]
+            col = col[met]
+            away = away[met] / size
             places.append(np.stack([row + down * away, col + right * away]))
             x, y, _ = axes.T @ normal[met].T
             angles.append(np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0))
@@ -335,17 +370,21 @@ class WallRays:
         Returns how far walls are [m], inf for none, and the normal there in the rays' frame, (n, 3)
         of 0 for none.
         """
-        lattice, count = self._lattice, len(offsets)
+        lattice = self._lattice
+        count = len(offsets)
         centers = np.column_stack([lattice.positions(row, col), self._heights[row, col]]) @ axes.T
         # cells of the lattice with its margin
-        places, way = np.stack([row, col]) + (self._margin + 0.5), np.where(is_after, 1.0, -1.0)
+        places = np.stack([row, col]) + (self._margin + 0.5)
+        way = np.where(is_after, 1.0, -1.0)
         # how a step across a ray and one along it change the row and the column
         aside, along = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
-        away, normal = np.full(len(row), np.inf), np.zeros((len(row), 3))
+        away = np.full(len(row), np.inf)
+        normal = np.zeros((len(row), 3))
         left = np.arange(len(row))
         # most rays end near their cells, where there is little to look at
         for reach in (NEAR_CELLS, self._reach)[len(row) < MANY_RAYS :]:
-            ray, offset = left.repeat(count), np.tile(offsets, len(left))
+            ray = left.repeat(count)
+            offset = np.tile(offsets, len(left))
             points = centers[ray, :2]
             points[:, 0] += offset * lattice.cell_size
             ends = np.empty((2, len(ray), 2))

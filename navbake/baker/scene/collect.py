@@ -106,14 +106,16 @@ def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tu
     if geoms == "auto" and not any_collides:
         return [(True, "no geom can collide, so all count")] * model.ngeom
     if geoms != "visual":
-        no, yes = (False, "can't collide (contype and conaffinity are 0)"), (True, "can collide")
+        no = (False, "can't collide (contype and conaffinity are 0)")
+        yes = (True, "can collide")
         return [yes if can else no for can in collides]
     # a geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it)
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
     is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
     by_material = (model.geom_matid >= 0) & is_default
     alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
-    groups, bodies = model.geom_group.tolist(), model.geom_bodyid.tolist()
+    groups = model.geom_group.tolist()
+    bodies = model.geom_bodyid.tolist()
     drawn = (alpha > 0) & (model.geom_group < DRAWN_GROUPS)
     visuals: dict[int, set[int]] = {}
     for visual in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
@@ -135,8 +137,10 @@ def _find_excluded(
     model: Any, settings: SceneSettings, movable: Bool, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
     """Why each geom is excluded, with its body or one above, or empty; and unmatched patterns."""
-    exclude, parents = settings.exclude, model.body_parentid.tolist()
-    of_bodies, bodies = [""] * model.nbody, all_names(model).bodies
+    exclude = settings.exclude
+    parents = model.body_parentid.tolist()
+    of_bodies = [""] * model.nbody
+    bodies = all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
         pattern = _first_match(exclude.bodies, bodies[body])
         if pattern:
@@ -177,7 +181,8 @@ def _one_part(vertices: Float, faces: Int32 | None, closed: int, kind: str) -> G
         vertices = vertices.reshape(-1, 3)
         faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
     num = len(faces)
-    part, codes = np.zeros(num, np.int32), np.full(num, closed, np.uint8)
+    part = np.zeros(num, np.int32)
+    codes = np.full(num, closed, np.uint8)
     return GeomTriangles(vertices, faces, part, codes, kind)
 
 
@@ -228,8 +233,12 @@ def collect_shapes(
     `GeomReport.shape` of each, and notes for the user.
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
-    names, kinds, notes = all_names(model).geoms, dict[int, str](), dict[str, str]()
-    solids, planes, triangles = list[int](), list[int](), dict[int, GeomTriangles]()
+    names = all_names(model).geoms
+    kinds = dict[int, str]()
+    notes = dict[str, str]()
+    solids = list[int]()
+    planes = list[int]()
+    triangles = dict[int, GeomTriangles]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
     every = range(len(choices)) if only is None else only
     ids = np.array([geom for geom in every if choices[geom].counted], dtype=np.int64)
@@ -238,7 +247,8 @@ def collect_shapes(
     is_placed = (np.abs(numbers) <= LARGEST).all(axis=1)  # NaN isn't
     columns = ids, model.geom_type[ids], model.geom_dataid[ids], is_placed
     for geom, kind, shape, placed in zip(*(array.tolist() for array in columns), strict=True):
-        (name, mesh, _), mode = names[geom], ""
+        name, mesh, _ = names[geom]
+        mode = ""
         if not placed:
             what = f"a pose or size that is no number, or beyond {LARGEST:g} m"
             raise SceneError(f"geom {name!r} has {what}")
@@ -274,7 +284,8 @@ def collect_shapes(
             vertices += data.geom_xpos[geom]
             found = found._replace(vertices=vertices)
         triangles[geom] = found
-    index, plane = np.array(solids, dtype=np.int32), np.array(planes, dtype=np.int32)
+    index = np.array(solids, dtype=np.int32)
+    plane = np.array(planes, dtype=np.int32)
     of_solids = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
     own = *of_solids, model.geom_size[index]
     gathered = Shapes(
@@ -288,7 +299,8 @@ def collect_shapes(
 
 def _height_field(model: Any, hfield: int) -> Float:
     shape = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
-    first, size = int(model.hfield_adr[hfield]), model.hfield_size[hfield]
+    first = int(model.hfield_adr[hfield])
+    size = model.hfield_size[hfield]
     heights = model.hfield_data[first : first + shape[0] * shape[1]].reshape(shape)
     if not (np.isfinite(heights).all() and (np.abs(size) <= LARGEST).all()):
         name = name_at(model, model.name_hfieldadr[hfield])
@@ -299,10 +311,13 @@ def _height_field(model: Any, hfield: int) -> Float:
 
 def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int32, Int32 | None]:
     """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame."""
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    first = int(model.mesh_vertadr[mesh])
+    count = int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
-    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    faces, hull = model.mesh_face[first : first + count], np.empty((0, 3), dtype=np.int32)
+    first = int(model.mesh_faceadr[mesh])
+    count = int(model.mesh_facenum[mesh])
+    faces = model.mesh_face[first : first + count]
+    hull = np.empty((0, 3), dtype=np.int32)
     name = name_at(model, model.name_meshadr[mesh])
     address = int(model.mesh_graphadr[mesh])
     if address >= 0:  # of MuJoCo's `mesh_graph`: v, m, two lists of v, v + 3 m numbers, the faces

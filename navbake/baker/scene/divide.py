@@ -26,7 +26,8 @@ ROLES = ("", "structure", "structure that moves", "movable", "leaf")
 
 # What an actuator moves (MuJoCo's mjtTrn), and what a tendon runs over (mjtWrap)
 JOINT, JOINT_IN_PARENT, SLIDER_CRANK, TENDON, SITE, BODY = range(6)
-WRAP_JOINT, WRAP_SITE = 1, 3
+WRAP_JOINT = 1
+WRAP_SITE = 3
 
 
 class Division(NamedTuple):

@@ -16,7 +16,8 @@ from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool
 
 # The spacing of the lines by which room in a hull is found, unless there would be too many [m]
-SPACING, MOST_LINES = 0.1, 10_000
+SPACING = 0.1
+MOST_LINES = 10_000
 
 
 @dataclass(eq=False)
@@ -66,9 +67,11 @@ class HiddenRoom:
         if bounds is None or not np.isfinite(bounds).all():
             return False
         x0, y0, x1, y1 = bounds[:, :2].ravel().tolist()
-        width, depth = x1 - x0, y1 - y0
+        width = x1 - x0
+        depth = y1 - y0
         # a limit for a long and thin box, too
-        by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
+        by_area = math.sqrt(width * depth / MOST_LINES)
+        by_length = max(width, depth) / MOST_LINES
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
         in_mesh, in_hull = (cast_columns(tile_shapes(one, lattice, spacing / 2)) for one in shapes)
@@ -80,18 +83,24 @@ def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     """Mark the cells on whose line there is room; see `HiddenRoom.is_in_hull`."""
     # a line enters the hull (starts = 1) and leaves it (ends = 1), which turns nothing inside; in
     # the mesh, room is over what faces up (starts = 2) and under what faces down (ends = 1)
-    up, hull_up = ((columns.normal[:, 2] > 0).astype(np.int64) for columns in (mesh, hull))
+    up = (mesh.normal[:, 2] > 0).astype(np.int64)
+    hull_up = (hull.normal[:, 2] > 0).astype(np.int64)
     turned = np.where(mesh.hits.closed == OPEN_SURFACE, 0, 1 - 2 * up)
     cells = [np.repeat(np.arange(len(c.start) - 1), np.diff(c.start)) for c in (hull, mesh)]
     marks = (1 - hull_up, 2 * up), (hull_up, 1 - up), (np.zeros_like(hull_up), turned)
     pairs = cells, (hull.z, mesh.z), *marks
     cell, z, starts, ends, turns = (np.concatenate(pair) for pair in pairs)
     order = np.lexsort((ends, z, cell))
-    cell, z, starts, ends, turns = (a[order] for a in (cell, z, starts, ends, turns))
+    cell = cell[order]
+    z = z[order]
+    starts = starts[order]
+    ends = ends[order]
+    turns = turns[order]
     inside = np.cumsum(turns)
     inside -= np.concatenate([[0], inside])[np.searchsorted(cell, cell)]  # what went on before it
     is_gap = (cell[1:] == cell[:-1]) & (np.diff(z) >= height - LIMIT_SLACK) & (inside[:-1] <= 0)
-    lower, upper = starts[:-1], ends[1:]
+    lower = starts[:-1]
+    upper = ends[1:]
     is_room = is_gap & ((lower == 2) | ((lower == 1) & (upper >= 1)))
     marked = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
     marked[cell[:-1][is_room]] = True

@@ -24,12 +24,15 @@ from navbake.types import Bool, Int
 QUARTER = np.pi / 2  # how far a hinge without limits opens [rad]
 # The size of a leaf that no pattern names, and the rounding that is allowed for [m]
 MIN_HEIGHT = 1.5
-MIN_WIDTH, MAX_WIDTH = 0.4, 2.5
+MIN_WIDTH = 0.4
+MAX_WIDTH = 2.5
 MAX_THICKNESS = 0.2
 ROUNDING = 1e-6
 # What a leaf without a joint stands between: no thicker than that, higher than it by this, and so
 # near to its ends [m]
-JAMB, HIGHER, BESIDE = 0.6, 0.1, 0.1
+JAMB = 0.6
+HIGHER = 0.1
+BESIDE = 0.1
 MAX_LISTED = 3  # bodies that a warning names at most
 
 
@@ -111,7 +114,9 @@ def find_candidates(
         for body, leaf in fixed_leaves.items():
             if not _stands_between_jambs(leaf, geoms[body], extents):
                 del leaves[body]
-    found, end = list[int](), 0  # and the end of the bodies of the last candidate
+    # and the end of the bodies of the last candidate
+    found = list[int]()
+    end = 0
     for body, own in geoms.items():
         if body >= end and len(own) and (is_named[body] or body in leaves):
             found.append(body)
@@ -172,7 +177,8 @@ def _positions(model: Any, data: Any, joint: int) -> dict[str, float]:
     """A joint's positions by state: it opens to the end of its range that is farther from 0."""
     low, high = (float(v) for v in model.jnt_range[joint])
     if not model.jnt_limited[joint]:
-        low, high = 0.0, QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
+        low = 0.0
+        high = QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
     closed = min(max(0.0, low), high)
     opened = low if closed - low > high - closed else high
     modelled = float(data.qpos[model.jnt_qposadr[joint]])

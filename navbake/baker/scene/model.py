@@ -79,7 +79,9 @@ CHILD = (
 )
 IMPORT_SECONDS = 120.0  # what the child may take besides, to start and to end, on a busy machine
 ALARM = int(getattr(signal, "SIGALRM", 14))
-JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
+JOB = "job.pickle"
+MODEL = "model.mjb"
+RESULT = "result.pickle"
 STARTED = "started"  # what the child writes when it begins to compile
 
 
@@ -109,7 +111,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
     other ids stay. `warnings` are those of `catch_warnings`, for the reason where MuJoCo fails.
     """
-    path, ground = Path(settings.path), settings.ground
+    path = Path(settings.path)
+    ground = settings.ground
     parts: dict[int, MeshPart] = {}
     named_leaves = frozenset[str]()
     suffix = suffix_of(path)
@@ -226,7 +229,8 @@ def ground_of(model: Any, settings: SceneSettings) -> int | None:
 
 
 def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
-    path, ground = Path(settings.path), settings.ground
+    path = Path(settings.path)
+    ground = settings.ground
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
     root = ""  # where Python's parser doesn't get that far
@@ -240,7 +244,8 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
             spec = mujoco.MjSpec.from_string(text)
             read = cache(lambda file: read_mesh_parts(files[file]))
             for mesh in spec.meshes:
-                parts, mesh.file = read(mesh.file), ""
+                parts = read(mesh.file)
+                mesh.file = ""
                 fill_mesh(mesh, *join_parts(parts))
             return compile_geometry(spec, ground, warnings)
 
@@ -278,8 +283,11 @@ def _drop_missing_textures(spec: Any, path: Path, warnings: list[str]) -> None:
             lost = [name for name in lost if not (places[0] / Path(name).name).is_file()]
         if lost:
             missing += lost
-            texture.file, texture.cubefiles = "", [""] * len(texture.cubefiles)
-            texture.builtin, texture.width, texture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, 1, 1
+            texture.file = ""
+            texture.cubefiles = [""] * len(texture.cubefiles)
+            texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            texture.width = 1
+            texture.height = 1
     if missing:
         listed = list_first(list(map(repr, missing)))
         warnings.append(f"texture {listed} of {path} not found: drawn plain")
@@ -368,7 +376,8 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     Warnings are known of specs alone, which are compiled here. Joint positions and mocap bodies of
     the data are the pose; without it, the settings say it. Errors name the settings' path.
     """
-    path, ground = settings.path, settings.ground
+    path = settings.path
+    ground = settings.ground
     parts: dict[int, MeshPart] = {}
     with catch_warnings() as warned:
         if isinstance(scene, mujoco.MjModel):
@@ -396,7 +405,8 @@ def check_data(model: Any, data: Any, name: str) -> None:
     """Raise a ConfigError unless a mujoco.MjData fits a model, by numbers of things and joints."""
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")
-    other, text = data.model, f"the data is of another model than {name}"
+    other = data.model
+    text = f"the data is of another model than {name}"
     for size in SIZES:
         if getattr(model, size) != (got := getattr(other, size)):
             raise ConfigError(f"{text}: expected {size} = {getattr(model, size)}, got {got}")

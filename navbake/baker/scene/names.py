@@ -48,10 +48,10 @@ def all_names(model: Any) -> ModelNames:
     """The names of a model, which are read once."""
     if (known := _names.get(model)) is not None:
         return known
-    bodies, geoms, meshes, sites = (
-        names_at(model, getattr(model, f"name_{kind}adr").tolist())
-        for kind in ("body", "geom", "mesh", "site")
-    )
+    bodies = names_at(model, getattr(model, f"name_{'body'}adr").tolist())
+    geoms = names_at(model, getattr(model, f"name_{'geom'}adr").tolist())
+    meshes = names_at(model, getattr(model, f"name_{'mesh'}adr").tolist())
+    sites = names_at(model, getattr(model, f"name_{'site'}adr").tolist())
     bodies = [name or f"body {body}" for body, name in enumerate(bodies)]
     mesh_of = [*meshes, ""]  # the last one for what is no mesh
     of_mesh = np.where(np.isin(model.geom_type, (MESH, SDF)), model.geom_dataid, -1).tolist()

@@ -36,7 +36,8 @@ def pose_model(model: Any, settings: SceneSettings) -> Any:
         listed = list_first(named, 20) or "none with a name"
         raise ConfigError(f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has {listed}")
 
-    data, kinds = mujoco.MjData(model), mujoco.mjtObj
+    data = mujoco.MjData(model)
+    kinds = mujoco.mjtObj
     with _errors_of(f"pose {settings.path}"):
         key = settings.keyframe
         if isinstance(key, int) and key >= model.nkey:
@@ -77,7 +78,8 @@ def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
     for name, value in settings.joints.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         low, high = (float(v) for v in model.jnt_range[joint])
-        position, unit = float(np.ravel(value)[0]), {SLIDE: "m", HINGE: "rad"}
+        position = float(np.ravel(value)[0])
+        unit = {SLIDE: "m", HINGE: "rad"}
         is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
         kind = int(model.jnt_type[joint])
         if kind in unit and model.jnt_limited[joint] and not is_within:
@@ -106,7 +108,8 @@ def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> A
     """A copy of a model's data with hinges and slides moved, by their ids [rad or m]."""
     moved = mujoco.MjData(model)
     moved.qpos[:] = data.qpos
-    moved.mocap_pos[:], moved.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    moved.mocap_pos[:] = data.mocap_pos
+    moved.mocap_quat[:] = data.mocap_quat
     for joint, position in positions.items():
         moved.qpos[model.jnt_qposadr[joint]] = position
     mujoco.mj_kinematics(model, moved)

@@ -47,7 +47,9 @@ from navbake.types import Bool, Float, Int
 LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
 WORTH_THREAD = 1 << 17  # hashing so many bytes takes longer than starting a thread
 # A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m]
-HIGH_MESH, WIDE_MESH, SMALL = 100.0, 5000.0, 0.5
+HIGH_MESH = 100.0
+WIDE_MESH = 5000.0
+SMALL = 0.5
 
 
 @dataclass(frozen=True)
@@ -249,7 +251,8 @@ def _warn_size(settings: SceneSettings, parts: dict[int, MeshPart], bounds: Any)
     if suffix in SDF_SUFFIXES | STAGE_SUFFIXES:  # these state their unit
         parts = {}
     sides = np.diff(box_of(parts.values()) if parts else bounds, axis=0)[0]
-    width, height = float(sides.max()), float(sides[2])
+    width = float(sides.max())
+    height = float(sides[2])
     if width < SMALL:
         hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
         if suffix in STAGE_SUFFIXES:
@@ -274,9 +277,11 @@ def digest_names(model: Any) -> DigestedNames:
     digest = hashlib.sha256()
     for names in all_names(model).geoms:
         digest.update("\0".join(names).encode() + b"\n")
-    sites, joints = (
-        np.frombuffer("\0".join(names_at(model, addresses.tolist())).encode(), dtype=np.uint8)
-        for addresses in (model.name_siteadr, model.name_jntadr)
+    sites = np.frombuffer(
+        "\x00".join(names_at(model, model.name_siteadr.tolist())).encode(), dtype=np.uint8
+    )
+    joints = np.frombuffer(
+        "\x00".join(names_at(model, model.name_jntadr.tolist())).encode(), dtype=np.uint8
     )
     return digest, sites, joints
 
@@ -289,7 +294,8 @@ def start_digest(
     Small arrays are hashed together, as hashing releases Python's lock each time.
     """
     begun, sites, joints = names or digest_names(model)
-    digest, left = begun.copy(), bytearray()
+    digest = begun.copy()
+    left = bytearray()
     for number, array in enumerate(_digest_arrays(model, data, parts, sites, joints)):
         left += f"{number} {array.dtype.str} {array.shape}\n".encode()
         if array.nbytes > LARGE_ARRAY:

@@ -69,10 +69,8 @@ def _fill_between(voxels, column, low, high, label):
 @subkernel(**UNCOUNTED)
 def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
     """Whether a solid or, numbered after these, a plane meets voxels ``[first, end)`` at (x, y)."""
-    low, high = (
-        voxels.bottom + first * voxels.res + TOUCH_DEPTH,
-        voxels.bottom + end * voxels.res - TOUCH_DEPTH,
-    )
+    low = voxels.bottom + first * voxels.res + TOUCH_DEPTH
+    high = voxels.bottom + end * voxels.res - TOUCH_DEPTH
     prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH_DEPTH, SQUARE)
     num = solids.geom.shape[0]
     if item >= num:
@@ -85,21 +83,25 @@ def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
 @subkernel(**UNCOUNTED)
 def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
     """Label the voxels of a column that a solid or a half-space meets, see `_meets`."""
-    first, end = np.int64(0), np.int64(column.shape[0])
+    first = np.int64(0)
+    end = np.int64(column.shape[0])
     if item < solids.geom.shape[0]:  # not beyond what it reaches
-        box, most = solids.bounds[item], float(column.shape[0])
+        box = solids.bounds[item]
+        most = float(column.shape[0])
         first = np.int64(max((box[2] - voxels.bottom) / voxels.res, 0.0))
         end = np.int64(math.ceil(min((box[5] - voxels.bottom) / voxels.res, most)))
     if first >= end or not _meets(voxels, solids, planes, item, x, y, first, end, simplex):
         return
-    low, high = first, end - 1
+    low = first
+    high = end - 1
     while low < high:  # the first one is met by what reaches up to it
         middle = (low + high) // 2
         if _meets(voxels, solids, planes, item, x, y, first, middle + 1, simplex):
             high = middle
         else:
             low = middle + 1
-    first, high = low, end - 1
+    first = low
+    high = end - 1
     while low < high:
         middle = (low + high + 1) // 2
         if _meets(voxels, solids, planes, item, x, y, middle, end, simplex):
@@ -112,11 +114,14 @@ def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
 @subkernel(**UNCOUNTED)
 def _fill_inside(voxels, column, hits, cell, labels):
     """Label the voxels of a column whose middles closed surfaces enclose."""
-    first, last = hits.start[cell], hits.start[cell + 1]
+    first = hits.start[cell]
+    last = hits.start[cell + 1]
     for i in range(first, last):
         if hits.closed[i] == OPEN_SURFACE:
             continue
-        geom, inside, after = hits.geom[i], 0, i + 1
+        geom = hits.geom[i]
+        inside = 0
+        after = i + 1
         for j in range(first, i + 1):
             if hits.geom[j] == geom and hits.closed[j] != OPEN_SURFACE:
                 inside += 1 if hits.normal[j, 2] < 0.0 else -1
@@ -133,7 +138,8 @@ def _fill_inside(voxels, column, hits, cell, labels):
 @subkernel(**UNCOUNTED)
 def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
     """Label the voxels that a triangle meets; it is clipped to each strip of columns first."""
-    half, num_rows = voxels.res / 2.0, lattice.height
+    half = voxels.res / 2.0
+    num_rows = lattice.height
     row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, half)
     for col in range(col0, col1):
         x, _ = center_of(lattice, row0, col)
@@ -146,9 +152,11 @@ def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
             between = y - half + TOUCH_DEPTH, y + half - TOUCH_DEPTH
             left = clip_between(strip, num, polygons.other, Y, between, polygons.one)
             if left > 0:
-                low, high = polygons.one[0, 2], polygons.one[0, 2]
+                low = polygons.one[0, 2]
+                high = polygons.one[0, 2]
                 for i in range(1, left):
-                    low, high = min(low, polygons.one[i, 2]), max(high, polygons.one[i, 2])
+                    low = min(low, polygons.one[i, 2])
+                    high = max(high, polygons.one[i, 2])
                 column = voxels.values[col, num_rows - 1 - row]
                 _fill_between(voxels, column, low, high, label)
 
@@ -166,7 +174,9 @@ def fill_voxels(
         labels: by geom id, > 0, in the dtype of the grid's values. A voxel keeps the least of those
             that meet it and of its own, unless that is 0; labels are neither summed nor ORed.
     """
-    polygons, strip, simplex = make_polygons(), np.empty((12, 3)), make_simplex()
+    polygons = make_polygons()
+    strip = np.empty((12, 3))
+    simplex = make_simplex()
     for tile in range(first_tile, end):
         window = tile_window(lattice, tile)
         for row in range(window[0], window[1]):
@@ -178,7 +188,8 @@ def fill_voxels(
                     label = labels[solids.geom[s]]
                     _fill_convex(voxels, solids, planes, s, column, x, y, label, simplex)
                 for p in range(planes.geom.shape[0]):
-                    item, label = solids.geom.shape[0] + p, labels[planes.geom[p]]
+                    item = solids.geom.shape[0] + p
+                    label = labels[planes.geom[p]]
                     _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex)
                 _fill_inside(voxels, column, hits, row * lattice.width + col, labels)
         for n in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):

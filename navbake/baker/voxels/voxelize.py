@@ -190,10 +190,12 @@ class Voxelizer:
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
         worked = dtype if dtype == np.uint8 else np.dtype(np.uint32)
         check_memory(place.shape, worked.itemsize + (worked != dtype) * dtype.itemsize)
-        (x, y, z), (nx, ny, _) = place.origin.tolist(), place.shape
+        x, y, z = place.origin.tolist()
+        nx, ny, _ = place.shape
         voxels = Voxels(np.zeros(place.shape, dtype=worked), z, place.res)
         lattice = Lattice(x, y + ny * place.res, place.res, nx, ny)
-        shapes, tiled = self.shapes, tile_shapes(self.shapes, lattice, 0.0)
+        shapes = self.shapes
+        tiled = tile_shapes(self.shapes, lattice, 0.0)
         nothing = np.zeros(len(self.scene.geoms), dtype=np.bool_)
         meshes = replace(shapes.only(nothing), meshes=shapes.meshes)
         geometry = lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles
@@ -247,12 +249,14 @@ class Voxelizer:
             data = pose_model(model, settings.model_copy(update=update))
         if not hasattr(data, "geom_xpos"):
             raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
-        first, base = self.scene.data, self.scene.shapes
+        first = self.scene.data
+        base = self.scene.shapes
         if data.geom_xpos.shape != first.geom_xpos.shape:
             raise ConfigError(
                 f"expected data of this scene's {model.ngeom} geoms, got {len(data.geom_xpos)}"
             )
-        pos, flat = np.array(data.geom_xpos), np.array(data.geom_xmat)
+        pos = np.array(data.geom_xpos)
+        flat = np.array(data.geom_xmat)
         counted = np.array([geom.counted for geom in self.scene.geoms])
         if not (np.isfinite(pos[counted]).all() and np.isfinite(flat[counted]).all()):
             raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
@@ -376,7 +380,8 @@ def _counted(scene: Scene) -> list[int]:
 def _known_as(model: Any, geom: int) -> list[str]:
     """The names of a geom, its mesh and all bodies above it."""
     names = all_names(model).geoms[geom]
-    bodies, body = [], int(model.geom_bodyid[geom])
+    bodies = []
+    body = int(model.geom_bodyid[geom])
     while body:
         bodies.append(body_name(model, body))
         body = int(model.body_parentid[body])

@@ -32,8 +32,11 @@ if TYPE_CHECKING:
 
 Change = Callable[[Choices], Choices]
 
-ALL_LEVELS, ALL_DOORS, AS_BAKED = "all levels", "all doors", "as baked"
-NO_EPISODE, MOST_EPISODES = "none", 500
+ALL_LEVELS = "all levels"
+ALL_DOORS = "all doors"
+AS_BAKED = "as baked"
+NO_EPISODE = "none"
+MOST_EPISODES = 500
 RADIUS_STEP = 0.01  # [m]
 MAX_RADIUS = 1.0  # [m], or twice the grid's own
 MOST_SWITCHES = 12  # levels that have a switch each
@@ -41,7 +44,8 @@ CUT_STEP = 0.05  # [m]
 INFLATED = "The grid was inflated when it was made: its doors stay as they are."
 MARKED = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
 HINT_INSPECT = "Click a cell or a thing to read about it."
-HINT_START, HINT_GOAL = "Click where the path starts.", "Click where it goes to."
+HINT_START = "Click where the path starts."
+HINT_GOAL = "Click where it goes to."
 NAMES_SHOWN = 6
 SCALES_SHOWN = 3
 
@@ -57,11 +61,14 @@ class Controls:
         change: Callable[[Change], None],
         verify: Callable[[], None],
     ) -> None:
-        self._gui, self._exhibit, self._change = gui, exhibit, change
+        self._gui = gui
+        self._exhibit = exhibit
+        self._change = change
         self._handles: dict[str, Any] = {}
         gui.reset()
         self._status = gui.add_markdown("", visible=False)
-        grid, size = exhibit.grid, plain(f"{exhibit.grid.levels[0].lattice.cell_size:g}")
+        grid = exhibit.grid
+        size = plain(f"{exhibit.grid.levels[0].lattice.cell_size:g}")
         storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
         text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {size} m"
         gui.add_markdown(f"{text}\n\n{plain(exhibit.note)}")
@@ -105,7 +112,9 @@ class Controls:
             handle.on_update(update)
 
     def _add_layers(self, chosen: Choices, verify: Callable[[], None]) -> None:
-        gui, grid, layers = self._gui, self._exhibit.grid, self._exhibit.layers
+        gui = self._gui
+        grid = self._exhibit.grid
+        layers = self._exhibit.layers
         layer = gui.add_dropdown("Layer", layers, initial_value=chosen.layer)
         self._keep("layer", layer, _set("layer"))
         if grid.levels[1:]:
@@ -124,7 +133,8 @@ class Controls:
         self._handles["verify"].on_click(lambda _: verify())
 
     def _add_agent(self, chosen: Choices) -> None:
-        gui, grid = self._gui, self._exhibit.grid
+        gui = self._gui
+        grid = self._exhibit.grid
         most = max(MAX_RADIUS, 2 * grid.agent_radius)
         sizes = chosen.inflation or (grid.agent_radius, 0.0)
         hints = {
@@ -145,7 +155,9 @@ class Controls:
         self._handles["as baked"].on_click(lambda _: self._change(_set("inflation")(None)))
 
     def _add_doors(self) -> None:
-        gui, grid, at = self._gui, self._exhibit.grid, self._handles
+        gui = self._gui
+        grid = self._exhibit.grid
+        at = self._handles
         if "inflation" in grid.metadata:
             gui.add_markdown(INFLATED)
             return
@@ -162,13 +174,16 @@ class Controls:
         self._keep("state", gui.add_dropdown("State", [AS_BAKED, *states]), put)
 
     def _add_picture(self, chosen: Choices) -> None:
-        gui, exhibit = self._gui, self._exhibit
+        gui = self._gui
+        exhibit = self._exhibit
         drawing = exhibit.drawing(chosen)
         if drawing is not None:
             low = float(exhibit.bounds[0, 2])
             high = max(float(drawing.bounds[1, 2]), low) + CUT_STEP
             cut = max(low, high if chosen.cut is None else min(chosen.cut, high))
-            low, high, cut = round(low, 2), round(high, 2), round(cut, 2)
+            low = round(low, 2)
+            high = round(high, 2)
+            cut = round(cut, 2)
 
             def cut_at(height: float) -> Change:
                 return _set("cut")(None if height >= high - CUT_STEP / 2 else height)
@@ -196,7 +211,9 @@ class Controls:
 
     def show(self, chosen: Choices, route: Path | str | None, told: Json | None) -> None:
         """Bring what is said, and inputs that follow from others, up to date."""
-        exhibit, grid, at = self._exhibit, self._exhibit.grid, self._handles
+        exhibit = self._exhibit
+        grid = self._exhibit.grid
+        at = self._handles
         as_it_is = replace(chosen, doors=(), inflation=None)
         at["free"].content = say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
         marked = {"start": START, "goal and path": GOAL} if chosen.start or chosen.episode else {}
@@ -210,7 +227,8 @@ class Controls:
         at["verified"].visible = chosen.layer == DISAGREEMENTS and exhibit.report is not None
         at["verified"].content = say_report(exhibit)
         is_inspecting = chosen.click == INSPECT
-        at["told"].visible, at["route"].visible = is_inspecting, not is_inspecting
+        at["told"].visible = is_inspecting
+        at["route"].visible = not is_inspecting
         at["told"].content = say_cell(told, chosen.inflation)
         at["route"].content = say_route(chosen, route)
         at["clear"].visible = any((chosen.start, chosen.goal, chosen.inspected))

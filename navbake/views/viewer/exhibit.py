@@ -34,12 +34,20 @@ Made = TypeVar("Made")
 CUT_OVER = 1.3  # a level is looked into from so high over its ground [m]
 # colours on the page: of free cells, as one sees them on grey floors, too, and of marks
 TINT = "#a9dfc4"
-START, GOAL, LIT, TRAJECTORY = "#2f9e44", colors.ROUTE, "#ff922b", "#c2255c"
-STAIRS, CLOSED = "#495057", "#868e96"  # arcs of stairs and of closed links
-NAME_HEIGHT, POINT_HEIGHT = 0.4, 0.18  # of letters: at most, and of names of points [m]
+START = "#2f9e44"
+GOAL = colors.ROUTE
+LIT = "#ff922b"
+TRAJECTORY = "#c2255c"
+# arcs of stairs and of closed links
+STAIRS = "#495057"
+CLOSED = "#868e96"
+# of letters: at most, and of names of points [m]
+NAME_HEIGHT = 0.4
+POINT_HEIGHT = 0.18
 NAME_OVER = 1.0  # of names over the floor: most furniture is lower [m]
 LETTER = 0.65  # how wide a letter is by its height
-INSPECT, ROUTE = "tells about the cell", "sets start, then goal"
+INSPECT = "tells about the cell"
+ROUTE = "sets start, then goal"
 CLICKS = (INSPECT, ROUTE)
 """What a click may do."""
 RECENT = 6  # results of a kind that are kept, so that going back is fast
@@ -185,7 +193,10 @@ class Exhibit:
         note: str = "",
         runs: Runs | None = None,
     ) -> None:
-        self.grid, self.scene, self.config, self.note = grid, scene, config, note
+        self.grid = grid
+        self.scene = scene
+        self.config = config
+        self.note = note
         self.runs = runs or {}
         self.report: VerifyReport | None = None
         with_holes = scene is not None
@@ -207,7 +218,8 @@ class Exhibit:
         """
         corners = np.array([level.lattice.bounds for level in self.grid.levels])
         grounds = [level.ground for level in self.grid.levels]
-        low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
+        low = corners[:, :2].min(axis=0)
+        high = corners[:, 2:].max(axis=0)
         return np.array([[*low, min(grounds)], [*high, max(grounds) + CUT_OVER]])
 
     @kept("doors", "inflation")
@@ -231,7 +243,8 @@ class Exhibit:
         is_early = chosen.layer == DISAGREEMENTS and findings is None
         layer = "occupancy" if is_early else chosen.layer
         panel = make_panel(self.shown_grid(chosen), layer, number, findings=findings)
-        rgb, free = panel.rgb.copy(), colors.rgb_of(colors.FREE)
+        rgb = panel.rgb.copy()
+        free = colors.rgb_of(colors.FREE)
         rgb[(rgb == free).all(axis=-1)] = colors.rgb_of(TINT)
         legend = tuple((name, TINT if c == colors.FREE else c) for name, c in panel.legend)
         return panel._replace(rgb=rgb, legend=legend)
@@ -247,7 +260,8 @@ class Exhibit:
 
         None lies over another of its level, or below another floor.
         """
-        found, levels = [], chosen.levels if chosen.with_names else ()
+        found = []
+        levels = chosen.levels if chosen.with_names else ()
         for number in levels:
             for label in self.panel(chosen, number).labels:
                 here = [(k, place_at(self.grid, (label.x, label.y), k)) for k in levels]
@@ -310,7 +324,8 @@ class Exhibit:
     @kept("doors", "with_hidden", "with_scene", "cut")
     def scene_glb(self, chosen: Choices) -> bytes:
         """What is drawn of the scene but its batches, as GLB; empty for nothing."""
-        surfaces, drawing = self.surfaces(chosen), self.drawing(chosen)
+        surfaces = self.surfaces(chosen)
+        drawing = self.drawing(chosen)
         if drawing is None or not surfaces:
             return b""
         sent = [batch.geoms[batch.below(chosen.cut)] for batch in drawing.batches]
@@ -373,7 +388,9 @@ class Exhibit:
             return None
         x, y, _ = found.position
         facts = self.shown_grid(chosen).describe_cell(x, y, found.cell.level)
-        drawing, clicked, lit = self.drawing(chosen), None, np.empty((0, 3, 3), np.float32)
+        drawing = self.drawing(chosen)
+        clicked = None
+        lit = np.empty((0, 3, 3), np.float32)
         if drawing is not None:
             clicked = None if found.geom is None else drawing.names[found.geom]
             geoms = [n for n, name in enumerate(drawing.names) if name in facts["blockers"]]

@@ -43,7 +43,9 @@ FLUSH = 1e-6  # a triangle that lies in the plane of a cut stays: trimesh would 
 MOST_FLAT = 400_000  # triangles with sharp edges; of more, edges are smooth, which takes less
 # A mesh that so many geoms of one colour show is sent once, and drawn coarser from far: from so
 # many metres on with so much of its triangles, from twice as far with what `MOST_DRAWN` allows
-LEAST_ALIKE, NEAR, NEAR_SHARE = 4, 6.0, 0.4
+LEAST_ALIKE = 4
+NEAR = 6.0
+NEAR_SHARE = 0.4
 MOST_SENT = 20_000  # triangles of such a mesh
 LIGHT = 0.2, 0.3, 0.16, 0.8  # from everywhere, and on what faces along x, y and z
 
@@ -53,7 +55,9 @@ ROUND = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER)
 # which of a geom's sizes stretch its unit solid along x, y and z
 SIZES = {SPHERE: (0, 0, 0), CAPSULE: (0, 0, 0), CYLINDER: (0, 0, 1)}
 SIZES |= {ELLIPSOID: (0, 1, 2), BOX: (0, 1, 2)}
-RGB, RGBA = 1, 7  # mjtTextureRole: which textures of a material are its colour
+# mjtTextureRole: which textures of a material are its colour
+RGB = 1
+RGBA = 7
 FLAT_TEXTURE = 0  # mjtTexture: a picture, not the six sides of a cube
 NO_COLOR = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # rgba of a geom that states none
 
@@ -64,7 +68,10 @@ STEEPEST = 1.0  # rise of a rectangle by its length
 OVERLAP = 0.002  # of a cell, by which rectangles overlap: none shows through between them
 MAX_SIDE = 4096  # pixels of a picture that any browser takes; of more cells, several are one
 BELOW = 0.05  # a floor so much over what was clicked is still under it [m]
-NEAREST, MIPMAPS, CLAMP = 9728, 9987, 33071  # how pictures are sampled
+# how pictures are sampled
+NEAREST = 9728
+MIPMAPS = 9987
+CLAMP = 33071
 
 
 class Surface(NamedTuple):
@@ -124,7 +131,8 @@ def draw_scene(
     Textures of meshes are drawn; other geoms have the mean colour of theirs. Geoms that look alike
     are one surface.
     """
-    model, data = scene.model, scene.data if data is None else data
+    model = scene.model
+    data = scene.data if data is None else data
     plain, textured, texture = _find_looks(model)
     drawn = (plain[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
     in_groups = drawn & (model.geom_group < SHOWN_GROUPS)
@@ -137,7 +145,8 @@ def draw_scene(
     planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
     pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
     looks = [(plain[piece.owners[0], 3] < 1, piece.is_round, piece.texture) for piece in pieces]
-    surfaces, textures = [], {}
+    surfaces = []
+    textures = {}
     for look in sorted(set(looks)):
         some = [piece for piece, own in zip(pieces, looks, strict=True) if own == look]
         _, is_round, number = look
@@ -145,9 +154,11 @@ def draw_scene(
         vertices, faces = trimesh.util.append_faces(*parts)
         geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
         triangles = vertices.astype(np.float32), faces.astype(np.uint32), geom
-        colors, uv = plain[geom], None
+        colors = plain[geom]
+        uv = None
         if number >= 0:
-            colors, textures[number] = textured[geom], _read_texture(model, number)
+            colors = textured[geom]
+            textures[number] = _read_texture(model, number)
             uv = np.concatenate([piece.uv for piece in some if piece.uv is not None])
         surfaces.append(Surface(*triangles, colors, uv, number, is_round))
     solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
@@ -177,8 +188,10 @@ def _find_batches(
         own = geoms[number.ravel() == one]
         if len(own) < LEAST_ALIKE:
             continue
-        mesh, rotations = model.mesh(int(model.geom_dataid[own[0]])), data.geom_xmat[own]
-        first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+        mesh = model.mesh(int(model.geom_dataid[own[0]]))
+        rotations = data.geom_xmat[own]
+        first = int(mesh.vertadr[0])
+        start = int(mesh.faceadr[0])
         vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(np.float64)
         faces = model.mesh_face[start : start + int(mesh.facenum[0])]
         if len(faces) > MOST_SENT:
@@ -190,7 +203,8 @@ def _find_batches(
         if is_fine:
             made = graph.smooth_shade(made, SHARP, facet_minarea=None)
         look = np.tile(colors[own[0]], (len(made.vertices), 1))
-        corners, sides = made.vertices.astype(np.float32), made.faces.astype(np.uint32)
+        corners = made.vertices.astype(np.float32)
+        sides = made.faces.astype(np.uint32)
         surface = Surface(corners, sides, colors=look, is_round=is_fine)
         content = draw_surfaces([surface], {}, rotations[0].reshape(3, 3))
         turns = trimesh.transformations.quaternion_from_matrix
@@ -233,17 +247,21 @@ def _unit_of(kind: int, corners: int) -> Any:
 
 def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterator[Surface]:
     """Meshes, height fields, and the exact parts of a mesh file."""
-    model, coarse = scene.model, dict[int, tuple[Any, Any]]()
+    model = scene.model
+    coarse = dict[int, tuple[Any, Any]]()
     own = model.geom_dataid[drawn & (model.geom_type >= MESH) & (model.geom_dataid >= 0)]
     share = MOST_DRAWN / max(int(model.mesh_facenum[own].sum()), 1)
     for geom in np.flatnonzero(drawn).tolist():
-        kind, number, uv = int(model.geom_type[geom]), int(model.geom_dataid[geom]), None
+        kind = int(model.geom_type[geom])
+        number = int(model.geom_dataid[geom])
+        uv = None
         if geom in scene.parts:  # in the world frame already
             part = scene.parts[geom]
             yield _piece(geom, np.asarray(part.vertices), np.asarray(part.faces))
             continue
         if kind == HFIELD:  # its upper side
-            rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+            rows = int(model.hfield_nrow[number])
+            cols = int(model.hfield_ncol[number])
             heights = model.hfield_data[int(model.hfield_adr[number]) :][: rows * cols]
             y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (rows, cols)), indexing="ij")
             unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
@@ -251,15 +269,18 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
             corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
             faces = (corner[:, None] + np.array([0, 1, cols + 1, cols]))[:, QUAD].reshape(-1, 3)
         elif kind >= MESH and number >= 0:
-            mesh, has_uv = model.mesh(number), int(textures[geom]) >= 0
-            first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+            mesh = model.mesh(number)
+            has_uv = int(textures[geom]) >= 0
+            first = int(mesh.vertadr[0])
+            start = int(mesh.faceadr[0])
             vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(np.float64)
             end = start + int(mesh.facenum[0])
             faces = model.mesh_face[start:end]
             if has_uv and model.mesh_texcoordnum[number]:
                 # corners that share a place needn't share one on the texture
                 corners = model.mesh_facetexcoord[start:end].ravel() + mesh.texcoordadr[0]
-                uv, vertices = model.mesh_texcoord[corners], vertices[faces.ravel()]
+                uv = model.mesh_texcoord[corners]
+                vertices = vertices[faces.ravel()]
                 faces = np.arange(len(vertices)).reshape(-1, 3)
             elif share < 1:
                 if number not in coarse:
@@ -293,11 +314,13 @@ def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
 
 def _draw_plane(model: Any, data: Any, geom: int, bounds: Float) -> Surface:
     """A plane's rectangle; where it is endless, as far as what else there is, and some more."""
-    rotation, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    rotation = data.geom_xmat[geom].reshape(3, 3)
+    position = data.geom_xpos[geom]
     middle = ((bounds.mean(axis=0) - position) @ rotation)[:2]
     reach = ENDLESS * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
     half = model.geom_size[geom, :2]
-    middle, half = np.where(half <= 0, middle, 0.0), np.where(half <= 0, reach, half)
+    middle = np.where(half <= 0, middle, 0.0)
+    half = np.where(half <= 0, reach, half)
     corners = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     return _piece(geom, corners @ rotation[:, :2].T + position, QUAD)
 
@@ -336,7 +359,8 @@ def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], I
 def _read_texture(model: Any, texture: int) -> NDArray[np.uint8]:
     """A texture's picture, shape (height, width, 3 or 4), its upper row first."""
     shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
-    first, count = int(model.tex_adr[texture]), int(np.prod(shape, dtype=np.int64))
+    first = int(model.tex_adr[texture])
+    count = int(np.prod(shape, dtype=np.int64))
     picture = np.asarray(model.tex_data[first : first + count]).reshape(shape)
     return np.repeat(picture, 3, axis=2) if shape[2] == 1 else picture
 
@@ -372,7 +396,8 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
     corners = surface.vertices[surface.faces]
     # slivers have no area, but places on them can't be told by their corners
     whole = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any(axis=1)
-    faces, vertices = surface.faces[whole].astype(np.int64), surface.vertices.astype(np.float64)
+    faces = surface.faces[whole].astype(np.int64)
+    vertices = surface.vertices.astype(np.float64)
     # geom, colour and place on the texture of a corner go along; geom and colour are a triangle's
     columns = surface.geom, surface.colors, surface.uv
     along = [column for column in columns if column is not None]
@@ -418,16 +443,20 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     Without holes, cells without a floor lie at the level's ground. There are at most `most`
     rectangles, unless single cells are more.
     """
-    floor, size = level.floor.astype(np.float64), level.lattice.cell_size
+    floor = level.floor.astype(np.float64)
+    size = level.lattice.cell_size
     shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
     heights = np.where(np.isnan(floor), level.ground, floor)
-    cells, flatness, span = shown.astype(np.int32), FLAT, float(np.ptp(heights))
+    cells = shown.astype(np.int32)
+    flatness = FLAT
+    span = float(np.ptp(heights))
     while True:
         _, row, col, z = cover_quads(cells, heights, flatness, STEEPEST * size, OVERLAP)
         if len(row) <= most or flatness > span:
             break
         flatness *= 2
-    x, y = level.lattice.x_min + col * size, level.lattice.y_max - row * size
+    x = level.lattice.x_min + col * size
+    y = level.lattice.y_max - row * size
     first = (np.arange(len(row)) * 4)[:, None, None]
     uv = np.stack([col / level.width, row / level.height], axis=-1).reshape(-1, 2)
     return Surface(
@@ -479,7 +508,9 @@ def make_glb(
     surfaces: Sequence[Surface], pictures: Mapping[int, NDArray[np.uint8]] | None = None
 ) -> bytes:
     """Write triangles in their colours as they are, and the pictures that lie on them, as GLB."""
-    buffer, primitives, materials = Buffer(), list[Json](), list[Json]()
+    buffer = Buffer()
+    primitives = list[Json]()
+    materials = list[Json]()
     surfaces = [one for one in surfaces if len(one.faces)]
     used = sorted({one.texture for one in surfaces if one.uv is not None})
     for one in surfaces:
@@ -539,7 +570,8 @@ def pick(
     floor is the nearest below; where none has a floor there, whose ground is.
     """
     origin, direction = (np.asarray(each, dtype=np.float64) for each in ray)
-    distance, geom = np.inf, -1
+    distance = np.inf
+    geom = -1
     for surface in surfaces:
         corners = surface.vertices[surface.faces].astype(np.float64)
         normals = trimesh.triangles.cross(corners)
@@ -550,7 +582,8 @@ def pick(
             met = np.flatnonzero((shares >= -1e-9).all(axis=1) & (away > 0) & (away <= distance))
         if len(met):
             nearest = met[np.argmin(away[met])]
-            distance, geom = float(away[nearest]), int(surface.owners[nearest])
+            distance = float(away[nearest])
+            geom = int(surface.owners[nearest])
     if not np.isfinite(distance):
         return None
     x, y, z = (origin + distance * direction).tolist()

@@ -23,13 +23,16 @@ from urllib.parse import urlsplit
 
 from navbake.errors import MissingDependencyError, NavbakeError
 
-HOST, PORT = "127.0.0.1", 8080
+HOST = "127.0.0.1"
+PORT = 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
 LOCAL = ("localhost", "127.0.0.1", "::1")
 MISSING = 'the viewer needs viser: pip install "navbake[view]"'
 TAKEN = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
 TITLE = b"<title>Viser</title>"
-MAX_HEAD, CHUNK = 1 << 16, 1 << 16  # of a request, and what is passed on at once [bytes]
+# of a request, and what is passed on at once [bytes]
+MAX_HEAD = 1 << 16
+CHUNK = 1 << 16
 PATIENCE = 10.0  # for the head of a request [s]
 REFUSED = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 NOTHING = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
@@ -64,10 +67,13 @@ class PageServer(AbstractContextManager["PageServer"]):
             raise MissingDependencyError(MISSING) from error
         self._names = {*LOCAL, socket.gethostname().lower()} if host in EVERYWHERE else {host}
         self._names |= {*LOCAL} if host in LOCAL else set()
-        self._is_open, self._allowed = host in EVERYWHERE, {check_origin(one) for one in allowed}
+        self._is_open = host in EVERYWHERE
+        self._allowed = {check_origin(one) for one in allowed}
         self.title = "navbake"
         self.on_dark: Callable[[], None] = lambda: None
-        self._inner, self._page = (HOST, 0), b""  # until viser is there
+        # until viser is there
+        self._inner = (HOST, 0)
+        self._page = b""
         listening: Future[int] = Future()
         serve = partial(asyncio.run, self._serve(host, port, listening))
         self._thread = threading.Thread(target=serve, name="server", daemon=True)
@@ -97,7 +103,8 @@ class PageServer(AbstractContextManager["PageServer"]):
 
     async def _serve(self, host: str, port: int, listening: Future[int]) -> None:
         """Serve until `close`; `asyncio.run` cancels the connections that are open then."""
-        self._loop, self._closing = asyncio.get_running_loop(), asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+        self._closing = asyncio.Event()
         try:
             server = await asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
         except Exception as error:
@@ -120,12 +127,14 @@ class PageServer(AbstractContextManager["PageServer"]):
 
     def is_allowed(self, headers: Message) -> bool:
         """Whether a request names this page's address, and comes from one of its pages."""
-        hosts, origins = headers.get_all("Host", []), headers.get_all("Origin", [])
+        hosts = headers.get_all("Host", [])
+        origins = headers.get_all("Origin", [])
         if len(hosts) != 1 or len(origins) > 1:
             return False
         try:
             address = urlsplit(f"//{hosts[0]}")
-            name, port = address.hostname or "", address.port or 80
+            name = address.hostname or ""
+            port = address.port or 80
         except ValueError:  # a port that is none
             return False
         is_own = port == self.port and name in self._names

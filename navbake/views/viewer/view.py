@@ -73,7 +73,8 @@ def find_camera(bounds: Float, aspect: float) -> Float:
     up = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
     corners = np.array(list(product(*bounds.T))) - middle
     slope = math.tan(FIELD_OF_VIEW / 2)
-    across, along = np.abs(corners[:, 0]) / (slope * aspect), np.abs(corners @ up) / slope
+    across = np.abs(corners[:, 0]) / (slope * aspect)
+    along = np.abs(corners @ up) / slope
     distance = (np.maximum(across, along) + corners @ away).max()
     place: Float = middle + max(float(distance), 1.0) * MARGIN * away
     return place
@@ -90,8 +91,11 @@ class Viewer(AbstractContextManager["Viewer"]):
     """
 
     def __init__(self, exhibit: Exhibit, page: PageServer, *, watch: Watch | None = None) -> None:
-        self._page, self._server, self.url = page, page.viser, page.url
-        self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
+        self._page = page
+        self._server = page.viser
+        self.url = page.url
+        self._exhibit = exhibit
+        self._chosen = first_choices(exhibit.grid)
         self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         self._closed = threading.Event()
         self._scene = self._server.scene
@@ -103,11 +107,14 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._scene.configure_default_lights(cast_shadow=False)
         self._set_up()
         # look at the grid from -y and above, so that it fills the page
-        bounds, camera = exhibit.bounds, self._server.initial_camera
+        bounds = exhibit.bounds
+        camera = self._server.initial_camera
         place = find_camera(bounds, USUAL_ASPECT)
         camera.fov = FIELD_OF_VIEW
-        camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
-        camera.look_at, camera.position = bounds.mean(axis=0), place
+        camera.near = 0.05
+        camera.far = 40 * max(float(place[2] - bounds[0, 2]), 1.0)
+        camera.look_at = bounds.mean(axis=0)
+        camera.position = place
 
         def fit(camera: viser.CameraHandle) -> None:
             """Move the first camera of a page that is narrower than usual, or becomes so."""
@@ -166,7 +173,9 @@ class Viewer(AbstractContextManager["Viewer"]):
             self._controls.say("")
             return chosen
 
-        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
+        gui = self._server.gui
+        change = self._changes.put
+        name = self._exhibit.grid.scene_id
         gui.set_panel_label(name or "navbake")
         self._page.title = f"{name} – navbake" if name else "navbake"
         self._controls = Controls(
@@ -182,7 +191,8 @@ class Viewer(AbstractContextManager["Viewer"]):
         """Show another exhibit with the same choices, as far as it has them; from any thread."""
 
         def take(chosen: Choices) -> Choices:
-            self._exhibit, self._chosen = exhibit, keep_choices(chosen, exhibit.grid)
+            self._exhibit = exhibit
+            self._chosen = keep_choices(chosen, exhibit.grid)
             for node in list(self._shown):
                 self._put(node, None, list)
             self._drawn = None
@@ -208,7 +218,8 @@ class Viewer(AbstractContextManager["Viewer"]):
     def _show(self, chosen: Choices) -> Choices:
         """Bring the page up to date; only what has changed is sent."""
         exhibit = self._exhibit
-        route, told = exhibit.route(chosen), exhibit.tell(chosen)
+        route = exhibit.route(chosen)
+        told = exhibit.tell(chosen)
         if bool(chosen.dark) != self._dark:
             self._dark = bool(chosen.dark)
             self._server.gui.configure_theme(dark_mode=self._dark, **THEME)
@@ -245,7 +256,8 @@ class Viewer(AbstractContextManager["Viewer"]):
         joined = "/links", stops, arcs, radius / 2
         self._put("/links", id(arcs), lambda: self._draw_ways(*joined))
         episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
-        ends, ways = [], []
+        ends = []
+        ways = []
         if episode is not None:
             ends = [(episode.start, START)]
             places = map(goal_place, episode.goals)
@@ -257,7 +269,8 @@ class Viewer(AbstractContextManager["Viewer"]):
         key = id(exhibit), chosen.episode, exhibit.way(chosen).tobytes()
         self._put("/run", key, lambda: self._draw_ways(*run))
         told = told or {"lit": np.empty((0, 3)), "outline": np.empty((0, 3))}
-        lit, cell = told["lit"].reshape(-1, 3), told["outline"]
+        lit = told["lit"].reshape(-1, 3)
+        cell = told["outline"]
         self._put("/lit", lit.tobytes(), lambda: self._light(lit))
         # the pole is seen where furniture hides the cell
         mark = [(cell, LIT), (cell[:4].mean(axis=0) + POLE, LIT)] if len(cell) else []
@@ -301,7 +314,8 @@ class Viewer(AbstractContextManager["Viewer"]):
     ) -> Iterable[Any]:
         """Draw places as balls of a radius [m], and lines from position to position."""
         for number, ((x, y, z), color) in enumerate(ends):
-            at, rgb = (x, y, z + radius), rgb_of(color)
+            at = (x, y, z + radius)
+            rgb = rgb_of(color)
             yield self._scene.add_icosphere(f"{name}/{number}", radius, rgb, position=at, **PLAIN)
         for number, (positions, color) in enumerate(ways):
             if len(positions) > 1:
@@ -447,7 +461,8 @@ class Watch:
     """
 
     def __init__(self, read: Callable[[], Exhibit], files: Callable[[], Iterable[Path]]) -> None:
-        self.read, self._list_files = read, files
+        self.read = read
+        self._list_files = files
         self._known = self._last = self._state_of(files())
 
     def _state_of(self, files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
@@ -462,7 +477,8 @@ class Watch:
     def look(self) -> bool:
         """Whether the files are others than when this was last true, and as at the last look."""
         now = self._state_of(self._known)
-        rests, self._last = now == self._last, now
+        rests = now == self._last
+        self._last = now
         if not rests or now == self._known:
             return False
         self._known = self._last = self._state_of(self._list_files())

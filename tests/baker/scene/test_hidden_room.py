@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from navbake.baker.scene import scene
+from navbake.baker.scene import hidden_room
 from navbake.baker.scene.hidden_room import MOST_LINES, HiddenRoom
 from navbake.config.settings import AgentSettings, FloorSettings
 
@@ -39,7 +39,7 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
     found = SimpleNamespace(bounds=bounds), {}, []
     monkeypatch.setattr(scene, "collect_shapes", lambda *arguments: found)
-    monkeypatch.setattr(scene, "tile_shapes", tile)
+    monkeypatch.setattr(hidden_room, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
     model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
     data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])
