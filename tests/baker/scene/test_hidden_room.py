@@ -38,7 +38,7 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
 
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
     found = SimpleNamespace(bounds=bounds), {}, []
-    monkeypatch.setattr(scene, "collect_shapes", lambda *arguments: found)
+    monkeypatch.setattr(hidden_room, "collect_shapes", lambda *arguments: found)
     monkeypatch.setattr(hidden_room, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
     model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
