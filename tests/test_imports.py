@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import draw_imports
 import navbake
 
 PACKAGE = Path(navbake.__file__).parent
@@ -153,6 +154,31 @@ def test_a_planted_circle_is_found(tmp_path):
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import planted.one\n"
     )
     assert find_circle(import_graph(package)) == ["one", "two", "three", "one"]
+
+
+# the folders of the baker, from below: none imports one that stands later
+BAKER_ORDER = ("core", "geometry", "readers", "columns", "scene", "floors", "occupancy")
+BAKER_ORDER += ("occupants", "rooms", "doors", "links", "bake", "live", "voxels")
+
+
+def test_no_folder_of_the_baker_imports_one_above_it():
+    graph = draw_imports.import_graph()
+    folders = {name.removeprefix("baker/") for name in graph if name.startswith("baker/")}
+    assert folders == set(BAKER_ORDER)
+    for number, folder in enumerate(BAKER_ORDER):
+        above = {f"baker/{name}" for name in BAKER_ORDER[number + 1 :]}
+        assert not graph[f"baker/{folder}"] & above, folder
+
+
+def test_no_folders_import_each_other_in_a_circle():
+    rows = draw_imports.place_in_rows(draw_imports.import_graph())
+    assert len(rows) > 25
+
+
+def test_the_picture_of_the_imports_is_up_to_date():
+    """If it fails: run `python scripts/draw_imports.py`."""
+    picture = draw_imports.draw(draw_imports.import_graph())
+    assert draw_imports.PICTURE.read_text(encoding="utf-8") == picture
 
 
 @pytest.mark.parametrize("name", MODULES)
