@@ -61,7 +61,7 @@ from navbake.baker.occupants.standing import (
     classify_contents,
     find_standing,
 )
-from navbake.baker.rooms.flags import RoomFlags, read_flags
+from navbake.baker.rooms.flags import RoomFlags, gather_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.divide import MOVABLE
 from navbake.baker.scene.leaves import mark_geoms
@@ -244,7 +244,7 @@ class Stages:
         cells = self.standing_cells
         contents = self.contents
         with self.clock.stage("rooms"):
-            return read_flags(
+            return gather_flags(
                 self.scene,
                 self.column_blocks,
                 floors=self.floors,
@@ -530,7 +530,7 @@ def list_door(door: Door) -> Json:
 def list_rooms(rooms: Rooms, doors: Sequence[PlacedLeaf]) -> list[Json]:
     """The table of rooms as a file states it, with the doors between them."""
     closed = {placed.candidate.id: (placed.rooms, placed.closed_cells) for placed in doors}
-    return [room.to_json() for room in rooms.with_doors(closed).table]
+    return [room.to_json() for room in rooms.with_neighbours(closed).table]
 
 
 def _cut_layers(

@@ -30,7 +30,7 @@ from navbake.baker.geometry.extents import Extents, measure_geoms
 from navbake.baker.geometry.overlap_kernels import lines_blocked
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
-from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, see_to_walls
+from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, mark_visible
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.leaves import DoorCandidate, largest_side
 from navbake.baker.scene.scene import Scene
@@ -434,7 +434,7 @@ def _rooms_beside(
     sight = leaf.lines.sight
     inside = sight >= 0
     cell = np.maximum(sight, 0)
-    is_seen = see_to_walls(sight, context.rooms.open_cells[level], context.floors[level].floor)
+    is_seen = mark_visible(sight, context.rooms.open_cells[level], context.floors[level].floor)
     if not is_seen.any(axis=(1, 2)).all():
         return None
     is_leaf = leaf_counts[level][cell] > np.isin(cell, closed[level])

@@ -92,7 +92,7 @@ class RoomFlags(NamedTuple):
     marks: Mapping[str, MarkedRooms]  # the rooms that each source marks
 
 
-def read_flags(
+def gather_flags(
     scene: Scene,
     columns: ColumnSource,
     floors: Floors,

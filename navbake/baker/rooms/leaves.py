@@ -146,7 +146,7 @@ class _Spaces:
         What is too small for a space becomes a part of the barrier, and lines go on behind it.
         """
         cell = np.maximum(sight, 0)
-        is_seen = see_to_walls(sight, self._level.open, self._level.floor)
+        is_seen = mark_visible(sight, self._level.open, self._level.floor)
         is_seen &= (sight >= 0) & self._level.open.ravel()[cell]
         while True:
             is_beyond = is_seen & ~self.barrier.ravel()[cell]
@@ -184,7 +184,7 @@ class _Spaces:
         return np.asarray(is_parting)
 
 
-def see_to_walls(sight: Int, is_open: Bool, floor: Float) -> Bool:
+def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
     """Which steps of lines of sight, see `LeafLines`, lie before the first wall on their line.
 
     A wall is a cell of a level that has a floor, and is not open.

@@ -65,7 +65,7 @@ class Rooms:
     """The rooms of a scene."""
 
     index: list[RoomIndex]  # by level
-    table: list[Room]  # by level and index; their neighbours: see `with_doors`
+    table: list[Room]  # by level and index; their neighbours: see `with_neighbours`
     openings: list[Opening]  # where rooms of a level meet
     links: list[tuple[RoomKey, RoomKey]]  # rooms between which a step leads to another level
     lattice: Lattice
@@ -80,7 +80,7 @@ class Rooms:
     def _ids(self) -> dict[RoomKey, str]:
         return {(room.level, room.index): room.id for room in self.table}
 
-    def with_doors(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
+    def with_neighbours(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
         """Name in the table what each room opens to: freely, by a link, or by a door.
 
         `doors` has by id the rooms that a door joins, and by level the cells that it blocks when it
@@ -346,8 +346,9 @@ def match_doors(
     ids: Mapping[RoomKey, str],
     lattice: Lattice,
 ) -> dict[int, list[str]]:
-    """The sorted ids of each opening's doors, by its number; `doors` as for `Rooms.with_doors`.
+    """The sorted ids of each opening's doors, by its number.
 
+    `doors` are as for `Rooms.with_neighbours`.
     Of the openings between the two rooms that it joins, a door is in the one with most cells within
     `DOOR_REACH` of cells that it blocks when closed; of two as good, the nearer. It may be in none.
     """
