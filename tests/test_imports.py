@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -66,11 +67,23 @@ def find_modules(package: Path) -> dict[str, Path]:
     }
 
 
-def imports(path: Path, *, with_types: bool = False) -> set[str]:
+@cache
+def parse(source: str) -> ast.Module:
+    """A module's syntax tree; many tests ask for the same one."""
+    return ast.parse(source)
+
+
+def imports(path: Path, *, with_types: bool = False) -> frozenset[str]:
+    """Names of all modules that a file imports, at the top or later; for types only if asked."""
+    return imports_of(path.read_text(encoding="utf-8"), with_types=with_types)
+
+
+@cache
+def imports_of(source: str, *, with_types: bool) -> frozenset[str]:
     """Names of all modules that a file imports, at the top or later; for types only if asked."""
     skipped: set[ast.AST] = set()
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parse(source)):
         is_for_types = isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
         if is_for_types and not with_types:
             skipped.update(child for part in node.body for child in ast.walk(part))
@@ -79,14 +92,14 @@ def imports(path: Path, *, with_types: bool = False) -> set[str]:
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path} imports relatively"
+            assert node.level == 0, f"a relative import in line {node.lineno}"
             assert node.module is not None
             found.add(node.module)
             found.update(f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "lazy":
-            assert isinstance(node.args[0], ast.Constant), f"{path} hides what it loads"
+            assert isinstance(node.args[0], ast.Constant), f"line {node.lineno} hides what it loads"
             found.add(str(node.args[0].value))
-    return found
+    return frozenset(found)
 
 
 def import_graph(package: Path) -> dict[str, set[str]]:
@@ -159,25 +172,25 @@ def test_a_planted_circle_is_found(tmp_path):
 # the folders of the baker, from below: none imports one that stands later
 BAKER_ORDER = ("core", "geometry", "readers", "columns", "scene", "floors", "occupancy")
 BAKER_ORDER += ("occupants", "rooms", "doors", "links", "bake", "live", "voxels")
+FOLDERS = draw_imports.import_graph()
 
 
 def test_no_folder_of_the_baker_imports_one_above_it():
-    graph = draw_imports.import_graph()
-    folders = {name.removeprefix("baker/") for name in graph if name.startswith("baker/")}
+    folders = {name.removeprefix("baker/") for name in FOLDERS if name.startswith("baker/")}
     assert folders == set(BAKER_ORDER)
     for number, folder in enumerate(BAKER_ORDER):
         above = {f"baker/{name}" for name in BAKER_ORDER[number + 1 :]}
-        assert not graph[f"baker/{folder}"] & above, folder
+        assert not FOLDERS[f"baker/{folder}"] & above, folder
 
 
 def test_no_folders_import_each_other_in_a_circle():
-    rows = draw_imports.place_in_rows(draw_imports.import_graph())
+    rows = draw_imports.place_in_rows(FOLDERS)
     assert len(rows) > 25
 
 
 def test_the_picture_of_the_imports_is_up_to_date():
     """If it fails: run `python scripts/draw_imports.py`."""
-    picture = draw_imports.draw(draw_imports.import_graph())
+    picture = draw_imports.draw(FOLDERS)
     assert draw_imports.PICTURE.read_text(encoding="utf-8") == picture
 
 
@@ -199,7 +212,7 @@ def test_checks_share_no_code_with_what_they_check(name):
         is_run_time = belongs(found, ("navbake.runtime",))
         assert not is_run_time or name == "verifier.sweeps", f"{name} imports {found}"
         assert not belongs(found, ("navbake.baker",)) or belongs(found, VERIFIER_SHARES)
-    for node in ast.walk(ast.parse(MODULES[name].read_text(encoding="utf-8"))):
+    for node in ast.walk(parse(MODULES[name].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute) and node.attr in VERIFIER_LEAVES:
             value = node.value
             of_scene = getattr(value, "id", "") == "scene" or getattr(value, "attr", "") == "_scene"
@@ -234,7 +247,7 @@ def test_only_kernels_call_subkernels():
     """A subkernel has no wrapper that Python could call: the process would crash."""
     parts = set()
     for name, path in MODULES.items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef):
                 decorators = [ast.unparse(each).partition("(")[0] for each in node.decorator_list]
                 parts |= {f"navbake.{name}.{node.name}"} if "subkernel" in decorators else set()
@@ -257,7 +270,7 @@ OWN_WAYS = {
 
 def private_uses(path: Path) -> Iterator[str]:
     """What a file uses of other libraries by private names, or sets in them."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = parse(path.read_text(encoding="utf-8"))
     others: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import | ast.ImportFrom):
@@ -307,7 +320,7 @@ def test_an_import_inside_a_function_says_what_it_saves(name):
     lines = text.splitlines()
     if any(line.startswith("# Functions import ") for line in lines):
         return
-    for function in ast.walk(ast.parse(text)):
+    for function in ast.walk(parse(text)):
         if not isinstance(function, ast.FunctionDef):
             continue
         for node in ast.walk(function):
@@ -320,7 +333,7 @@ def test_no_function_takes_more_than_10_parameters():
     """Commands do: their parameters are the options of the command line."""
     functions = {name: path for name, path in MODULES.items() if not belongs(name, ("cli",))}
     for name, path in functions.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef):
                 given = node.args
                 parameters = [*given.posonlyargs, *given.args, *given.kwonlyargs]
