@@ -166,7 +166,7 @@ class Measures:
         in_order = episode.task == "sequence"
         # many episodes of a set have the goals of the last one
         find = functools.partial(find_stops, finder, goals, in_order=in_order)
-        stops = finder.search.keep("stops", (goals, in_order), find)
+        stops = finder.search.cached("stops", (goals, in_order), find)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops = stops

@@ -201,7 +201,7 @@ def inflate(
     """
     from navbake.formats.navgrid import encode_files  # loads numpy
     from navbake.runtime.inflation import SCALING, check_arguments
-    from navbake.runtime.passage import find_cuts  # loads numpy
+    from navbake.runtime.passage import find_closed_connections  # loads numpy
     from navbake.runtime.search import Search
 
     given = [value for value in (metres, radius) if value is not None]
@@ -229,7 +229,11 @@ def inflate(
         for content in (before, after)
     ]
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
-    cuts = find_cuts(one := Search(before), other := Search(after)) if mode == "exact" else []
+    cuts = (
+        find_closed_connections(one := Search(before), other := Search(after))
+        if mode == "exact"
+        else []
+    )
     if cuts:
         closed = one.islands.count
         were = "was" if one.islands.count == 1 else "were"

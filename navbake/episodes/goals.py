@@ -24,7 +24,6 @@ from navbake.runtime.places import snap
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
-walks = lazy("navbake.runtime.walk_kernels")  # numba loads slowly
 
 SNAP = 0.5  # from a position in no free cell to the nearest one, at most [m]
 SPACING = 0.25  # between view points, and between points of a path [m]
@@ -248,9 +247,15 @@ class GoalFinder:
             on_lattice = is_near & (rows % every == 0) & (cols % every == 0)
             for k in np.flatnonzero(on_lattice if on_lattice.any() else is_near):
                 # the line leaves the object through its own cells, then it must meet clear ones
-                begin = cells[here][nearest[k]], own[nearest[k]]
-                end = near[k : k + 1], np.ascontiguousarray(points[k : k + 1, :2])
-                if walks.first_in_sight(*search.sight, is_own, *begin, *end) == 0:
+                place = np.ascontiguousarray(points[k : k + 1, :2])
+                first_seen = search.first_in_sight(
+                    cell=cells[here][nearest[k]],
+                    point=own[nearest[k]],
+                    cells=near[k : k + 1],
+                    points=place,
+                    room=is_own,
+                )
+                if first_seen == 0:
                     heading = math.atan2(y - points[k, 1], x - points[k, 0])
                     views.append(ViewPoint(tuple(points[k].tolist()), heading))
         return Goal(

@@ -38,7 +38,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     # one row of cells for all levels, so that steps join cells like edges do
     steps = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
     arcs = find_arcs(grid.links, start)
-    ways = arcs.ends[arcs.wide(grid.radius)]
+    ways = arcs.ends[arcs.fits_radius(grid.radius)]
     island = label_islands(start, width, free, floor, step_limit(grid), steps, ways)
     return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 

@@ -197,7 +197,7 @@ class Arcs(NamedTuple):
     cost: Float  # [m]
     seconds: Float
 
-    def wide(self, radius: float) -> Bool:
+    def fits_radius(self, radius: float) -> Bool:
         """Which of them an agent of a radius fits through."""
         return np.asarray(self.width >= 2.0 * radius * (1.0 - SLACK))
 

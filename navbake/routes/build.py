@@ -24,7 +24,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import SPEED, Agent
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
 from navbake.runtime.blocking import find_agent, fit_grid
-from navbake.runtime.flat_grid import find_leaf, find_stairs
+from navbake.runtime.flat_grid import find_leaf_cells, find_stairs
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -75,7 +75,9 @@ class _Builder:
             for number, level in enumerate(self.grid.levels)
         ])  # fmt: skip
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
-        self.leaves = {cell: own.id for own in grid.doors for cell in find_leaf(own, flat).tolist()}
+        self.leaves = {
+            cell: own.id for own in grid.doors for cell in find_leaf_cells(own, flat).tolist()
+        }
         self.links = [
             link
             for link in self.grid.links
@@ -147,7 +149,7 @@ class _Builder:
             for cell in step:
                 self._add(cell, "stop", f"{name} {flat.level_of(cell)}")
         for door in self.grid.doors:
-            cells = find_leaf(door, flat)
+            cells = find_leaf_cells(door, flat)
             cells = cells[self.inside[cells]]
             if len(cells):
                 cell = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
@@ -355,7 +357,7 @@ class _Builder:
         from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
         cells = np.array(self.cells)
-        _, onward = self.search.onward(cells)
+        _, onward = self.search.find_next_cells(cells)
         root = np.where(onward < 0, np.arange(len(onward)), onward)
         while (root != root[root]).any():
             root = root[root]

@@ -38,7 +38,7 @@ SAME = 1e-9  # [m] between two sizes that are one
 ROUNDING = 1e-5  # [m] of floors in files, which are float32
 
 
-class Block:
+class AddedObstacle:
     """Cells that are blocked until `free` is called, or until the end of a with statement.
 
     Attributes:
@@ -52,7 +52,7 @@ class Block:
     ) -> None:
         self.arguments = arguments or {}
         self._grid = grid
-        self.copies: list[Block] = []  # on grids for agents of other sizes
+        self.copies: list[AddedObstacle] = []  # on grids for agents of other sizes
         self.cells = [of_level[BLOCKED] for of_level in layers]
         self._held: list[tuple[SceneGrid2D, BlockState, Layers]] = []
         for level, of_level in zip(grid.levels, layers, strict=True):
@@ -93,7 +93,7 @@ def _begin(level: SceneGrid2D) -> BlockState:
 
 
 def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bool) -> None:
-    """Block or free cells."""
+    """AddedObstacle or free cells."""
     count = state.count.reshape(len(cells), -1)
     for number, ids in zip(count, cells, strict=True):
         if is_held:
@@ -158,8 +158,8 @@ def block(
     level: int | None = None,
     height: float | None = None,
     margin: float | None = None,
-) -> Block:
-    """Block cells of a grid for a moving thing until they are freed.
+) -> AddedObstacle:
+    """AddedObstacle cells of a grid for a moving thing until they are freed.
 
     The grid's weights, occupancy and ``clearance`` layer change in place, and each
     `PathFinder` on it takes the change over, those of agents of other sizes with the margin of
@@ -184,7 +184,7 @@ def block(
     given: dict[str, Any] = {
         "cells": cells, "disc": disc, "box": box, "level": level, "height": height, "margin": margin
     }  # fmt: skip
-    made = Block(grid, _find_layers(grid, **given), given)
+    made = AddedObstacle(grid, _find_layers(grid, **given), given)
     made.copies += [block(fitted, **given) for fitted in grid.fitted or ()]
     return made
 

@@ -15,15 +15,12 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.lazy import lazy
 from navbake.navgrid.cells import check_level
 from navbake.runtime.flat_grid import REAL, FlatGrid, check_distance, text_of
 from navbake.runtime.inflation import check_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
 from navbake.runtime.surroundings import free_for
 from navbake.types import Bool, Float, Int
-
-walks = lazy("navbake.runtime.walk_kernels")  # numba loads slowly
 
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
 STRATA = ("area", "room", "island")
@@ -156,7 +153,7 @@ class DrawQuestions(PlaceQuestions):
             # the first in a random order that sees the target: uniform among all that do
             cells = rng.permutation(cells)
             points = np.ascontiguousarray(flat.positions(cells)[:, :2])
-            found = walks.first_in_sight(*search.sight, number, home, p, cells, points)
+            found = search.first_in_sight(home, p, cells, points, number)
             cells = cells[found : found + 1] if found >= 0 else cells[:0]
         place = self._draw(cells, rng, None, False, **limits, **{"in sight": in_sight})
         return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
@@ -233,7 +230,7 @@ class DrawQuestions(PlaceQuestions):
                 allowed = allowed & free_for(grid, clearance, ledges_of(grid))
             return along_hilbert(search.flat, np.flatnonzero(allowed))
 
-        cells = search.keep("spawns", (numbers, level, islands, clearance), find)
+        cells = search.cached("spawns", (numbers, level, islands, clearance), find)
         if not len(cells):
             needed = "" if clearance is None else f" with {clearance:g} m round"
             raise QueryError(f"no free cell{needed} {where}")

@@ -135,7 +135,7 @@ class FlatGrid:
         On the floor these are octile distances times the smallest weight, `least`. Without links
         that cost less than that there are none.
         """
-        wide = self.arcs.wide(radius)
+        wide = self.arcs.fits_radius(radius)
         cells, ends = np.unique(self.arcs.ends[wide], return_inverse=True)
         stops = self.positions(cells)[:, :2]
         ends = ends.reshape(-1, 2)
@@ -149,7 +149,7 @@ class FlatGrid:
 
     def links(self, radius: float, *, by_time: bool = False, backwards: bool = False) -> Links:
         """Steps, and the passages that an agent of a radius fits through, from or to each cell."""
-        wide = self.arcs.wide(radius)
+        wide = self.arcs.fits_radius(radius)
         if not wide.any():
             return self.steps
         ends = np.concatenate([np.stack(self.step_ends(), axis=1), self.arcs.ends[wide]])
@@ -324,7 +324,7 @@ def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
     return found
 
 
-def find_leaf(door: Door, flat: FlatGrid) -> Int:
+def find_leaf_cells(door: Door, flat: FlatGrid) -> Int:
     """The flat ids of the cells that a door's leaf takes when closed."""
     cells = door.solid_in if door.solid else door.cells_in
     pairs = zip(flat.layout.start, cells("closed", flat.num_levels), strict=False)
@@ -394,7 +394,7 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     layout = flat.layout
     floors = flat.floors
     steps = [np.stack(flat.step_ends(), axis=1)]
-    passages = flat.arcs.ends[flat.arcs.wide(radius)]
+    passages = flat.arcs.ends[flat.arcs.fits_radius(radius)]
     if moves is not None:
         for bit, across in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)

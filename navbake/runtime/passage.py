@@ -22,7 +22,7 @@ from navbake.runtime import inflation
 from navbake.runtime.flat_grid import (
     RISE,
     doors_on,
-    find_leaf,
+    find_leaf_cells,
     find_stairs,
     map_islands,
     text_of,
@@ -143,7 +143,7 @@ def find_widest(
     return radii[good], *(free_for(grid, radii[k], ledges) for k in (good, good + 1))
 
 
-def find_cuts(before: Search, after: Search) -> list[tuple[str, Int]]:
+def find_closed_connections(before: Search, after: Search) -> list[tuple[str, Int]]:
     """Find the steps between levels, the links and the doors that only one of two grids has open.
 
     Steps side by side are one way. They are closed where no free step is left, or where the free
@@ -174,7 +174,7 @@ def find_cuts(before: Search, after: Search) -> list[tuple[str, Int]]:
         if was_fit and not is_fit:
             found.append((f"the link {link.name!r} ({link.kind})", cells))
     for door in before.grid.doors:
-        cells = find_leaf(door, flat)
+        cells = find_leaf_cells(door, flat)
         cells = cells[flat.free[cells]]
         if len(cells) and not after.flat.free[cells].any():
             found.append((f"door {door.id!r}", cells))
@@ -411,7 +411,9 @@ def name_gap(search: Search, origin: int, goals: Int) -> str | None:
     weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
     route = find_route(with_weights(plain.grid, weights), search, origin, goals)
     way = NO_CELLS if route is None else route
-    closed = [name for name, cells in find_cuts(plain, search) if np.isin(cells, way).any()]
+    closed = [
+        name for name, cells in find_closed_connections(plain, search) if np.isin(cells, way).any()
+    ]
     if closed:
         is_one = len(closed) == 1 and not closed[0].startswith("the stairs")
         names = f"{' and '.join(closed)} {'is' if is_one else 'are'}"

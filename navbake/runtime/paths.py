@@ -99,7 +99,7 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
         if kind == "room":
             return Target(f"room {name!r}", search.rooms.cells(name))
         if kind == "object":
-            return Target(f"object {name!r}", cells_around(search, name))
+            return Target(f"object {name!r}", cells_next_to_object(search, name))
         raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
     p = check_positions(goal, flat.num_levels, level)
     if p.ndim > 2 or not p.size:
@@ -109,7 +109,7 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
     return Target(name, flat.cells_at(p, level), p)
 
 
-def cells_around(search: Search, name: str) -> Int:
+def cells_next_to_object(search: Search, name: str) -> Int:
     """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
 
     A search runs ring by ring on each level from the object's cells, up to 1 m away, over cells
@@ -237,4 +237,4 @@ def find_field(
         field.flags.writeable = False
         return field
 
-    return search.keep("fields", (by, goals.tobytes()), make)
+    return search.cached("fields", (by, goals.tobytes()), make)

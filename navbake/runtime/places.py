@@ -23,7 +23,6 @@ walks = lazy("navbake.runtime.walk_kernels")
 MAX_DROP = 0.5  # [m], see `navbake.runtime.place_kernels`, which loads numba
 FIRST_LOOK = 1.0  # [m], first radius of the search in sight
 SLACK = 1e-9  # metres
-NO_ROOMS = np.empty(0, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,8 +228,7 @@ class PlaceQuestions:
         q, other = search.flat.locate(b, level)
         if one < 0 or other < 0:
             return False
-        ends = np.array([other]), q[None]
-        return bool(walks.first_in_sight(*search.sight, NO_ROOMS, one, p, *ends) == 0)
+        return search.first_in_sight(one, p, np.array([other]), q[None]) == 0
 
     def nearest_obstacle(
         self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
@@ -336,9 +334,7 @@ def _snap_in_sight(
         # stable, so that of equally near cells the lowest id comes first
         order = np.argsort(distance, kind="stable")
         near = order[: np.count_nonzero(distance <= radius)]
-        found = walks.first_in_sight(
-            *search.sight, search.rooms.number, home, p, cells[near], centers[near]
-        )
+        found = search.first_in_sight(home, p, cells[near], centers[near], search.rooms.number)
         if found >= 0:
             return np.asarray(centers[near[found]])
         if len(near) == most or radius >= farthest:

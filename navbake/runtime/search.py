@@ -28,11 +28,13 @@ if TYPE_CHECKING:
 arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
 lines = lazy("navbake.runtime.line_kernels")
 routes = lazy("navbake.runtime.search_kernels")
+walks = lazy("navbake.runtime.walk_kernels")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
 MAX_KEPT = 8  # cached results of each kind
 NO_CELLS = np.empty(0, dtype=np.int64)
+NO_ROOMS = np.empty(0, dtype=np.int32)
 Kept = TypeVar("Kept")
 
 
@@ -41,7 +43,7 @@ class Route(NamedTuple):
 
     cells: Int  # flat ids
     by_link: Bool  # whether a link led to each, or a step to another level
-    spent: float  # by what was planned for
+    cost: float  # by what was planned for
 
 
 class Search:
@@ -113,7 +115,7 @@ class Search:
         if by == "cost" and not (backwards and len(self.flat.arcs.ends)):
             return self.graph
         make = partial(self._make_graph, by, backwards)
-        return self.keep("graphs", (by, backwards), make)
+        return self.cached("graphs", (by, backwards), make)
 
     def _make_graph(self, by: str, backwards: bool) -> Graph:
         flat = self.flat
@@ -130,7 +132,7 @@ class Search:
         links = flat.links(self.radius, by_time=by == "time", backwards=backwards)
         size = float(flat.layout.cell_size.min())
         longest = float(links.length.max(initial=0))
-        wide = flat.arcs.wide(self.radius)
+        wide = flat.arcs.fits_radius(self.radius)
         one, other = flat.positions(flat.arcs.ends[wide].T)
         covered = least * octile(one - other)
         spent = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[wide]
@@ -173,7 +175,7 @@ class Search:
             level, window, self._moves,
         )  # fmt: skip
 
-    def keep(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
+    def cached(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
         """Return `make()`, cached per kind, key and grid version; keeps the `most` last used."""
         kept = self._kept.setdefault(kind, {})
         key = (self.version, key)
@@ -197,20 +199,44 @@ class Search:
         """The connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
         find = partial(flat_grid.map_islands, self.flat, self.radius, moves)
-        return self.keep("islands", None, find, 1)
+        return self.cached("islands", None, find, 1)
 
     @property
     def occupied(self) -> Bool:
         """Cells that are occupied now or have no floor, by flat id; see `SceneGrid2D.solid`."""
         solid = (level.solid.ravel() != 0 for level in self.grid.levels)
-        return self.keep("occupied", None, lambda: np.concatenate(list(solid)), 1)
+        return self.cached("occupied", None, lambda: np.concatenate(list(solid)), 1)
 
-    @property
-    def sight(self) -> tuple[Any, ...]:
-        """The arguments of line-of-sight walks: layout, steps, unlimited floors and clear cells."""
-        clear = self.keep("clear", None, lambda: ~self.occupied, 1)
+    def first_in_sight(
+        self, cell: int, point: Float, cells: Int, points: Float, room: Int32 = NO_ROOMS
+    ) -> int:
+        """The index of the first of some points that is in sight of a point, -1 for none.
+
+        Only occupied cells hide; heights are not compared.
+
+        Args:
+            cell: flat id of the cell that the point is in.
+            point: world x, y [m], shape (2,) or (3,).
+            cells: flat ids of the cells of `points`, shape (n,).
+            points: world x, y [m], shape (n, 2) or (n, 3), C-contiguous.
+            room: by flat id. The line may start in occupied cells, and leave them within the room
+                of the first one; empty if it may not.
+        """
+        is_clear = self.cached("clear", None, lambda: ~self.occupied, 1)
         floors = self.flat.floors._replace(max_step=math.inf)
-        return self.flat.layout, self.flat.steps, floors, clear
+        return int(
+            walks.first_in_sight(
+                self.flat.layout,
+                self.flat.steps,
+                floors,
+                is_clear,
+                room,
+                cell,
+                point,
+                cells,
+                points,
+            )
+        )
 
     def allowed(
         self,
@@ -260,7 +286,7 @@ class Search:
             flat = self.flat
             least = graph.least_weight
             find = partial(flat.ways_by_links, self.radius, least, by_time=by == "time")
-            stops, ways = self.keep("ways by links", by, find)
+            stops, ways = self.cached("ways by links", by, find)
             if len(stops):
                 places = flat.positions(goals)[:, :2]
                 low = places.min(axis=0)
@@ -285,14 +311,14 @@ class Search:
         graph = self.graph
         is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not route.by_link.any()
         if by == "cost" and is_plain:
-            return route.spent, route.spent / graph.same_weight * float(flat.pace[0]), []
+            return route.cost, route.cost / graph.same_weight * float(flat.pace[0]), []
         level, row, col = places
         length = flat.layout.cell_size[level]
         length[1:][(np.diff(row) != 0) & (np.diff(col) != 0)] *= math.sqrt(2.0)
         length[0] = 0.0
         pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
         if by == "cost" and not route.by_link.any():
-            return route.spent, float((length * pace).sum()), []
+            return route.cost, float((length * pace).sum()), []
         cost = np.zeros_like(length)
         seconds = np.zeros_like(length)
         names = list[tuple[int, str]]()
@@ -301,7 +327,7 @@ class Search:
             ends = route.cells[k - 1 : k + 1]
             step = np.flatnonzero((sources == ends[0]) & (targets == ends[1]))
             length[k] = flat.steps.length[step[0]] if len(step) else 0.0
-            arcs = (flat.arcs.ends == ends).all(axis=1) & flat.arcs.wide(self.radius)
+            arcs = (flat.arcs.ends == ends).all(axis=1) & flat.arcs.fits_radius(self.radius)
             if not arcs.any():
                 continue
             spent = flat.arcs.seconds if by == "time" else flat.arcs.cost
@@ -315,7 +341,7 @@ class Search:
                 seconds[k] = flat.arcs.seconds[arc]
         cost = cost + length * flat.weight[route.cells]
         seconds = seconds + length * pace
-        return route.spent if by == "cost" else float(cost.sum()), float(seconds.sum()), names
+        return route.cost if by == "cost" else float(cost.sum()), float(seconds.sum()), names
 
     def field(self, goals: Int, *, by: str = "cost", backwards: bool = True) -> Float:
         """What the cheapest route from each cell to any goal costs, or to each cell; inf for none.
@@ -324,7 +350,7 @@ class Search:
         """
         return self._flood(goals, by, backwards)[0]
 
-    def onward(self, goals: Int) -> tuple[Float, Int]:
+    def find_next_cells(self, goals: Int) -> tuple[Float, Int]:
         """The `field` by cost, and the next cell of each route: itself at a goal, -1 for none."""
         flat = self.flat
         links = self.graph.links

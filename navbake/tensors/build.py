@@ -220,7 +220,9 @@ def _goal_fields(
         parts = [every[number, k, : v.height, : v.width].ravel() for k, v in levels]
         ids = np.concatenate([*parts, np.array([-1], dtype=np.int32)])
         for k, goal in enumerate(goals[number]):
-            field, following = search.onward(find_target(search, goal).free_cells(search.flat))
+            field, following = search.find_next_cells(
+                find_target(search, goal).free_cells(search.flat)
+            )
             cost[k, number] = _pad(search, field, shape, np.inf)
             onward[k, number] = _pad(search, ids[following], shape, -1)
     return {"cost": cost.ravel(), "onward": onward.ravel()}

@@ -8,7 +8,7 @@ import pytest
 import navbake
 from navbake.errors import FormatError, QueryError
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths import cells_around
+from navbake.runtime.paths import cells_next_to_object
 from oracles.ways import make_level, random_grid, stack
 from project_paths import GOLDEN
 
@@ -250,12 +250,12 @@ def test_next_to_an_object_is_on_this_side_of_the_wall():
     grid = from_map(["00000000", "########", "0##00000", "00000000"])
     grid.attributes["occupancy"] = (~grid.free).astype(np.uint8)
     grid.user_data = {17: {"objects": ["shelf"]}, 18: {"objects": ["shelf"]}}
-    found = cells_around(PathFinder(grid).search, "shelf")
+    found = cells_next_to_object(PathFinder(grid).search, "shelf")
     assert found.tolist() == [16, 19, 20, 24, 25, 26, 27]
     grid.weights[2, 3:] = grid.weights[2, 0] = np.inf  # as an inflation leaves it
     grid.weights[3, 1:4] = np.inf
     # two islands, each with its nearest cells
-    assert cells_around(PathFinder(grid).search, "shelf").tolist() == [24, 28, 29]
+    assert cells_next_to_object(PathFinder(grid).search, "shelf").tolist() == [24, 28, 29]
 
 
 @pytest.mark.parametrize(
@@ -317,7 +317,7 @@ def beside_thing(*rows: str) -> list[str]:
     grid.attributes["solid"] = (~np.isin(cells, (".", "~"))).astype(np.uint8)
     grid.metadata["navbake"] = {"version": "0"}  # else `solid` may be anything
     grid.user_data = {n: NAMES[cell] for n, cell in enumerate(cells.flat) if cell in NAMES}
-    cells.ravel()[cells_around(PathFinder(grid).search, "thing")] = "x"
+    cells.ravel()[cells_next_to_object(PathFinder(grid).search, "thing")] = "x"
     return ["".join(row) for row in cells.tolist()]
 
 

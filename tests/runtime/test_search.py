@@ -39,8 +39,8 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
             assert found is None
         else:
             assert_is_route(found, origin, goals, graph)
-            assert found.spent == pytest.approx(expected, rel=1e-8, abs=1e-12)
-    field, onward = search.onward(goals)
+            assert found.cost == pytest.approx(expected, rel=1e-8, abs=1e-12)
+    field, onward = search.find_next_cells(goals)
     np.testing.assert_array_equal(field, search.field(goals))
     assert np.isinf(field[~search.flat.free]).all()
     np.testing.assert_allclose(field[free], exact[:, goals].min(axis=1), rtol=1e-8, atol=1e-12)
@@ -71,7 +71,7 @@ def test_weights_far_apart_stay_exact():
     exact = dijkstra(step_graph(grid), indices=np.arange(144))
     np.testing.assert_allclose(search.field(np.array([77])), exact[:, 77], rtol=1e-8)
     for origin in range(0, 144, 13):
-        cost = search.route(origin, np.array([77])).spent
+        cost = search.route(origin, np.array([77])).cost
         assert cost == pytest.approx(exact[origin, 77], rel=1e-8)
 
 
@@ -93,7 +93,7 @@ def test_a_route_that_opens_more_cells_than_there_is_room_for_at_first():
     weights = 10.0 ** rng.uniform(0, 4, shape)
     search = Search(make_level(np.ones(shape), np.zeros(shape), weights))
     goal = np.array([weights.size - 1])
-    assert search.route(0, goal).spent == pytest.approx(search.field(goal)[0], rel=1e-8)
+    assert search.route(0, goal).cost == pytest.approx(search.field(goal)[0], rel=1e-8)
 
 
 def test_searches_may_be_counted_from_one_again(monkeypatch):
