@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from navbake.baker.bake.boxes import LevelBoxes
 from navbake.baker.core.windows import Window
-from navbake.baker.doors.doors import PlacedLeaf, keep_doors
+from navbake.baker.doors.doors import ClassifiedLeaf, select_doors
 from navbake.baker.floors.levels import Floors
 from navbake.baker.links.areas import PaintedAreas
-from navbake.baker.links.ground import Space
 from navbake.baker.links.links import BakedLinks
-from navbake.baker.occupants.movable import Occupants
-from navbake.baker.occupants.standing import Contents
+from navbake.baker.links.search import CollisionGeometry
+from navbake.baker.occupants.movable import MovableOccupants
+from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
@@ -53,10 +53,10 @@ class Standing:
         lattice: the cells.
         floors: the storeys.
         layers: the layers of each level that nothing which moves changes.
-        contents: what stands in the cells; None where neither names nor rooms need it.
+        occupants: what stands in the cells; None where neither names nor rooms need it.
         rooms: the room of each cell.
         boxes: the rectangle and the box of each level.
-        space: what links are found in; None where there are none.
+        link_geometry: what an agent on a link may collide with; None where there are none.
         stated_settings: the settings and their digest, as a file states them.
         steps: the steps of the floors, with cells counted on each level's own rectangle.
         warnings: what the user should know of it, one line each.
@@ -65,10 +65,10 @@ class Standing:
     lattice: Lattice
     floors: Floors
     layers: list[StandingLayers]
-    contents: Contents | None
+    occupants: StandingOccupants | None
     rooms: Rooms
     boxes: LevelBoxes
-    space: Space | None
+    link_geometry: CollisionGeometry | None
     stated_settings: Json
     steps: list[list[int]]
     warnings: list[str]
@@ -106,9 +106,9 @@ class Moving:
     """
 
     scene: Scene
-    doors: list[PlacedLeaf]
+    doors: list[ClassifiedLeaf]
     in_the_way: Bool
-    occupants: Occupants
+    occupants: MovableOccupants
     lost_floors: dict[int, float]
     cut_doors: list[CutDoor]
     room_table: list[Json]
@@ -116,6 +116,6 @@ class Moving:
     links: BakedLinks
 
     @property
-    def placed_doors(self) -> list[PlacedLeaf]:
+    def placed_doors(self) -> list[ClassifiedLeaf]:
         """The leaves that are doors."""
-        return keep_doors(self.doors)
+        return select_doors(self.doors)

@@ -19,7 +19,7 @@ from navbake.baker.bake.stages import open_stages
 from navbake.baker.bake.warnings import collect_warnings
 from navbake.baker.core.clock import Progress, StageClock
 from navbake.baker.core.windows import cut_cells
-from navbake.baker.occupants.movable import name_contents
+from navbake.baker.occupants.movable import name_occupants
 from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
 from navbake.baker.scene.scene import GeomReport, Scene
 from navbake.config.keywords import SettingKeywords
@@ -240,17 +240,17 @@ def _level_grid(
     attributes: dict[str, NDArray[Any]] = {
         "floorHeight": layers.floor,
         "roomIndex": layers.room_index,
-        "occupancy": with_doors(moving.occupants.occupied[number], "cells"),
+        "occupancy": with_doors(moving.occupants.blocked[number], "cells"),
     }
-    if moving.occupants.solid is not None:
-        attributes["solid"] = with_doors(moving.occupants.solid[number], "solid")
+    if moving.occupants.blocked_squares is not None:
+        attributes["solid"] = with_doors(moving.occupants.blocked_squares[number], "solid")
     if layers.unseen is not None:
         attributes["unseen"] = layers.unseen
     if moving.areas.layers:
         attributes["area"] = np.ascontiguousarray(moving.areas.layers[number][window])
     user_data = UserData()
-    if standing.contents is not None and config.names.enabled:
-        named = name_contents(standing.contents, moving.occupants, number, window)
+    if standing.occupants is not None and config.names.enabled:
+        named = name_occupants(standing.occupants, moving.occupants, number, window)
         num_levels = len(standing.floors.levels)
         # found on first use
         user_data = UserData(lambda: with_door_names(named, doors, number, num_levels).source)

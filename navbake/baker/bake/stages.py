@@ -35,31 +35,31 @@ from navbake.baker.core.clock import Progress, StageClock
 from navbake.baker.core.components import label_parts
 from navbake.baker.core.windows import Window, cut_cells
 from navbake.baker.doors.doors import (
+    ClassifiedLeaf,
     DoorContext,
     LeafCells,
-    PlacedLeaf,
-    block_cells,
+    classify_leaves,
     cut_door,
+    find_blocked_cells,
     is_stuck,
-    keep_doors,
-    place_doors,
     pose_leaves,
+    select_doors,
 )
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.geometry.extents import Extents, measure_geoms
 from navbake.baker.links.areas import PaintedAreas, paint_areas
-from navbake.baker.links.ground import Ground, Obstacles, Space
 from navbake.baker.links.links import BakedLinks, find_links
-from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
-from navbake.baker.occupants.kinds import wall_candidates
+from navbake.baker.links.search import CollisionGeometry, CollisionShapes, LinkSearch
+from navbake.baker.occupancy.occupancy import Footprint, Occupancy, check_occupancy
+from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.baker.occupants.lost_floors import find_lost_floors
-from navbake.baker.occupants.movable import Occupants, OverFloors, find_occupants
+from navbake.baker.occupants.movable import MovableContext, MovableOccupants, find_movable_occupants
 from navbake.baker.occupants.standing import (
-    Contents,
     StandingCells,
-    classify_contents,
-    find_standing,
+    StandingOccupants,
+    classify_occupants,
+    find_standing_cells,
 )
 from navbake.baker.rooms.flags import RoomFlags, gather_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
@@ -206,8 +206,8 @@ class Stages:
         with self.clock.stage("occupancy"):
             probed = None
             if self.extents is not None:
-                probed = wall_candidates(self.scene, self.extents)
-            return find_standing(
+                probed = mark_wall_candidates(self.scene, self.extents)
+            return find_standing_cells(
                 columns,
                 self.tile_index,
                 floors=floors,
@@ -223,13 +223,13 @@ class Stages:
         return self.standing_cells.occupancy
 
     @cached_property
-    def contents(self) -> Contents | None:
+    def standing_occupants(self) -> StandingOccupants | None:
         """What stands in the cells; None where neither names nor rooms need it."""
         cells = self.standing_cells
         with self.clock.stage("contents"):
             if self.extents is None:
                 return None
-            return classify_contents(
+            return classify_occupants(
                 self.scene,
                 cells.levels,
                 floors=self.floors,
@@ -238,19 +238,24 @@ class Stages:
                 settings=self.config.names,
             )
 
+    @property
+    def contents(self) -> StandingOccupants | None:
+        """`standing_occupants` by the name that its stage has in timings."""
+        return self.standing_occupants
+
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings and leaves."""
         cells = self.standing_cells
-        contents = self.contents
+        standing_occupants = self.standing_occupants
         with self.clock.stage("rooms"):
             return gather_flags(
                 self.scene,
                 self.column_blocks,
                 floors=self.floors,
                 column_flags=cells.column_flags,
-                contents=contents,
-                occupied=cells.occupancy.solid or cells.occupancy.levels,
+                standing_occupants=standing_occupants,
+                occupied=cells.occupancy.blocked_squares or cells.occupancy.levels,
                 settings=self.config.rooms,
                 agent=self.config.agent,
             )
@@ -261,7 +266,7 @@ class Stages:
         levels = self.floors.levels
         with self.clock.part("doors"):
             leaves = pose_leaves(self.scene, self.scene.leaves, self.lattice, self.footprint.reach)
-            return block_cells(leaves, levels, self.footprint, self.lattice)
+            return find_blocked_cells(leaves, levels, self.footprint, self.lattice)
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -287,12 +292,12 @@ class Stages:
         )
 
     @cached_property
-    def doors(self) -> list[PlacedLeaf]:
+    def doors(self) -> list[ClassifiedLeaf]:
         """What each leaf is, and what it blocks in each state."""
         context = self.door_context
         leaf_cells = self.leaf_cells
         with self.clock.stage("doors"):
-            return place_doors(leaf_cells, context)
+            return classify_leaves(leaf_cells, context)
 
     @cached_property
     def in_the_way(self) -> Bool:
@@ -300,17 +305,17 @@ class Stages:
         return mark_in_the_way(self.scene, self.doors, self.config)
 
     @cached_property
-    def occupants(self) -> Occupants:
+    def occupants(self) -> MovableOccupants:
         """What can move, and leaves that are no doors; and what anything but doors occupies."""
         in_the_way = self.in_the_way
-        over_floors = self.over_floors
+        movable_context = self.movable_context
         with self.clock.stage("occupants"):
-            return find_occupants(over_floors, self.scene.shapes, in_the_way)
+            return find_movable_occupants(movable_context, self.scene.shapes, in_the_way)
 
     @property
-    def over_floors(self) -> OverFloors:
+    def movable_context(self) -> MovableContext:
         """Over which floors one looks for what can move."""
-        return OverFloors(
+        return MovableContext(
             lattice=self.lattice,
             floors=self.floors,
             standing=self.occupancy,
@@ -343,7 +348,7 @@ class Stages:
                 standing,
                 doors=doors,
                 in_the_way=in_the_way,
-                occupied=occupants.occupied,
+                occupied=occupants.blocked,
                 config=self.config,
             )
 
@@ -370,9 +375,11 @@ class Stages:
     @cached_property
     def standing(self) -> Standing:
         """What follows from what stands, for the grid and its updates."""
-        space = None
+        link_geometry = None
         if self.config.links:
-            space = Space([Obstacles(self.column_blocks, self.tile_index)], self.footprint)
+            link_geometry = CollisionGeometry(
+                [CollisionShapes(self.column_blocks, self.tile_index)], self.footprint
+            )
         boxes = find_level_boxes(
             self.floors.levels,
             self.occupancy.levels,
@@ -384,10 +391,10 @@ class Stages:
             lattice=self.lattice,
             floors=self.floors,
             layers=_cut_layers(self.floors.levels, self.rooms, boxes.windows),
-            contents=self.contents,
+            occupants=self.standing_occupants,
             rooms=self.rooms,
             boxes=boxes,
-            space=space,
+            link_geometry=link_geometry,
             stated_settings={
                 "settingsDigest": settings_digest(self.config),
                 "settings": settings_to_state(self.config),
@@ -399,7 +406,7 @@ class Stages:
                 judged=self.judged,
                 floors=self.floors,
                 occupancy=self.occupancy,
-                contents=self.contents,
+                standing_occupants=self.standing_occupants,
                 rooms=self.rooms,
                 boxes=boxes,
                 holes=self.holes,
@@ -411,7 +418,7 @@ class Stages:
         """What follows from the pose, too, for the grid and its updates."""
         standing = self.standing
         occupants = self.occupants
-        placed_doors = keep_doors(self.doors)
+        placed_doors = select_doors(self.doors)
         return Moving(
             scene=self.scene,
             doors=self.doors,
@@ -481,12 +488,12 @@ def occupancy_test(columns: ColumnSource, tiles: ShapeSource, config: BakeConfig
 
     def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
         volume = narrow if band is None else narrow.between(band)
-        return look_at_cells(columns.at(cells), tiles.at(cells), volume, cells, floors).occupied
+        return check_occupancy(columns.at(cells), tiles.at(cells), volume, cells, floors).occupied
 
     return is_occupied
 
 
-def mark_in_the_way(scene: Scene, doors: Sequence[PlacedLeaf], config: BakeConfig) -> Bool:
+def mark_in_the_way(scene: Scene, doors: Sequence[ClassifiedLeaf], config: BakeConfig) -> Bool:
     """Mark the geoms that are only ever in the way: movables, and leaves that are no doors.
 
     With `exclude.movable`, such leaves that can move are left out, too.
@@ -500,21 +507,21 @@ def mark_in_the_way(scene: Scene, doors: Sequence[PlacedLeaf], config: BakeConfi
 
 
 def cut_placed(
-    placed: PlacedLeaf,
+    placed: ClassifiedLeaf,
     standing: Standing,
-    occupants: Occupants,
+    occupants: MovableOccupants,
     config: BakeConfig,
 ) -> CutDoor:
     """A door as the grid has it: its cells that nothing else occupies, by level."""
     door = cut_door(
         placed,
-        occupants.occupied,
-        occupants.solid,
+        occupants.blocked,
+        occupants.blocked_squares,
         windows=standing.boxes.windows,
         width=standing.lattice.width,
         wanted=config.doors.state,
     )
-    return CutDoor(door, list_door(door), is_stuck(placed, occupants.occupied))
+    return CutDoor(door, list_door(door), is_stuck(placed, occupants.blocked))
 
 
 def list_door(door: Door) -> Json:
@@ -527,7 +534,7 @@ def list_door(door: Door) -> Json:
     return entry
 
 
-def list_rooms(rooms: Rooms, doors: Sequence[PlacedLeaf]) -> list[Json]:
+def list_rooms(rooms: Rooms, doors: Sequence[ClassifiedLeaf]) -> list[Json]:
     """The table of rooms as a file states it, with the doors between them."""
     closed = {placed.candidate.id: (placed.rooms, placed.closed_cells) for placed in doors}
     return [room.to_json() for room in rooms.with_neighbours(closed).table]
@@ -567,7 +574,7 @@ def _cut_steps(links: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
 def make_links(
     scene: Scene,
     standing: Standing,
-    doors: Sequence[PlacedLeaf],
+    doors: Sequence[ClassifiedLeaf],
     in_the_way: Bool,
     occupied: Sequence[Bool],
     config: BakeConfig,
@@ -578,24 +585,26 @@ def make_links(
         in_the_way: see `mark_in_the_way`.
         occupied: the cells of each level that anything but doors occupies.
     """
-    if standing.space is None:
+    if standing.link_geometry is None:
         return BakedLinks([], [])
     floors = np.stack([level.floor for level in standing.floors.levels])
     free = ~(np.stack(occupied) | np.isnan(floors))
-    for placed in keep_doors(doors):  # as doors are, so are their links
+    for placed in select_doors(doors):  # as doors are, so are their links
         for cells in placed.blocked.values():
             for level, blocked in zip(free, cells, strict=True):
                 level.ravel()[blocked] = False
-    ground = Ground(
+    search = LinkSearch(
         scene=scene,
         shapes=scene.shapes.only(scene.is_structure | in_the_way),
         lattice=standing.lattice,
         floors=floors,
         free=free,
-        space=standing.space.with_shapes(scene.shapes.only(in_the_way), standing.lattice),
+        geometry=standing.link_geometry.with_shapes(
+            scene.shapes.only(in_the_way), standing.lattice
+        ),
         agent=config.agent,
     )
-    return find_links(ground, config.links)
+    return find_links(search, config.links)
 
 
 def _describe_extent(scene: Scene, config: BakeConfig) -> str:

@@ -15,7 +15,7 @@ from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.reach import TOLD_AREA
 from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.occupancy.occupancy import Occupancy
-from navbake.baker.occupants.standing import Contents
+from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
@@ -81,7 +81,7 @@ def warn_of_standing(
     judged: FloorLattice,
     floors: Floors,
     occupancy: Occupancy,
-    contents: Contents | None,
+    standing_occupants: StandingOccupants | None,
     rooms: Rooms,
     boxes: LevelBoxes,
     holes: Float,
@@ -94,7 +94,7 @@ def warn_of_standing(
         *_warn_patches(floors, scene, LOST),
         *_warn_holes(config, holes),
         *_warn_hidden_ground(config, floors, scene),
-        *(contents.warnings if contents else ()),
+        *(standing_occupants.warnings if standing_occupants else ()),
         *rooms.warnings,
         *_warn_interleaved(floors, occupancy, boxes),
     ]
@@ -140,7 +140,7 @@ def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> It
     """Warn of levels without a cell that an agent can stand in."""
     full = [
         repr(level.name)
-        for level, taken in zip(floors.levels, moving.occupants.occupied, strict=True)
+        for level, taken in zip(floors.levels, moving.occupants.blocked, strict=True)
         if not _has_free(level.standable, taken)
     ]
     if full:
@@ -162,7 +162,7 @@ def _has_free(standable: Bool, taken: Bool) -> bool:
 def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
     """Warn of what can move and takes floor: robots, and things that move later."""
     scene = moving.scene
-    taken = moving.occupants.taken
+    taken = moving.occupants.num_blocked_alone
     bodies = np.flatnonzero(taken)
     bodies = bodies[~scene.stands[bodies]]  # else a leaf that hangs on no joint
     is_robot = np.isin(bodies, list(scene.actuated))

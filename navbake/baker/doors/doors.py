@@ -29,7 +29,7 @@ from navbake.baker.floors.surfaces import find_standable_tops
 from navbake.baker.geometry.extents import Extents, measure_geoms
 from navbake.baker.geometry.overlap_kernels import lines_blocked
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, mark_visible
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.leaves import DoorCandidate, largest_side
@@ -92,7 +92,7 @@ class LeafCells:
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedLeaf:
+class ClassifiedLeaf:
     """A leaf among floors and rooms: a door, or something that stands in the way as it is.
 
     It does not depend on what else stands there.
@@ -126,7 +126,7 @@ class PlacedLeaf:
         return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
 
 
-def keep_doors(leaves: Sequence[PlacedLeaf]) -> list[PlacedLeaf]:
+def select_doors(leaves: Sequence[ClassifiedLeaf]) -> list[ClassifiedLeaf]:
     """Those of the leaves that are doors."""
     return [placed for placed in leaves if placed.is_door]
 
@@ -142,7 +142,7 @@ def free_cells(blocked: CellsByState, occupied: Sequence[Bool]) -> dict[str, lis
     }
 
 
-def is_stuck(door: PlacedLeaf, occupied: Sequence[Bool]) -> bool:
+def is_stuck(door: ClassifiedLeaf, occupied: Sequence[Bool]) -> bool:
     """Whether a door's open state blocks most of what its closed one does."""
     cells = free_cells(door.blocked, occupied)
     closed = cells["closed"]
@@ -154,7 +154,7 @@ def is_stuck(door: PlacedLeaf, occupied: Sequence[Bool]) -> bool:
 
 
 def cut_door(
-    door: PlacedLeaf,
+    door: ClassifiedLeaf,
     occupied: Sequence[Bool],
     solid: Sequence[Bool] | None,
     windows: Sequence[Window],
@@ -187,7 +187,9 @@ def cut_door(
     )
 
 
-def warn_doors(doors: Sequence[PlacedLeaf], stuck_ids: Collection[str], wanted: str) -> list[str]:
+def warn_doors(
+    doors: Sequence[ClassifiedLeaf], stuck_ids: Collection[str], wanted: str
+) -> list[str]:
     """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor.
 
     `stuck_ids` are the ids of those that open nothing, see `is_stuck`.
@@ -302,7 +304,7 @@ def _cells_at(points: Float, lattice: Lattice) -> Int:
     return np.where(inside, rows * lattice.width + cols, -1)
 
 
-def block_cells(
+def find_blocked_cells(
     leaves: Sequence[Leaf], floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
 ) -> list[LeafCells]:
     """Find the cells that each leaf blocks in each state, over the floors of each level."""
@@ -342,7 +344,7 @@ def _find_blocked(
     for level in floors:
         floor = level.floor[rows, cols].ravel()
         local: Int = np.flatnonzero(~np.isnan(floor))
-        answers = look_at_cells(columns, tiled, footprint, local, floor[local])
+        answers = check_occupancy(columns, tiled, footprint, local, floor[local])
         row, col = np.divmod(local, cols.stop - cols.start)
         ids = (row + rows.start) * lattice.width + col + cols.start
         blocked.append(ids[answers.occupied])
@@ -350,7 +352,7 @@ def _find_blocked(
     return blocked, squares
 
 
-def place_doors(leaves: Sequence[LeafCells], context: DoorContext) -> list[PlacedLeaf]:
+def classify_leaves(leaves: Sequence[LeafCells], context: DoorContext) -> list[ClassifiedLeaf]:
     """Decide which leaves are doors.
 
     One that a pattern or the file names is a door always. Another is one where it stands between
@@ -365,11 +367,13 @@ def place_doors(leaves: Sequence[LeafCells], context: DoorContext) -> list[Place
         return [_place_door(cells, counts, context) for cells in leaves]
 
 
-def _place_door(cells: LeafCells, leaf_counts: Sequence[Int32], context: DoorContext) -> PlacedLeaf:
+def _place_door(
+    cells: LeafCells, leaf_counts: Sequence[Int32], context: DoorContext
+) -> ClassifiedLeaf:
     leaf = cells.leaf
     rooms = _rooms_beside(leaf, cells.blocked["closed"], leaf_counts, context)
     is_door = rooms is not None or leaf.candidate.named
-    return PlacedLeaf(
+    return ClassifiedLeaf(
         leaf,
         is_door,
         rooms or (None, None),
@@ -379,7 +383,7 @@ def _place_door(cells: LeafCells, leaf_counts: Sequence[Int32], context: DoorCon
     )
 
 
-def closes_alike(cells: LeafCells, former: PlacedLeaf) -> bool:
+def closes_same_cells(cells: LeafCells, former: ClassifiedLeaf) -> bool:
     """Whether a leaf in another pose closes the same cells, so that it is a door as it was."""
     lines = cells.leaf.lines
     before = former.leaf.lines
@@ -394,8 +398,8 @@ def closes_alike(cells: LeafCells, former: PlacedLeaf) -> bool:
     )
 
 
-def place_again(cells: LeafCells, former: PlacedLeaf, context: DoorContext) -> PlacedLeaf:
-    """A leaf in another pose that closes the same cells, see `closes_alike`."""
+def move_leaf(cells: LeafCells, former: ClassifiedLeaf, context: DoorContext) -> ClassifiedLeaf:
+    """A leaf in another pose that closes the same cells, see `closes_same_cells`."""
     return replace(
         former,
         leaf=cells.leaf,

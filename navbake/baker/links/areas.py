@@ -15,7 +15,7 @@ from navbake.baker.core.windows import Window
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.geometry.extents import measure_geoms
 from navbake.baker.geometry.overlap_kernels import lines_blocked
-from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.collect import Choice, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
@@ -155,7 +155,7 @@ def _mark_geoms(
         floors = floor[cells]
         inside = np.zeros(len(cells), dtype=np.bool_)
         if area.keeps_out:
-            inside = look_at_cells(columns, tiled, touching, cells, floors).occupied
+            inside = check_occupancy(columns, tiled, touching, cells, floors).occupied
         else:
             band: tuple[Float, Float] = (floors - BELOW, floors + high)
             lines_blocked(cells, *band, columns.hits, inside, 0, len(cells))

@@ -13,7 +13,14 @@ from navbake.baker.core.constants import BOX
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window
 from navbake.baker.geometry.extents import measure_geoms
-from navbake.baker.links.ground import WAYS, Ground, Landing, MadeLink, Obstacles, Space
+from navbake.baker.links.search import (
+    DIRECTIONS,
+    CollisionGeometry,
+    CollisionShapes,
+    Landing,
+    LatticeLink,
+    LinkSearch,
+)
 from navbake.baker.scene.cars import VERTICAL, find_lift_joints, measure_car
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import all_names, find_subtree_ends, mark_body
@@ -27,15 +34,15 @@ LADDER_GAP = 0.6  # between a ladder and where one stands beside it [m]
 LIFT_GAP = 0.5  # between the floor of a car and a landing [m]
 
 
-def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
+def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """Find the ladders: bodies or geoms whose names match, which reach from floor to floor.
 
     A ladder stops on each level that has a free cell within the gap [m] of its box, from above,
     whose floor lies between a step below its foot and a step above its top: at the nearest one. It
     is as wide as its box, seen from above.
     """
-    model = ground.scene.model
-    names = all_names(ground.scene.model)
+    model = search.scene.model
+    names = all_names(search.scene.model)
     patterns = rule.patterns or LADDERS
     gap = LADDER_GAP if rule.gap is None else rule.gap
     things = list[tuple[str, Bool]]()
@@ -50,26 +57,26 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
             taken |= own
     links = []
     for name, mask in things:
-        box = ground.shapes.only(mask).bounds
+        box = search.shapes.only(mask).bounds
         if box is None:
             continue
-        if len(stops := list(_stops_beside(box, gap, ground))) > 1:
+        if len(stops := list(_stops_beside(box, gap, search))) > 1:
             width = round(float(np.diff(box[:, :2], axis=0).max()), 6)
-            links.append(MadeLink(stops, {"name": name, "width": width}))
+            links.append(LatticeLink(stops, {"name": name, "width": width}))
     return links
 
 
-def _stops_beside(box: Float, gap: float, ground: Ground) -> Iterator[Stop]:
+def _stops_beside(box: Float, gap: float, search: LinkSearch) -> Iterator[Stop]:
     """The nearest free cell to a box on each level whose floors it reaches."""
     (x0, y0, low), (x1, y1, high) = box.tolist()
-    x = ground.lattice.center_x()
-    y = ground.lattice.center_y()[:, None]
+    x = search.lattice.center_x()
+    y = search.lattice.center_y()[:, None]
     off = np.hypot(np.clip(x, x0, x1) - x, np.clip(y, y0, y1) - y)
-    for level, (floor, free) in enumerate(zip(ground.floors, ground.free, strict=True)):
+    for level, (floor, free) in enumerate(zip(search.floors, search.free, strict=True)):
         here = free & (off <= gap + LIMIT_SLACK)
-        here &= (floor >= low - ground.step) & (floor <= high + ground.step)
+        here &= (floor >= low - search.step) & (floor <= high + search.step)
         if here.any():
-            yield ground.stop(level, int(np.argmin(np.where(here, np.round(off, 9), np.inf))))
+            yield search.stop(level, int(np.argmin(np.where(here, np.round(off, 9), np.inf))))
 
 
 class Car(NamedTuple):
@@ -88,7 +95,7 @@ class Car(NamedTuple):
     place: tuple[float, ...]  # x, y of its middle [m], yaw [rad], width along it and depth [m]
 
 
-def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
+def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """Find the lifts: bodies with one vertical slide joint whose floor meets two levels or more.
 
     The car stops where a straight way leads from its floor to a free cell beside it, over a gap up
@@ -98,57 +105,57 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     """
     links = []
     gap = LIFT_GAP if rule.gap is None else rule.gap
-    for car in _find_cars(ground, rule.patterns or ("*",), gap):
+    for car in _find_cars(search, rule.patterns or ("*",), gap):
         stops = list[Stop]()
         width = car.width
-        for level in range(len(ground.floors)):
-            land = _landing(car, level, ground)
-            found = ground.look_out((level, car.floor), range(len(WAYS)), gap, land)
+        for level in range(len(search.floors)):
+            land = _landing(car, level, search)
+            found = search.look_out((level, car.floor), range(len(DIRECTIONS)), gap, land)
             found["z"] = np.clip(found["other_z"], car.low, car.high)
-            for group, *_ in ground.group(found):
+            for group, *_ in search.group(found):
                 group["z"] = np.median(group["z"])
-                clear = group[ground.are_clear(group, _space_at(car, group["z"][0], ground))]
+                clear = group[search.are_clear(group, _space_at(car, group["z"][0], search))]
                 if len(clear):
-                    _, middle, out = max(ground.group(clear), key=lambda part: len(part[0]))
+                    _, middle, out = max(search.group(clear), key=lambda part: len(part[0]))
                     width = min(width, out)
                     way = int(middle["way"])
                     cell = int(middle["other_cell"])
-                    stops.append(ground.stand_back(level, cell, way, min(car.width, out)))
+                    stops.append(search.stand_back(level, cell, way, min(car.width, out)))
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
             fields = {"name": car.name, "width": round(width, 6), "car": car.place}
-            links.append(MadeLink(stops, fields))
+            links.append(LatticeLink(stops, fields))
     return links
 
 
-def _landing(car: Car, level: int, ground: Ground) -> Landing:
+def _landing(car: Car, level: int, search: LinkSearch) -> Landing:
     """Whether one lands on a level, beside the car."""
 
     def land(rows: Int, cols: Int, _z: Float, _between: int) -> tuple[Int, Bool, Bool]:
-        floor = ground.floors[level, rows, cols]
-        lands = np.abs(floor - np.clip(floor, car.low, car.high)) <= ground.step
-        lands &= ground.free[level, rows, cols] & ~car.outline[rows, cols]
+        floor = search.floors[level, rows, cols]
+        lands = np.abs(floor - np.clip(floor, car.low, car.high)) <= search.step
+        lands &= search.free[level, rows, cols] & ~car.outline[rows, cols]
         return np.full(len(rows), level), lands, ~car.floor[rows, cols]
 
     return land
 
 
-def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[Car]:
-    scene = ground.scene
-    lattice = ground.lattice
+def _find_cars(search: LinkSearch, patterns: Sequence[str], gap: float) -> Iterator[Car]:
+    scene = search.scene
+    lattice = search.lattice
     model = scene.model
     names = all_names(model).bodies
     ends = find_subtree_ends(model)
     for joint in find_lift_joints(model, scene.data, patterns):
         body = int(model.jnt_bodyid[joint])
         own = mark_body(model, body, int(ends[body]))
-        shapes = ground.shapes.only(own)
+        shapes = search.shapes.only(own)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, gap + lattice.cell_size)
         if body not in scene.cars or bounds is None or window is None:
             continue
         part = lattice.cut(*window)
-        car_floor = measure_car(shapes, part, ground.agent)
+        car_floor = measure_car(shapes, part, search.agent)
         if car_floor is None:
             continue
         floor, outline = np.zeros((2, *lattice.shape), dtype=np.bool_)
@@ -185,14 +192,14 @@ def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[
         )
 
 
-def _space_at(car: Car, height: float, ground: Ground) -> Space:
+def _space_at(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
     """The geometry round a car when its floor is at a height."""
-    scene = ground.scene
+    scene = search.scene
     model = scene.model
     axis = float(scene.data.xaxis[car.joint, 2])
     position = float(scene.data.qpos[model.jnt_qposadr[car.joint]]) + axis * (height - car.z)
     data = data_with_joints(model, scene.data, {car.joint: position})
-    kinds = ground.shapes.solids, ground.shapes.planes, ground.shapes.meshes
+    kinds = search.shapes.solids, search.shapes.planes, search.shapes.meshes
     known = np.unique(np.concatenate([kind.geom for kind in kinds]))
     moved, *_ = collect_shapes(
         model,
@@ -202,10 +209,10 @@ def _space_at(car: Car, height: float, ground: Ground) -> Space:
         only=known[car.geoms[known]].tolist(),
         meshes=scene.meshes,
     )
-    footprint = ground.space.footprint
+    footprint = search.geometry.footprint
     tiled = tile_shapes(
-        ground.shapes.replaced(moved, car.geoms),
-        ground.lattice.cut(*car.window),
+        search.shapes.replaced(moved, car.geoms),
+        search.lattice.cut(*car.window),
         footprint.reach,
     )
-    return Space([Obstacles(cast_columns(tiled), tiled)], footprint, car.window)
+    return CollisionGeometry([CollisionShapes(cast_columns(tiled), tiled)], footprint, car.window)

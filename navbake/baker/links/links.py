@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.links.ground import LEAP, WAYS, Ground, MadeLink
 from navbake.baker.links.lifts import find_ladders, find_lifts
+from navbake.baker.links.search import CROSSING, DIRECTIONS, LatticeLink, LinkSearch
 from navbake.config.links import LinkSettings
 from navbake.known_names import unique_name
 from navbake.navgrid.links import Stop
@@ -23,34 +23,34 @@ GAP = 0.5
 class BakedLinks(NamedTuple):
     """The named links of a bake, cells counted on the whole lattice, and warnings."""
 
-    links: list[MadeLink]
+    links: list[LatticeLink]
     warnings: list[str]
 
 
-def find_links(ground: Ground, settings: list[LinkSettings]) -> BakedLinks:
+def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
     """Put the given links on cells, and find those that rules ask for; given ones first.
 
     A stop without a free cell nearby, or on the cell of one before, is left out, and so is a link
     of fewer than two stops.
     """
-    links = list[MadeLink]()
+    links = list[LatticeLink]()
     warnings = list[str]()
     finders = {"ladder": find_ladders, "lift": find_lifts}
     for given in settings:
         if given.auto is None:
-            link, told = _place_link(given, ground)
+            link, told = _place_link(given, search)
             links += [link] if len(link.stops) > 1 else []
             warnings += told
     taken = {given.name for given in settings if given.name}
     for rule in settings:
         if rule.auto is None:
             continue
-        found = finders.get(rule.auto, find_edges)(ground, rule)
+        found = finders.get(rule.auto, find_edges)(search, rule)
         found.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
         for number, link in enumerate(found, 1):
             name = unique_name(link.fields.get("name") or f"{rule.auto} {number}", taken)
             named = {"name": name, "kind": rule.auto, "auto": True}
-            links.append(MadeLink(link.stops, {**link.fields, **_stated(rule), **named}))
+            links.append(LatticeLink(link.stops, {**link.fields, **_stated(rule), **named}))
         if not found:
             warnings.append(f"`links` asks for {rule.auto}s, but the scene has none")
     return BakedLinks(links, warnings)
@@ -62,13 +62,13 @@ def _stated(settings: LinkSettings) -> dict[str, object]:
     return {key: value for key, value in stated.items() if value is not None}
 
 
-def _place_link(given: LinkSettings, ground: Ground) -> tuple[MadeLink, list[str]]:
+def _place_link(given: LinkSettings, search: LinkSearch) -> tuple[LatticeLink, list[str]]:
     """The link with each stop on the nearest free cell; and what is wrong with its stops."""
     stops = list[Stop]()
     wrong = list[str]()
     taken = set[tuple[int, int]]()
     for number, (x, y, z) in enumerate(given.stops, 1):
-        found = _find_stop(x, y, z, ground)
+        found = _find_stop(x, y, z, search)
         if isinstance(found, Stop) and (found.level, found.cell) in taken:
             found = "is on the cell of another stop"
         if isinstance(found, Stop):
@@ -81,19 +81,19 @@ def _place_link(given: LinkSettings, ground: Ground) -> tuple[MadeLink, list[str
     if wrong:
         left = f"it has {len(stops)} stops left" if len(stops) > 1 else "it is left out"
         told = [f"link {given.name!r}: {'; '.join(wrong)}; {left}"]
-    return MadeLink(stops, fields), told
+    return LatticeLink(stops, fields), told
 
 
-def _find_stop(x: float, y: float, z: float, ground: Ground) -> Stop | str:
+def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
     """The nearest free cell on the level whose floor is nearest to z; or why there is none."""
-    lattice = ground.lattice
+    lattice = search.lattice
     at = np.array([[x, y], [x, y]])
     window = lattice.window(at, NEAR)
     if window is None:
         return "lies outside of the grid"
     rows, cols = window
     off = np.hypot(lattice.center_x()[None, cols] - x, lattice.center_y()[rows, None] - y)
-    gap = np.abs(ground.floors[:, rows, cols] - z)
+    gap = np.abs(search.floors[:, rows, cols] - z)
     gap = np.where((off <= NEAR + LIMIT_SLACK) & ~np.isnan(gap), gap, np.inf)
     nearest = gap.min(axis=(1, 2))
     level = int(np.argmin(nearest))
@@ -101,7 +101,7 @@ def _find_stop(x: float, y: float, z: float, ground: Ground) -> Stop | str:
         return f"has no floor within {NEAR:g} m"
     if nearest[level] > NEAR + LIMIT_SLACK:
         return f"is {nearest[level]:.2f} m off the nearest floor"
-    here = ground.free[level, rows, cols] & (gap[level] <= NEAR + LIMIT_SLACK)
+    here = search.free[level, rows, cols] & (gap[level] <= NEAR + LIMIT_SLACK)
     if not here.any():
         return f"is blocked: nothing is free within {NEAR:g} m"
     off = np.where(here, np.round(off, 9), np.inf)
@@ -110,7 +110,7 @@ def _find_stop(x: float, y: float, z: float, ground: Ground) -> Stop | str:
     return Stop(level, cell, (x, y, z))
 
 
-def find_edges(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
+def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """Find the drops or jumps of a rule, up to its height and over gaps up to its own [m].
 
     An edge is a free cell beside which no floor lies within a step. A drop leads straight from
@@ -118,32 +118,32 @@ def find_edges(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     A jump leads over a gap of at least a cell to a floor at about the same height, within a step
     unless the rule has a height. Nothing stands in the way: between them and over both ends, up to
     the agent's height over the higher one. Those side by side are one link, at their middle, whose
-    stops are as far from the edge as an agent of its width needs, see `Ground.stand_back`.
+    stops are as far from the edge as an agent of its width needs, see `LinkSearch.stand_back`.
     """
     is_drop = rule.auto == "drop"
-    most = LIMIT_SLACK + (rule.height or (DROP if is_drop else ground.step))
+    most = LIMIT_SLACK + (rule.height or (DROP if is_drop else search.step))
 
     def land(rows: Int, cols: Int, z: Float, between: int) -> tuple[Int, Bool, Bool]:
-        rise: Float = np.nan_to_num(ground.floors[:, rows, cols] - z, nan=-np.inf)
-        goes_on = np.asarray(~(np.abs(rise) <= ground.step).any(axis=0))
+        rise: Float = np.nan_to_num(search.floors[:, rows, cols] - z, nan=-np.inf)
+        goes_on = np.asarray(~(np.abs(rise) <= search.step).any(axis=0))
         if is_drop:  # it falls onto the highest
-            rise = np.where(rise < -ground.step, rise, -np.inf)
+            rise = np.where(rise < -search.step, rise, -np.inf)
             level = rise.argmax(axis=0)
             lands = goes_on & (rise.max(axis=0) >= -most)
         else:
             level = np.abs(rise).argmin(axis=0)
             lands = (np.abs(rise).min(axis=0) <= most) & (between > 0)
-        lands = lands & ground.free[level, rows, cols]
+        lands = lands & search.free[level, rows, cols]
         return level, np.asarray(lands), goes_on
 
     gap = GAP if rule.gap is None else rule.gap
-    ways = range(len(WAYS) if is_drop else 2)
-    parts = [ground.look_out((n, free), ways, gap, land) for n, free in enumerate(ground.free)]
-    found = np.concatenate([np.empty(0, dtype=LEAP), *parts])
+    ways = range(len(DIRECTIONS) if is_drop else 2)
+    parts = [search.look_out((n, free), ways, gap, land) for n, free in enumerate(search.free)]
+    found = np.concatenate([np.empty(0, dtype=CROSSING), *parts])
     links = []
-    for _, middle, width in ground.group(found[ground.are_clear(found, ground.space)]):
+    for _, middle, width in search.group(found[search.are_clear(found, search.geometry)]):
         way, level, cell, other, other_cell, *_ = middle.tolist()
-        start = ground.stand_back(level, cell, (way + 2) % len(WAYS), width)
-        end = ground.stand_back(other, other_cell, way, width)
-        links.append(MadeLink([start, end], {"one_way": is_drop, "width": width}))
+        start = search.stand_back(level, cell, (way + 2) % len(DIRECTIONS), width)
+        end = search.stand_back(other, other_cell, way, width)
+        links.append(LatticeLink([start, end], {"one_way": is_drop, "width": width}))
     return links

@@ -29,19 +29,19 @@ from navbake.baker.bake.stages import (
 )
 from navbake.baker.core.clock import StageClock
 from navbake.baker.doors.doors import (
+    ClassifiedLeaf,
     DoorContext,
-    PlacedLeaf,
-    block_cells,
-    closes_alike,
-    place_again,
+    closes_same_cells,
+    find_blocked_cells,
+    move_leaf,
     pose_leaves,
 )
 from navbake.baker.links.areas import paint_areas
 from navbake.baker.live.following import FollowedScene, Moved
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
-    OverFloors,
-    find_occupants_again,
+    MovableContext,
+    update_movable_occupants,
 )
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, open_file
@@ -93,7 +93,7 @@ class BakedScene(NamedTuple):
     standing: Standing
     moving: Moving
     door_context: DoorContext
-    over_floors: OverFloors
+    movable_context: MovableContext
 
 
 class Baker:
@@ -219,7 +219,9 @@ class Baker:
 
     def _bake(self, opened: OpenScene) -> BakedScene:
         stages = open_stages(self._config, StageClock(), opened=opened)
-        return BakedScene(stages.standing, stages.moving, stages.door_context, stages.over_floors)
+        return BakedScene(
+            stages.standing, stages.moving, stages.door_context, stages.movable_context
+        )
 
 
 def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
@@ -250,9 +252,9 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
         if differs.any():
             moving = replace(
                 moving,
-                occupants=find_occupants_again(
+                occupants=update_movable_occupants(
                     was.occupants,
-                    before.over_floors,
+                    before.movable_context,
                     shapes=scene.shapes,
                     in_the_way=in_the_way,
                     boxes=boxes,
@@ -270,7 +272,7 @@ def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
             standing,
             doors=doors,
             in_the_way=in_the_way,
-            occupied=moving.occupants.occupied,
+            occupied=moving.occupants.blocked,
             config=config,
         )
         moving = replace(moving, links=links)
@@ -289,7 +291,7 @@ def _boxes_of_some(scene: Scene, chosen: Bool) -> Float:
     return boxes
 
 
-def _follow_doors(before: BakedScene, scene: Scene) -> list[PlacedLeaf]:
+def _follow_doors(before: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
     """The leaves of a scene as they are now; the same list where none is another.
 
     Raises:
@@ -301,15 +303,15 @@ def _follow_doors(before: BakedScene, scene: Scene) -> list[PlacedLeaf]:
     if not others:
         return was
     lattice = before.standing.lattice
-    footprint = before.over_floors.footprint
+    footprint = before.movable_context.footprint
     leaves = pose_leaves(scene, others, lattice, footprint.reach)
     by_id = {placed.candidate.id: placed for placed in was}
-    for cells in block_cells(leaves, before.standing.floors.levels, footprint, lattice):
+    for cells in find_blocked_cells(leaves, before.standing.floors.levels, footprint, lattice):
         leaf = cells.leaf.candidate
         former = by_id.get(leaf.id)
-        if former is None or not closes_alike(cells, former):
+        if former is None or not closes_same_cells(cells, former):
             raise WholeBake(f"the leaf {leaf.id!r} closes other cells")
-        by_candidate[leaf] = place_again(cells, former, before.door_context)
+        by_candidate[leaf] = move_leaf(cells, former, before.door_context)
     return [by_candidate[leaf] for leaf in scene.leaves]
 
 
@@ -340,8 +342,8 @@ def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> 
     standing = before.standing
     was = before.moving
     differing = [
-        _differ(moving.occupants.occupied, was.occupants.occupied),
-        _differ(moving.occupants.solid or [], was.occupants.solid or []),
+        _differ(moving.occupants.blocked, was.occupants.blocked),
+        _differ(moving.occupants.blocked_squares or [], was.occupants.blocked_squares or []),
     ]
     cut_by = dict(zip(was.placed_doors, was.cut_doors, strict=True))
     cut_doors = list[CutDoor]()
@@ -358,7 +360,7 @@ def _differ(now: Sequence[Bool], before: Sequence[Bool]) -> list[Bool]:
     return [(one != other).ravel() for one, other in zip(now, before, strict=True)]
 
 
-def _blocks_any(placed: PlacedLeaf, differing: Sequence[Sequence[Bool]]) -> bool:
+def _blocks_any(placed: ClassifiedLeaf, differing: Sequence[Sequence[Bool]]) -> bool:
     """Whether a leaf blocks any marked cell, or square of a cell, in any of its states."""
     for by_state, marked in zip((placed.blocked, placed.blocked_squares), differing, strict=True):
         for levels in by_state.values():

@@ -14,13 +14,13 @@ from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHE
 from navbake.baker.core.tiles import TILE
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.occupancy.occupancy_kernels import (
-    BLOCKS,
-    SOLID,
-    UNPROVED,
-    UNPROVED_SOLID,
-    Listing,
+    BLOCKING,
+    BLOCKING_SQUARE,
+    MAYBE_BLOCKING,
+    MAYBE_BLOCKING_SQUARE,
+    OccupantLists,
     Queries,
-    look_near,
+    occupy_tiles,
 )
 from navbake.config.settings import AgentSettings
 from navbake.lazy import lazy
@@ -36,7 +36,7 @@ FCL_SHAPES: dict[int, Callable[[Float], Any]] = {
     CYLINDER: lambda size: fcl.Cylinder(size[0], 2 * size[1]),
     BOX: lambda size: fcl.Box(*(2 * size)),
 }
-NO_LISTING = Listing(
+NO_LISTING = OccupantLists(
     np.empty(0),
     np.empty(0, np.int32),
     np.empty(0, np.int32),
@@ -90,21 +90,21 @@ class Occupancy(NamedTuple):
     Attributes:
         levels: of each storey, shape (height, width) of the whole lattice, bool: a geom meets
             the volume over the cell's floor, or there is no floor.
-        solid: `levels` for the volume over the cell's square alone; None where the agent's disc
-            doesn't reach beyond it.
+        blocked_squares: `levels` for the volume over the cell's square alone; None where the
+            agent's disc doesn't reach beyond it.
     """
 
     levels: list[Bool]
-    solid: list[Bool] | None
+    blocked_squares: list[Bool] | None
 
 
-class Found(NamedTuple):
+class CellOccupancy(NamedTuple):
     """What a look at cells found.
 
     Attributes:
         occupied: which cells are occupied, shape (n,), bool.
         solid: the same for their squares alone.
-        geom, flags: the lists of what stands in the cells, see `look_near`.
+        geom, flags: the lists of what stands in the cells, see `occupy_tiles`.
     """
 
     occupied: Bool
@@ -113,14 +113,14 @@ class Found(NamedTuple):
     flags: NDArray[np.uint8]
 
 
-def look_at_cells(
+def check_occupancy(
     columns: Columns,
     tiled: TiledShapes,
     footprint: Footprint,
     cells: Int,
     floors: Float,
-    listing: Listing = NO_LISTING,
-) -> Found:
+    listing: OccupantLists = NO_LISTING,
+) -> CellOccupancy:
     """Check for cells and floor heights, shape (n,), whether a geom meets the footprint above.
 
     A ray of the cell's column that crosses a geom there, or runs inside of one, proves it occupied.
@@ -134,7 +134,7 @@ def look_at_cells(
         order = np.argsort(cells, kind="stable")
         back = np.empty_like(order)
         back[order] = np.arange(len(order))
-        found = look_at_cells(columns, tiled, footprint, cells[order], floors[order])
+        found = check_occupancy(columns, tiled, footprint, cells[order], floors[order])
         return found._replace(occupied=found.occupied[back], solid=found.solid[back])
     shapes = tiled.shapes
     lattice = columns.lattice
@@ -146,7 +146,7 @@ def look_at_cells(
     def look(first: int, end: int) -> None:
         geometry = shapes.solids, tiled.facets, shapes.planes
         asked = lattice, columns.hits, geometry, tiled.tiles, footprint, queries, listing
-        geom, flags, used = look_near(*asked, first, end)
+        geom, flags, used = occupy_tiles(*asked, first, end)
         parts[first] = geom[:used], flags[:used]
 
     if len(cells):
@@ -164,25 +164,25 @@ def look_at_cells(
     geom, flags = lists[0]
     if len(lists) > 1:
         geom, flags = map(np.concatenate, zip(*lists, strict=True))
-    occupied = (state & BLOCKS) > 0
-    unproved = np.flatnonzero(~occupied & ((state & UNPROVED) > 0))
+    occupied = (state & BLOCKING) > 0
+    unproved = np.flatnonzero(~occupied & ((state & MAYBE_BLOCKING) > 0))
     for n in unproved:
         occupied[n] = ask_fcl(tiled, footprint, int(cells[n]), float(floors[n]))
     solid = occupied
     if footprint.radius > 0:
-        solid = (state & SOLID) > 0
+        solid = (state & BLOCKING_SQUARE) > 0
         square = footprint._replace(square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0)
-        for n in np.flatnonzero(occupied & ~solid & ((state & UNPROVED_SOLID) > 0)):
+        for n in np.flatnonzero(occupied & ~solid & ((state & MAYBE_BLOCKING_SQUARE) > 0)):
             solid[n] = ask_fcl(tiled, square, int(cells[n]), float(floors[n]))
         solid &= occupied
     if len(listing.first):  # FCL has decided about the cell
-        for n in np.flatnonzero(occupied & ((state & UNPROVED) > 0)):
+        for n in np.flatnonzero(occupied & ((state & MAYBE_BLOCKING) > 0)):
             i = listing.first[n]
             while geom[i] >= 0:
-                flags[i] |= BLOCKS if flags[i] & UNPROVED else 0
+                flags[i] |= BLOCKING if flags[i] & MAYBE_BLOCKING else 0
                 i += 1
-        flags &= ~np.uint8(UNPROVED)
-    return Found(occupied, solid, geom, flags)
+        flags &= ~np.uint8(MAYBE_BLOCKING)
+    return CellOccupancy(occupied, solid, geom, flags)
 
 
 def ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:

@@ -40,14 +40,14 @@ from navbake.types import Bool, Float, Int, Int32
 
 # What a geom does in a cell: it stands there, meets the occupancy's volume, meets the square in the
 # probed band, and meets the square in the band of the occupancy
-STANDS = 1
-BLOCKS = 2
-PROBED = 4
-SOLID = 8
+OCCUPYING = 1
+BLOCKING = 2
+AT_WALL_HEIGHT = 4
+BLOCKING_SQUARE = 8
 # No proof whether it meets the occupancy's volume, or the square there
-UNPROVED = 16
-UNPROVED_SOLID = 32
-BY_LINE = 64  # of a cell: its line alone proves it occupied
+MAYBE_BLOCKING = 16
+MAYBE_BLOCKING_SQUARE = 32
+BLOCKED_BY_LINE = 64  # of a cell: its line alone proves it occupied
 PLANE = np.int64(0)
 SOLIDS = np.int64(1)
 TRIANGLES = np.int64(2)
@@ -60,7 +60,7 @@ class Queries(NamedTuple):
     Attributes:
         cell: ids, ascending, int64.
         floor: [m].
-        state: receives BLOCKS, SOLID, UNPROVED and UNPROVED_SOLID of all geoms, and BY_LINE, uint8.
+        state: receives the flags of all geoms but OCCUPYING and AT_WALL_HEIGHT, uint8.
         wanted, flags: scratch: what is tested of a geom, and what it does, uint8.
     """
 
@@ -71,12 +71,12 @@ class Queries(NamedTuple):
     flags: NDArray[np.uint8]
 
 
-class Listing(NamedTuple):
+class OccupantLists(NamedTuple):
     """What is to be listed over the queries; all arrays are empty where nothing is.
 
     Attributes:
         ceiling: (n,), at least as high as the agent [m].
-        first: receives where each query's list begins, (n,) int32, see `look_near`.
+        first: receives where each query's list begins, (n,) int32, see `occupy_tiles`.
         carrier, gap: receive the geoms of the floors, and the gaps below, see `_describe_floor`.
         probed: by geom id, bool: whether it is tested in the probed band.
         low, high: the probed band, over the floor [m].
@@ -139,17 +139,17 @@ class Walk(NamedTuple):
     planes: Any
     footprint: Any
     queries: Queries
-    listing: Listing
+    listing: OccupantLists
     here: Here
 
 
 @kernel(nogil=True)
-def look_near(lattice, hits, geometry, tiles, footprint, queries, listing, first, end):
+def occupy_tiles(lattice, hits, geometry, tiles, footprint, queries, listing, first, end):
     """Find what stands near the queries in the rows of tiles ``range(first, end)``.
 
     A cell is occupied where its line or a geom meets `footprint` over its floor. A listed geom
-    STANDS in a cell if it meets the cell's square between a hair over the floor and the ceiling; it
-    is PROBED if it also meets the square in the probed band.
+    is OCCUPYING a cell if it meets the cell's square between a hair over the floor and the
+    ceiling; it is AT_WALL_HEIGHT if it also meets the square in the probed band.
 
     Args:
         geometry: solids, facets and planes.
@@ -278,7 +278,7 @@ def _column(walk, n, row, col):
 
 @subkernel(inline="always")
 def _volumes(walk, n, row, col):
-    """The volumes of STANDS, BLOCKS, PROBED and SOLID over a query's floor."""
+    """The volumes of the four flags that geoms are tested for, over a query's floor."""
     footprint = walk.footprint
     listing = walk.listing
     floor = walk.queries.floor[n]
@@ -322,7 +322,7 @@ def _ask_lines(walk):
             here.end[r, c] = n + 1
             band = Band(floor + footprint.low, floor + footprint.high)
             is_blocked = line_is_blocked(hits, cell, band, ANY_GEOM)
-            queries.state[n] = BLOCKS | SOLID | BY_LINE if is_blocked else 0
+            queries.state[n] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if lists:
                 listing.first[n] = 0
                 carried = _describe_floor(hits, cell, floor, listing.min_up)
@@ -470,8 +470,8 @@ def _ask_geom(walk, kind, items, geom, entries, count):
             is_level = kind != TRIANGLES or (
                 facets.bounds[i, 2] < bands[k, 1] and facets.bounds[i, 5] > bands[k, 0]
             )
-            wide |= still[k] if is_level and 1 << k == BLOCKS else 0
-            narrow |= still[k] if is_level and 1 << k != BLOCKS else 0
+            wide |= still[k] if is_level and 1 << k == BLOCKING else 0
+            narrow |= still[k] if is_level and 1 << k != BLOCKING else 0
         if kind == TRIANGLES and wide | narrow != 0:
             near = cells_near(lattice, all_near, facets.bounds, i, reach if wide != 0 else half)
             wide &= cell_bits(window, near)
@@ -506,18 +506,18 @@ def _begin(walk, kind, geom, n, volumes):
     wanted = 0
     flags = 0
     # a square that is a part of the footprint is tested for each geom, others until one meets it
-    if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & SOLID):
-        wanted = SOLID
+    if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & BLOCKING_SQUARE):
+        wanted = BLOCKING_SQUARE
     if listing.ceiling.shape[0] > 0:
-        wanted |= STANDS | BLOCKS
+        wanted |= OCCUPYING | BLOCKING
         if kind != PLANE and listing.probed[geom]:  # a plane is no wall
-            wanted |= PROBED
+            wanted |= AT_WALL_HEIGHT
         # where the winding number of all geoms is no proof, that of one is none
-        proves = STANDS | PROBED | (BLOCKS if state & BY_LINE else 0)
+        proves = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if state & BLOCKED_BY_LINE else 0)
         proved = _ask_line(walk.hits, queries.cell[n], geom, volumes)
         flags = proved & proves & wanted
-    elif not state & BLOCKS:
-        wanted |= BLOCKS
+    elif not state & BLOCKING:
+        wanted |= BLOCKING
     queries.wanted[n] = wanted
     queries.flags[n] = flags
 
@@ -544,18 +544,18 @@ def _ask_line(hits, cell, geom, volumes):
         if z >= stands.high:
             in_stands += entered
         elif z > stands.low:
-            flags |= STANDS
+            flags |= OCCUPYING
         if z >= blocks.high:
             in_blocks += entered
         elif z > blocks.low:
-            flags |= BLOCKS
+            flags |= BLOCKING
         if z >= probed.high:
             in_probed += entered
         elif z > probed.low:
-            flags |= PROBED
-    flags |= STANDS if in_stands > 0 else 0
-    flags |= BLOCKS if in_blocks > 0 else 0
-    return flags | (PROBED if in_probed > 0 else 0)
+            flags |= AT_WALL_HEIGHT
+    flags |= OCCUPYING if in_stands > 0 else 0
+    flags |= BLOCKING if in_blocks > 0 else 0
+    return flags | (AT_WALL_HEIGHT if in_probed > 0 else 0)
 
 
 @subkernel(**UNCOUNTED)
@@ -583,14 +583,14 @@ def _ask_shape(walk, kind, i, n, volumes):
             answer = solid_meets(walk.solids, i, part_of, walk.here.simplex)
         if answer == APART:
             # what misses a volume misses the square that is a part of it
-            if flag == STANDS and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
-                wanted &= ~SOLID
-            if flag == BLOCKS and footprint.square == 0.0:
-                wanted &= ~SOLID
-        elif answer == MEETS or flag in (STANDS, PROBED):
+            if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
+                wanted &= ~BLOCKING_SQUARE
+            if flag == BLOCKING and footprint.square == 0.0:
+                wanted &= ~BLOCKING_SQUARE
+        elif answer == MEETS or flag in (OCCUPYING, AT_WALL_HEIGHT):
             flags |= flag
         else:
-            flags |= UNPROVED if flag == BLOCKS else UNPROVED_SOLID
+            flags |= MAYBE_BLOCKING if flag == BLOCKING else MAYBE_BLOCKING_SQUARE
     queries.flags[n] = flags
 
 
@@ -609,15 +609,17 @@ def _note_entries(walk, near, geom, entries, count):
             for n in range(here.first[r, c], here.end[r, c]):
                 flags = np.int64(queries.flags[n])
                 if queries.wanted[n] and flags:
-                    if flags & UNPROVED_SOLID and footprint.square > 0.0:
-                        flags |= UNPROVED
-                    if flags & SOLID:
-                        flags |= BLOCKS
-                    queries.state[n] |= flags & (BLOCKS | SOLID | UNPROVED | UNPROVED_SOLID)
-                    flags &= ~(UNPROVED if flags & BLOCKS else 0)
-                    if not flags & STANDS:
-                        flags &= ~PROBED
-                    flags &= STANDS | BLOCKS | PROBED | UNPROVED
+                    if flags & MAYBE_BLOCKING_SQUARE and footprint.square > 0.0:
+                        flags |= MAYBE_BLOCKING
+                    if flags & BLOCKING_SQUARE:
+                        flags |= BLOCKING
+                    queries.state[n] |= flags & (
+                        BLOCKING | BLOCKING_SQUARE | MAYBE_BLOCKING | MAYBE_BLOCKING_SQUARE
+                    )
+                    flags &= ~(MAYBE_BLOCKING if flags & BLOCKING else 0)
+                    if not flags & OCCUPYING:
+                        flags &= ~AT_WALL_HEIGHT
+                    flags &= OCCUPYING | BLOCKING | AT_WALL_HEIGHT | MAYBE_BLOCKING
                     if lists and flags:
                         if count == entries.geom.shape[0]:
                             return -1
@@ -627,7 +629,9 @@ def _note_entries(walk, near, geom, entries, count):
                         count += 1
                 queries.wanted[n] = 0
                 state = np.int64(queries.state[n])
-                is_open |= not state & BLOCKS or (footprint.radius > 0.0 and not state & SOLID)
+                is_open |= not state & BLOCKING or (
+                    footprint.radius > 0.0 and not state & BLOCKING_SQUARE
+                )
             if not is_open:
                 here.open[0] &= ~cell_bit(r, c)
     return count

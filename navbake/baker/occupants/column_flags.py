@@ -9,7 +9,7 @@ from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.occupants import list_kernels as kernels
-from navbake.baker.occupants.kinds import WALL_BAND
+from navbake.baker.occupants.kinds import WALL_HEIGHTS
 from navbake.config.settings import AgentSettings
 from navbake.threads import LEAST_CELLS, run_in_chunks
 
@@ -35,7 +35,7 @@ def flag_columns(
         floor,
         level.ground,
         agent_limits(agent),
-        WALL_BAND[0],
+        WALL_HEIGHTS[0],
         flags[cells],
         least=LEAST_CELLS,
     )

@@ -58,7 +58,7 @@ HOLLOW = 0.5
 # Its shape in the report of geoms
 TRIANGLES = ("surface", "closed surface", "partly closed", "shell")
 # Heights over a floor where such a mesh is wall [m]
-WALL_BAND = (1.5, 1.8)
+WALL_HEIGHTS = (1.5, 1.8)
 # Least share of its cells in which a wall reaches that band
 UPRIGHT = 0.5
 
@@ -77,7 +77,7 @@ Steps = tuple[Int, Int, Float]
 """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much [m]."""
 
 
-class Carriers(NamedTuple):
+class FloorGeoms(NamedTuple):
     """The geoms that carry floors, by geom id, shape (ngeom,), bool.
 
     Attributes:
@@ -91,7 +91,7 @@ class Carriers(NamedTuple):
     stood_on: Bool
 
 
-class GeomsOverFloors(NamedTuple):
+class GeomHeights(NamedTuple):
     """How geoms stand over floors, by geom id.
 
     Attributes:
@@ -99,7 +99,7 @@ class GeomsOverFloors(NamedTuple):
         rise: greatest height of its top over its bottom or such a floor, whichever is higher,
             -inf for none [m].
         area: how much of a storey it stands in, at most [m²].
-        upper_area: the same within `WALL_BAND`; known for `wall_candidates` only [m²].
+        upper_area: the same within `WALL_HEIGHTS`; known for `mark_wall_candidates` only [m²].
     """
 
     base: Float
@@ -108,14 +108,14 @@ class GeomsOverFloors(NamedTuple):
     upper_area: Float
 
 
-def wall_candidates(scene: Scene, extents: Extents) -> Bool:
+def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms that may be walls, panes or hold a building, by their own shape alone."""
     tall = extents.high - extents.low >= TALL
     slender = _is_slender(extents, *THIN, THICK)
     return tall & slender | _may_hold_building(is_surface(scene), extents)
 
 
-def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:
+def find_buildings(scene: Scene, extents: Extents, over_floors: GeomHeights) -> Bool:
     """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
     hollow = over_floors.upper_area < HOLLOW * extents.thin * extents.long
     return _may_hold_building(is_surface(scene), extents) & hollow
@@ -147,7 +147,7 @@ def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]
 
 
 def find_walls(
-    scene: Scene, extents: Extents, over_floors: GeomsOverFloors, carriers: Carriers, excluded: Bool
+    scene: Scene, extents: Extents, over_floors: GeomHeights, carriers: FloorGeoms, excluded: Bool
 ) -> Bool:
     """Mark the walls by their shapes and names; excluded geoms are none.
 
@@ -179,7 +179,7 @@ def find_walls(
     return _in_line(named | shaped, pieces, extents)
 
 
-def find_panes(extents: Extents, over_floors: GeomsOverFloors, walls: Bool) -> Bool:
+def find_panes(extents: Extents, over_floors: GeomHeights, walls: Bool) -> Bool:
     """Mark what closes an opening in a wall: fixed panes, sliding doors, closed leaves.
 
     A pane is as thin, long and tall as a wall, begins near a floor or a sill, and ends on both
@@ -319,9 +319,9 @@ def _bodies_above(model: Any, geom: int) -> Iterator[int]:
         body = int(model.body_parentid[body])
 
 
-def find_carriers(
+def classify_floor_geoms(
     counts: Int, stood_on: Bool, cell_size: float, step: float, steps: Steps
-) -> Carriers:
+) -> FloorGeoms:
     """Classify geoms that carry floors as parts of the building or things on its floors.
 
     A geom is a thing (a rug, a pallet, a low box, a boulder) if all of these hold:
@@ -354,7 +354,7 @@ def find_carriers(
     # a thing that leads to the building is part of it, and may make another one lead there
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
-    return Carriers(carries & ~things, things, stood_on)
+    return FloorGeoms(carries & ~things, things, stood_on)
 
 
 def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
@@ -387,18 +387,18 @@ def find_steps(floors: Floors, carrier: Int32, lattice: Lattice) -> Steps:
 
 
 Classified = tuple[NDArray[np.uint8], NDArray[np.uint8], list[str]]
-"""Kinds and partitions by geom id, see `Contents`, and warnings."""
+"""Kinds and partitions by geom id, see `StandingOccupants`, and warnings."""
 
 
 def classify_geoms(
     scene: Scene,
     extents: Extents,
-    over_floors: GeomsOverFloors,
-    carriers: Carriers,
+    over_floors: GeomHeights,
+    carriers: FloorGeoms,
     agent: AgentSettings,
     settings: NameSettings,
 ) -> Classified:
-    """Kinds and partitions of geoms, see `Contents`, and warnings."""
+    """Kinds and partitions of geoms, see `StandingOccupants`, and warnings."""
     buildings = find_buildings(scene, extents, over_floors)
     ceilings = find_ceilings(extents, over_floors.base, scene.roles == STANDING, agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)

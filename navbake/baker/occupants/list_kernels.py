@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.occupancy.occupancy_kernels import BLOCKS, PROBED, STANDS
+from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.compiled import UNCOUNTED, kernel, subkernel
 from navbake.types import Float, Int32
 
@@ -19,7 +19,7 @@ from navbake.types import Float, Int32
 COLUMN_FLAGS = EMPTY, HOLE, BANK, SKY, TALL = 1, 2, 4, 8, 16
 
 
-class LevelContents(NamedTuple):
+class LevelOccupants(NamedTuple):
     """The geoms of a storey's cells; cell i holds those from `first[i]` to the geom -1.
 
     A list that was written is never written over, so that these contents stay as they are.
@@ -28,9 +28,9 @@ class LevelContents(NamedTuple):
         lattice: the whole lattice.
         first: shape (cells,), int32.
         geom: MuJoCo's geom ids, ascending in a cell, int32.
-        flags: of the same length, uint8: STANDS where the geom meets the cell's square between
-            floor and ceiling; BLOCKS where it meets the volume of the occupancy; PROBED where it
-            stands there and meets the square in `WALL_BAND`, of `wall_candidates` alone.
+        flags: of the same length, uint8: OCCUPYING where the geom meets the cell's square between
+            floor and ceiling; BLOCKING where it meets the volume of the occupancy; AT_WALL_HEIGHT
+            where it stands there and meets the square in `WALL_HEIGHTS`, of wall candidates alone.
         carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
         gap: how far the next geom's floor lies below it, shape (cells,), float64, inf for none [m].
     """
@@ -91,14 +91,14 @@ def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, beg
                     g = listed.geom[i]
                     flags = np.int64(listed.flags[i])
                     i += 1
-                    if not flags & STANDS:
+                    if not flags & OCCUPYING:
                         continue
                     at = _open_row(columns, row_of, before, num, g)
                     if at < 0:
                         return k
                     num = max(num, at + 1)
                     rows[at, 1] += 1
-                    rows[at, 2] += 1 if flags & PROBED else 0
+                    rows[at, 2] += 1 if flags & AT_WALL_HEIGHT else 0
                     floor = floors[cell]
                     low = lows[g]
                     high = highs[g]
@@ -136,12 +136,12 @@ def mark_walls(listed, kinds, cells, walls, lows, begin, end):
             kind = kinds[listed.geom[i]]
             flags = np.int64(listed.flags[i])
             i += 1
-            if not flags & STANDS:
+            if not flags & OCCUPYING:
                 continue
-            if kind == BUILDING and flags & PROBED:
+            if kind == BUILDING and flags & AT_WALL_HEIGHT:
                 is_upper = True
-            if flags & BLOCKS:
-                walls[n] |= kind == WALL or (kind == BUILDING and flags & PROBED != 0)
+            if flags & BLOCKING:
+                walls[n] |= kind == WALL or (kind == BUILDING and flags & AT_WALL_HEIGHT != 0)
                 lows[n] |= kind == BUILDING
         lows[n] &= not is_upper
 

@@ -21,30 +21,35 @@ from navbake.baker.core.windows import Window, cells_near
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy
-from navbake.baker.occupancy.occupancy_kernels import BLOCKS, PROBED, STANDS
+from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
-from navbake.baker.occupants.standing import Contents, find_tops, look_at_level, take_entries
+from navbake.baker.occupants.standing import (
+    StandingOccupants,
+    check_level_occupancy,
+    entries_of_cells,
+    find_tops,
+)
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.types import Bool, Float, Int, Int32
 
 # Rows of cells whose entries lie together
-BAND_ROWS = 16
+CHUNK_ROWS = 16
 # Where more than this share of a block's cells are looked at, all of its columns are cast together,
 # which is faster by the column
 MOST_POINTS = 1 / 8
 
 
 class Entries(NamedTuple):
-    """Geoms in cells, by cell and geom; flags as of `LevelContents`."""
+    """Geoms in cells, by cell and geom; flags as of `LevelOccupants`."""
 
     cell: Int
     geom: Int32
     flags: NDArray[np.uint8]
 
 
-class LevelFound(NamedTuple):
+class LevelMovables(NamedTuple):
     """What was found over the floors of some cells of a level.
 
     Attributes:
@@ -58,23 +63,24 @@ class LevelFound(NamedTuple):
     solid: Int
 
 
-class Occupants(NamedTuple):
+class MovableOccupants(NamedTuple):
     """What can move, and leaves that are no doors, over the floors of all levels.
 
     Attributes:
-        entries: the geoms in cells, by level and band of `BAND_ROWS` rows.
-        occupied: the cells of each level that they or what stands occupies, (height, width).
-        solid: the cells whose squares they or what stands meets; None where these are the same.
-        taken: by body id, how many cells it blocks that nothing which stands blocks.
+        entries: the geoms in cells, by level and band of `CHUNK_ROWS` rows.
+        blocked: the cells of each level that they or what stands blocks, (height, width).
+        blocked_squares: the cells whose squares they or what stands blocks; None where these are
+            the same.
+        num_blocked_alone: by body id, how many cells it blocks that nothing which stands blocks.
     """
 
     entries: list[list[Entries]]
-    occupied: list[Bool]
-    solid: list[Bool] | None
-    taken: Int
+    blocked: list[Bool]
+    blocked_squares: list[Bool] | None
+    num_blocked_alone: Int
 
 
-class OverFloors(NamedTuple):
+class MovableContext(NamedTuple):
     """Over which floors one looks for what can move, and for what.
 
     Attributes:
@@ -101,36 +107,46 @@ NO_ENTRIES = Entries(
 )
 
 
-def find_occupants(over: OverFloors, shapes: Shapes, in_the_way: Bool) -> Occupants:
+def find_movable_occupants(
+    over: MovableContext, shapes: Shapes, in_the_way: Bool
+) -> MovableOccupants:
     """Find what can move over the floors of all cells.
 
     Args:
         shapes: all geometry that counts.
         in_the_way: by geom id, whether it is looked for.
     """
-    num_bands = -(-over.lattice.height // BAND_ROWS)
-    nothing = Occupants(
+    num_bands = -(-over.lattice.height // CHUNK_ROWS)
+    nothing = MovableOccupants(
         entries=[[NO_ENTRIES] * num_bands for _ in over.floors.levels],
-        occupied=over.standing.levels,
-        solid=over.standing.solid,
-        taken=np.zeros(int(over.mover_of.max(initial=0)) + 1, dtype=np.int64),
+        blocked=over.standing.levels,
+        blocked_squares=over.standing.blocked_squares,
+        num_blocked_alone=np.zeros(int(over.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
     boxes = shapes.boxes[in_the_way[shapes.boxed_geoms]]
-    return find_occupants_again(nothing, over, shapes, in_the_way, boxes)
+    return update_movable_occupants(nothing, over, shapes, in_the_way, boxes)
 
 
-def find_occupants_again(
-    occupants: Occupants, over: OverFloors, shapes: Shapes, in_the_way: Bool, boxes: Float
-) -> Occupants:
+def update_movable_occupants(
+    occupants: MovableOccupants,
+    over: MovableContext,
+    shapes: Shapes,
+    in_the_way: Bool,
+    boxes: Float,
+) -> MovableOccupants:
     """Find again what can move in the cells near some boxes, (n, 6) [m]."""
     lattice = over.lattice
     cells = cells_near(lattice, boxes, over.footprint.reach + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
     entries = [list(bands) for bands in occupants.entries]
-    occupied = [layer.copy() for layer in occupants.occupied]
-    solid = None if occupants.solid is None else [layer.copy() for layer in occupants.solid]
-    taken = occupants.taken.copy()
+    occupied = [layer.copy() for layer in occupants.blocked]
+    solid = (
+        None
+        if occupants.blocked_squares is None
+        else [layer.copy() for layer in occupants.blocked_squares]
+    )
+    taken = occupants.num_blocked_alone.copy()
     for rows in split_rows(lattice):
         first, end = np.searchsorted(cells, rows.cells(lattice))
         some = cells[first:end]
@@ -143,9 +159,9 @@ def find_occupants_again(
             taken -= _count_taken(removed, standing, over.mover_of, len(taken))
             taken += _count_taken(found.entries, standing, over.mover_of, len(taken))
             _replace_cells(occupied[k], standing, some, found.occupied)
-            if solid is not None and over.standing.solid is not None:
-                _replace_cells(solid[k], over.standing.solid[k], some, found.solid)
-    return Occupants(entries, occupied, solid, taken)
+            if solid is not None and over.standing.blocked_squares is not None:
+                _replace_cells(solid[k], over.standing.blocked_squares[k], some, found.solid)
+    return MovableOccupants(entries, occupied, solid, taken)
 
 
 def _replace_cells(layer: Bool, standing: Bool, cells: Int, occupied: Int) -> None:
@@ -157,7 +173,7 @@ def _replace_cells(layer: Bool, standing: Bool, cells: Int, occupied: Int) -> No
 
 def _replace_entries(bands: list[Entries], cells: Int, found: Entries, lattice: Lattice) -> Entries:
     """Replace the entries of some cells, ascending, in their bands; returns the former ones."""
-    band_cells = BAND_ROWS * lattice.width
+    band_cells = CHUNK_ROWS * lattice.width
     removed = [NO_ENTRIES]
     band_of = cells // band_cells
     for band in band_of[np.diff(band_of, prepend=-1) != 0].tolist():
@@ -191,7 +207,7 @@ def join_entries(parts: Sequence[Entries]) -> Entries:
 
 def _count_taken(entries: Entries, standing: Bool, mover_of: Int, num_bodies: int) -> Int:
     """How many cells each body blocks that nothing which stands blocks."""
-    blocks_alone = (entries.flags & BLOCKS) > 0
+    blocks_alone = (entries.flags & BLOCKING) > 0
     blocks_alone &= ~standing.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
     bodies = mover_of[entries.geom[blocks_alone]]
@@ -200,7 +216,9 @@ def _count_taken(entries: Entries, standing: Bool, mover_of: Int, num_bodies: in
     return np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
 
 
-def _look_at_cells(over: OverFloors, shapes: Shapes, rows: Rows, cells: Int) -> list[LevelFound]:
+def _look_at_cells(
+    over: MovableContext, shapes: Shapes, rows: Rows, cells: Int
+) -> list[LevelMovables]:
     """Find what can move over some cells, ascending, of a block of rows, by level."""
     lattice = over.lattice
     tiled = tile_shapes(shapes, lattice, over.footprint.reach)
@@ -213,7 +231,7 @@ def _look_at_cells(over: OverFloors, shapes: Shapes, rows: Rows, cells: Int) -> 
     probed = np.zeros(len(shapes.endless), dtype=np.bool_)
     found = []
     for level, top in zip(over.floors.levels, find_tops(over.floors), strict=True):
-        look = look_at_level(
+        look = check_level_occupancy(
             columns,
             tiled,
             footprint=over.footprint,
@@ -223,14 +241,14 @@ def _look_at_cells(over: OverFloors, shapes: Shapes, rows: Rows, cells: Int) -> 
             agent=over.agent,
             probed=probed,
         )
-        place, geom, flags = take_entries(
+        place, geom, flags = entries_of_cells(
             look.listing.first,
             look.found.geom,
             look.found.flags,
             np.arange(len(look.cells)),
         )
         found.append(
-            LevelFound(
+            LevelMovables(
                 entries=Entries(look.cells[place], geom, flags),
                 occupied=look.cells[look.found.occupied],
                 solid=look.cells[look.found.solid],
@@ -252,7 +270,9 @@ def _mark_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bo
     return marked
 
 
-def name_contents(contents: Contents, occupants: Occupants, level: int, window: Window) -> UserData:
+def name_occupants(
+    contents: StandingOccupants, occupants: MovableOccupants, level: int, window: Window
+) -> UserData:
     """Name what is in a storey's cells, as the original client does.
 
     `objects` are all things but walls and the building's own floors, ceilings and stairs, also
@@ -267,15 +287,17 @@ def name_contents(contents: Contents, occupants: Occupants, level: int, window: 
     return UserData(partial(_name_cells, contents, occupants.entries[level], level, window))
 
 
-def _name_cells(contents: Contents, bands: Sequence[Entries], level: int, window: Window) -> Shared:
+def _name_cells(
+    contents: StandingOccupants, bands: Sequence[Entries], level: int, window: Window
+) -> Shared:
     moving = join_entries(bands)
     listed = contents.levels[level]
     cells = np.arange(len(listed.first))
-    cell, geom, flags = take_entries(listed.first, listed.geom, listed.flags, cells)
+    cell, geom, flags = entries_of_cells(listed.first, listed.geom, listed.flags, cells)
     kind = contents.kinds[geom]
-    stands = (flags & STANDS) > 0
-    is_wall = (kind == WALL) | ((kind == BUILDING) & ((flags & PROBED) > 0))
-    bits = np.where(flags & BLOCKS, BLOCKERS, 0)
+    stands = (flags & OCCUPYING) > 0
+    is_wall = (kind == WALL) | ((kind == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
+    bits = np.where(flags & BLOCKING, BLOCKERS, 0)
     bits |= np.where(stands & is_wall, WALLS, 0)
     bits |= np.where(stands & (kind == OBJECT), OBJECTS, 0)
     carrier = listed.carrier
@@ -283,8 +305,8 @@ def _name_cells(contents: Contents, bands: Sequence[Entries], level: int, window
     below = below[contents.kinds[carrier[below]] == OBJECT]
     # walls are what the settings call so
     standing_as = np.where(contents.kinds[moving.geom] == WALL, WALLS, OBJECTS)
-    moving_bits = np.where(moving.flags & BLOCKS, BLOCKERS, 0)
-    moving_bits |= np.where(moving.flags & STANDS, standing_as, 0)
+    moving_bits = np.where(moving.flags & BLOCKING, BLOCKERS, 0)
+    moving_bits |= np.where(moving.flags & OCCUPYING, standing_as, 0)
     carried = np.full(len(below), OBJECTS)
     with collector_off():
         return Shared(

@@ -21,21 +21,27 @@ from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.geometry.extents import Extents
-from navbake.baker.occupancy.occupancy import NO_LISTING, Footprint, Found, Occupancy, look_at_cells
-from navbake.baker.occupancy.occupancy_kernels import Listing
+from navbake.baker.occupancy.occupancy import (
+    NO_LISTING,
+    CellOccupancy,
+    Footprint,
+    Occupancy,
+    check_occupancy,
+)
+from navbake.baker.occupancy.occupancy_kernels import OccupantLists
 from navbake.baker.occupants import list_kernels as kernels
 from navbake.baker.occupants.cell_names import name_geoms
 from navbake.baker.occupants.column_flags import flag_columns
 from navbake.baker.occupants.kinds import (
     COVERING,
     THING_HEIGHT,
-    WALL_BAND,
-    GeomsOverFloors,
+    WALL_HEIGHTS,
+    GeomHeights,
+    classify_floor_geoms,
     classify_geoms,
-    find_carriers,
     find_steps,
 )
-from navbake.baker.occupants.list_kernels import LevelContents
+from navbake.baker.occupants.list_kernels import LevelOccupants
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
@@ -50,7 +56,7 @@ OPEN_ABOVE = 100.0
 NO_MEASURES = np.empty((0, 7), dtype=np.int64), np.empty((0, 2))
 
 
-class LevelLook(NamedTuple):
+class LevelOccupancy(NamedTuple):
     """What was found over the floors of some cells of a level.
 
     Attributes:
@@ -60,8 +66,8 @@ class LevelLook(NamedTuple):
     """
 
     cells: Int
-    found: Found
-    listing: Listing
+    found: CellOccupancy
+    listing: OccupantLists
 
 
 class StandingCells(NamedTuple):
@@ -74,12 +80,12 @@ class StandingCells(NamedTuple):
     """
 
     occupancy: Occupancy
-    levels: list[LevelContents]
+    levels: list[LevelOccupants]
     column_flags: list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
-class Contents:
+class StandingOccupants:
     """What stands in all cells with a floor.
 
     Attributes:
@@ -90,7 +96,7 @@ class Contents:
         warnings: what the user should know, one line each.
     """
 
-    levels: list[LevelContents]
+    levels: list[LevelOccupants]
     kinds: NDArray[np.uint8]
     partitions: NDArray[np.uint8]
     names: list[str]
@@ -99,7 +105,7 @@ class Contents:
     def mark_walls(self, level: int) -> tuple[Bool, Bool]:
         """Mark the cells that a wall stands in and blocks.
 
-        Also returns those that a building's mesh blocks only below `WALL_BAND`.
+        Also returns those that a building's mesh blocks only below `WALL_HEIGHTS`.
         """
         listed = self.levels[level]
         cells = np.arange(len(listed.first))
@@ -123,7 +129,7 @@ def find_tops(floors: Floors) -> list[float]:
     return [*(level.ground for level in floors.levels[1:]), np.inf]
 
 
-def look_at_level(
+def check_level_occupancy(
     columns: Columns,
     tiled: TiledShapes,
     footprint: Footprint,
@@ -132,7 +138,7 @@ def look_at_level(
     top: float,
     agent: AgentSettings,
     probed: Bool | None,
-) -> LevelLook:
+) -> LevelOccupancy:
     """Look at what is over the floors of some cells of a level, ascending.
 
     Args:
@@ -147,21 +153,21 @@ def look_at_level(
     listing = NO_LISTING
     if probed is not None:
         ceiling = np.minimum(top, heights + OPEN_ABOVE)
-        listing = Listing(
+        listing = OccupantLists(
             ceiling=np.maximum(ceiling, heights + agent.height) - TOUCH_DEPTH,
             first=np.empty(len(here), dtype=np.int32),
             carrier=np.empty(len(here), dtype=np.int32),
             gap=np.empty(len(here)),
             probed=probed,
-            low=WALL_BAND[0] + TOUCH_DEPTH,
-            high=WALL_BAND[1] - TOUCH_DEPTH,
+            low=WALL_HEIGHTS[0] + TOUCH_DEPTH,
+            high=WALL_HEIGHTS[1] - TOUCH_DEPTH,
             min_up=agent_limits(agent).min_up,
         )
-    found = look_at_cells(columns, tiled, footprint, here, heights, listing)
-    return LevelLook(here, found, listing)
+    found = check_occupancy(columns, tiled, footprint, here, heights, listing)
+    return LevelOccupancy(here, found, listing)
 
 
-def find_standing(
+def find_standing_cells(
     columns: ColumnSource,
     tiles: ShapeSource,
     floors: Floors,
@@ -175,7 +181,7 @@ def find_standing(
     Args:
         columns: of what stands.
         tiles: what stands, by tiles of the same lattice.
-        probed: see `look_at_level`.
+        probed: see `check_level_occupancy`.
         clock: times the flags as a part of rooms.
     """
     lattice = columns.lattice
@@ -190,7 +196,7 @@ def find_standing(
         first, end = block.known_rows.cells(lattice)
         cells = np.arange(first, end)
         for k, level in enumerate(floors.levels):
-            look = look_at_level(
+            look = check_level_occupancy(
                 block,
                 tiled,
                 footprint=footprint,
@@ -219,7 +225,7 @@ class GrowingLists:
     def __init__(self, lattice: Lattice) -> None:
         num = lattice.width * lattice.height
         self._used = 0
-        self.listed = LevelContents(
+        self.listed = LevelOccupants(
             lattice=lattice,
             first=np.zeros(num, dtype=np.int32),
             geom=np.empty(0, dtype=np.int32),
@@ -228,7 +234,7 @@ class GrowingLists:
             gap=np.full(num, np.inf),
         )
 
-    def append(self, look: LevelLook, share: float) -> None:
+    def append(self, look: LevelOccupancy, share: float) -> None:
         """Add the lists of some cells; `share` of all cells are known with these."""
         used = self._used
         needed = used + len(look.found.geom)
@@ -247,14 +253,14 @@ class GrowingLists:
         self._used = needed
 
 
-def classify_contents(
+def classify_occupants(
     scene: Scene,
-    levels: Sequence[LevelContents],
+    levels: Sequence[LevelOccupants],
     floors: Floors,
     extents: Extents,
     agent: AgentSettings,
     settings: NameSettings,
-) -> Contents:
+) -> StandingOccupants:
     """Classify what stands in the cells: walls, buildings, their floors and ceilings, or things.
 
     Args:
@@ -264,7 +270,7 @@ def classify_contents(
     over_floors, counts, stood_on = _measure_levels(levels, floors, extents)
     carrier = np.stack([listed.carrier for listed in levels])
     lattice = levels[0].lattice
-    carriers = find_carriers(
+    carriers = classify_floor_geoms(
         counts=counts,
         stood_on=stood_on,
         cell_size=lattice.cell_size,
@@ -279,13 +285,13 @@ def classify_contents(
         agent=agent,
         settings=settings,
     )
-    return Contents(list(levels), kinds, partitions, name_geoms(scene), warnings)
+    return StandingOccupants(list(levels), kinds, partitions, name_geoms(scene), warnings)
 
 
 def _measure_levels(
-    levels: Sequence[LevelContents], floors: Floors, extents: Extents
-) -> tuple[GeomsOverFloors, Int, Bool]:
-    """How geoms stand over floors, and the arguments of `find_carriers`."""
+    levels: Sequence[LevelOccupants], floors: Floors, extents: Extents
+) -> tuple[GeomHeights, Int, Bool]:
+    """How geoms stand over floors, and the arguments of `classify_floor_geoms`."""
     num = len(extents.low)
     heights = (extents.low, extents.high)
     base = np.full(num, np.inf)
@@ -306,11 +312,11 @@ def _measure_levels(
         np.minimum.at(base, geom, over[:, 0])
         np.maximum.at(rise, geom, over[:, 1])
     area, upper_area = counts[:, :2].max(axis=0) * levels[0].lattice.cell_size ** 2
-    over_floors = GeomsOverFloors(base, rise, area, upper_area)
+    over_floors = GeomHeights(base, rise, area, upper_area)
     return over_floors, counts[:, 2:].sum(axis=0), stood_on
 
 
-def take_entries(
+def entries_of_cells(
     first: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
 ) -> tuple[Int, Int32, NDArray[np.uint8]]:
     """What lists say of some cells, by cell and then geom: places in `cells`, geoms and flags.

@@ -19,7 +19,7 @@ from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.geometry.shapes import Shapes, Solids, solid_bounds
 from navbake.baker.occupants.list_kernels import COLUMN_FLAGS
-from navbake.baker.occupants.standing import Contents
+from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.gaps import WIDEST
 from navbake.baker.rooms.walls import find_windows
 from navbake.baker.scene.collect import Choice, collect_shapes
@@ -97,7 +97,7 @@ def gather_flags(
     columns: ColumnSource,
     floors: Floors,
     column_flags: Sequence[NDArray[np.uint8]],
-    contents: Contents | None,
+    standing_occupants: StandingOccupants | None,
     occupied: Sequence[Bool],
     settings: RoomSettings,
     agent: AgentSettings,
@@ -111,8 +111,8 @@ def gather_flags(
     levels = list[LevelFlags]()
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
-        if contents is not None:
-            wall, low = contents.mark_walls(number)
+        if standing_occupants is not None:
+            wall, low = standing_occupants.mark_walls(number)
         marked = column_flags[number].reshape(lattice.shape)
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
@@ -130,8 +130,8 @@ def gather_flags(
         ends = more <= BEYOND * lattice.cell_size
     has_ground = len(scene.structure.planes.geom) > 0
     is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
-    if contents is not None:
-        is_wall = np.isin(contents.partitions, (WALL, BUILDING))
+    if standing_occupants is not None:
+        is_wall = np.isin(standing_occupants.partitions, (WALL, BUILDING))
     marks = mark_rooms(scene, columns, floors.levels, settings, agent)
     walls = scene.structure.only(is_wall)
     return RoomFlags(lattice, levels, empty, ends, walls, has_ground, floors.links, marks)

@@ -19,8 +19,8 @@ from navbake.baker.columns import column_blocks
 from navbake.baker.columns.columns import Columns
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.occupancy import Occupancy
-from navbake.baker.occupants.movable import Occupants
-from navbake.baker.occupants.standing import Contents
+from navbake.baker.occupants.movable import MovableOccupants
+from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import load_config
@@ -33,10 +33,10 @@ TYPES = {
     "columns": Columns,
     "floors": Floors,
     "occupancy": Occupancy,
-    "contents": Contents,
+    "contents": StandingOccupants,
     "rooms": Rooms,
     "doors": list,
-    "occupants": Occupants,
+    "occupants": MovableOccupants,
 }
 STAGES = [*TYPES, "grid"]
 CUPBOARD_DOOR = CUPBOARD[CUPBOARD.index('<body name="cupboard_door"') : CUPBOARD.rindex("</body>")]
@@ -66,7 +66,7 @@ def test_the_stages_of_a_crate_on_a_floor(tmp_path):
     assert not stages.contents.mark_walls(0)[0].any()
     assert [room.id for room in stages.rooms.table] == ["0:1"]
     assert stages.doors == []
-    assert stages.occupants.occupied[0].sum() == 25
+    assert stages.occupants.blocked[0].sum() == 25
 
 
 def test_columns_can_be_looked_at_where_there_is_no_floor(tmp_path):
@@ -141,7 +141,7 @@ def test_what_stands_is_found_without_the_leaves(tmp_path):
     assert leaf not in stages.columns.geom
     row, col = stages.lattice.rows_cols([3.0, 1.5])
     assert not stages.occupancy.levels[0][row, col]
-    assert not stages.occupants.occupied[0][row, col]
+    assert not stages.occupants.blocked[0][row, col]
     (door,) = stages.doors
     assert door.is_door
     assert row * stages.lattice.width + col in door.blocked["closed"][0]
@@ -170,7 +170,7 @@ def test_a_leaf_that_is_no_door_is_in_the_way_alone(tmp_path):
     np.testing.assert_array_equal(one.floor, other.floor)
     np.testing.assert_array_equal(stages.rooms.index[0], without.rooms.index[0])
     np.testing.assert_array_equal(stages.occupancy.levels[0], without.occupancy.levels[0])
-    blocked = stages.occupants.occupied[0] & ~stages.occupancy.levels[0]
+    blocked = stages.occupants.blocked[0] & ~stages.occupancy.levels[0]
     row, col = np.nonzero(blocked)
     places = stages.lattice.positions(row, col)
     # the leaf stands 0.8 m wide before the cupboard

@@ -21,10 +21,10 @@ from navbake.baker.core.constants import MEETS, UNDECIDED
 from navbake.baker.core.tiles import TILE, cell_bits, cells_near
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.extents import measure_geoms
-from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
-from navbake.baker.occupancy.occupancy_kernels import BLOCKS, PROBED, STANDS
-from navbake.baker.occupants.kinds import WALL_BAND, wall_candidates
-from navbake.baker.occupants.standing import OPEN_ABOVE, take_entries
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.baker.occupants.kinds import WALL_HEIGHTS, mark_wall_candidates
+from navbake.baker.occupants.standing import OPEN_ABOVE, entries_of_cells
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 from oracles.gather import geoms_that_meet, line_meets, prisms_over
@@ -105,12 +105,12 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
     footprint, height = stages.footprint, stages.config.agent.height
     half = stages.lattice.cell_size / 2 - TOUCH_DEPTH
     extents = measure_geoms(stages.scene.shapes, len(stages.scene.geoms))
-    candidates = wall_candidates(stages.scene, extents)
+    candidates = mark_wall_candidates(stages.scene, extents)
     tops = [*(level.ground for level in stages.floors.levels[1:]), np.inf]
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
     for level, occupied, top, listed in levels:
         every = np.arange(len(listed.first))
-        at, geom, flags = take_entries(listed.first, listed.geom, listed.flags, every)
+        at, geom, flags = entries_of_cells(listed.first, listed.geom, listed.flags, every)
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             ceiling = max(min(top, floor + OPEN_ABOVE), floor + height) - TOUCH_DEPTH
@@ -118,8 +118,8 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
                 "stands": (floor + SAME_HEIGHT + TOUCH_DEPTH, ceiling, half, 0.0),
                 "blocks": (floor + footprint.low, floor + footprint.high, *footprint[:2]),
                 "upper": (
-                    floor + WALL_BAND[0] + TOUCH_DEPTH,
-                    floor + WALL_BAND[1] - TOUCH_DEPTH,
+                    floor + WALL_HEIGHTS[0] + TOUCH_DEPTH,
+                    floor + WALL_HEIGHTS[1] - TOUCH_DEPTH,
                     half,
                     0.0,
                 ),
@@ -138,7 +138,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
                 allowed["upper"] = allowed["upper"] & allowed["stands"] & walls
             here = at == cell
             assert (np.diff(geom[here]) > 0).all()
-            for name, flag in zip(volumes, (STANDS, BLOCKS, PROBED), strict=True):
+            for name, flag in zip(volumes, (OCCUPYING, BLOCKING, AT_WALL_HEIGHT), strict=True):
                 found = set(geom[here & (flags & flag > 0)].tolist())
                 assert sure[name] <= found <= maybe[name], (cell, name)
 
@@ -150,12 +150,12 @@ def test_queries_in_any_order_and_more_than_one_a_cell():
     cells = rng.integers(0, num, 3000)
     floors = rng.choice([-0.5, 0.0, 0.3, 1.2], 3000)
     ask = stages.columns, stages.tile_index, footprint
-    together = look_at_cells(*ask, cells, floors).occupied
+    together = check_occupancy(*ask, cells, floors).occupied
     assert together.any() and not together.all()
     for n in range(0, 3000, 40):
-        one = look_at_cells(*ask, cells[n : n + 1], floors[n : n + 1])
+        one = check_occupancy(*ask, cells[n : n + 1], floors[n : n + 1])
         assert one.occupied[0] == together[n]
-    assert not len(look_at_cells(*ask, cells[:0], floors[:0]).occupied)
+    assert not len(check_occupancy(*ask, cells[:0], floors[:0]).occupied)
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
@@ -166,7 +166,7 @@ def test_any_number_of_threads_finds_the_same():
             stages = random_stages(11)
             level = stages.contents.levels[0]
             every = np.arange(len(level.first))
-            listed = take_entries(level.first, level.geom, level.flags, every)
+            listed = entries_of_cells(level.first, level.geom, level.flags, every)
             answers.append([stages.occupancy.levels[0], *listed])
     for one, two in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, two)

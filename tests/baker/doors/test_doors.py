@@ -221,7 +221,7 @@ def test_a_stage_that_looks_like_a_door_carries_a_floor_if_it_is_named(bake, mov
     assert grid.blockers(0.95, 1.5) == ["stage"]  # its backdrop
 
 
-@pytest.mark.parametrize("stage", ["find_rooms", "place_doors"])
+@pytest.mark.parametrize("stage", ["find_rooms", "classify_leaves"])
 @pytest.mark.parametrize(
     ("things", "settings"),
     [

@@ -18,7 +18,7 @@ from navbake.baker.floors.outline import (
     look_at_site,
 )
 from navbake.baker.floors.regions import find_large_regions
-from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from standable import regions_of
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'
@@ -48,7 +48,7 @@ def endings_at(tmp_path: Path):
 
         def is_occupied(cells, floors, band: Band | None = None, /):
             volume = narrow if band is None else narrow.between(band)
-            return look_at_cells(columns, tiles, volume, cells, floors).occupied
+            return check_occupancy(columns, tiles, volume, cells, floors).occupied
 
         regions, settings = regions_of(stages), stages.config.floors
         is_large = find_large_regions(regions, regions.size > 0, settings)

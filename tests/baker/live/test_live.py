@@ -53,13 +53,13 @@ def test_updates_equal_fresh_bakes(scene, moves):
 def test_only_what_is_near_is_looked_at(monkeypatch):
     baker = open_room()
     looked_at = []
-    find_again = module.find_occupants_again
+    find_again = module.update_movable_occupants
 
     def spy(occupants, cells, **more):
         looked_at.append(len(cells))
         return find_again(occupants, cells, **more)
 
-    monkeypatch.setattr(module, "find_occupants_again", spy)
+    monkeypatch.setattr(module, "update_movable_occupants", spy)
     changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
     assert changes.reason == ""
     assert len(looked_at) == 1

@@ -12,7 +12,7 @@ import navbake
 from box_worlds import box, stages_of_xml, world
 from navbake.baker.bake.pipeline import bake
 from navbake.baker.bake.stages import Stages
-from navbake.baker.occupants.movable import name_contents
+from navbake.baker.occupants.movable import name_occupants
 from navbake.navgrid.grid import SceneGrid2D
 
 CELL, HALF = 0.1, 1.0  # of the raster [m], and of the floor's shorter side [m]
@@ -68,7 +68,7 @@ def test_wall_on_a_line_has_its_name_on_both_sides(tmp_path, kind):
     walls = stages.contents.mark_walls(0)[0]
     assert blocked_columns(walls) == touched_columns(0.3) == [12, 13]
     window = (slice(0, 20), slice(0, 20))
-    names = name_contents(stages.contents, stages.occupants, 0, window)
+    names = name_occupants(stages.contents, stages.occupants, 0, window)
     for cell, entry in names.items():
         beside = cell % 20 in (12, 13)
         assert (entry.get("walls") == ["thin"]) == beside

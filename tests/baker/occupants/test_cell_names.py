@@ -12,7 +12,7 @@ from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import Stages
 from navbake.baker.core.constants import OBJECT, WALL
 from navbake.baker.occupants.cell_names import BLOCKERS, NAMED, OBJECTS, WALLS, name_cells
-from navbake.baker.occupants.movable import name_contents
+from navbake.baker.occupants.movable import name_occupants
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
 
@@ -22,7 +22,7 @@ SMALL = {"min_area": 0.1, "shrink": 0.1}
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
     window = (slice(0, height), slice(0, width))
-    return dict(name_contents(stages.contents, stages.occupants, level, window))
+    return dict(name_occupants(stages.contents, stages.occupants, level, window))
 
 
 def at(stages: Stages, x: float, y: float, level: int = 0) -> Any:
@@ -155,7 +155,7 @@ def test_a_window_counts_cells_from_its_own_corner(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.3, 0.2, 0.5)))
     whole = user_data(stages)
     window = (slice(18, 30), slice(21, 25))
-    part = dict(name_contents(stages.contents, stages.occupants, 0, window))
+    part = dict(name_occupants(stages.contents, stages.occupants, 0, window))
     expected = {
         (cell // 40 - 18) * 4 + cell % 40 - 21: data
         for cell, data in whole.items()

@@ -5,21 +5,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.core.constants import BUILDING, OBJECT, WALL
-from navbake.baker.occupancy.occupancy_kernels import BLOCKS, PROBED, STANDS
-from navbake.baker.occupants.list_kernels import LevelContents, mark_walls
-from navbake.baker.occupants.standing import take_entries
+from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.baker.occupants.list_kernels import LevelOccupants, mark_walls
+from navbake.baker.occupants.standing import entries_of_cells
 from navbake.navgrid.lattice import Lattice
 
 CELLS, GEOMS = 12, 8
 seeds = st.integers(0, 2**32 - 1)
 
 
-def random_lists(rng: np.random.Generator) -> tuple[LevelContents, list[list[tuple[int, int]]]]:
-    """Contents of cells in any order, and the geoms and flags of each cell."""
+def random_lists(rng: np.random.Generator) -> tuple[LevelOccupants, list[list[tuple[int, int]]]]:
+    """Occupants of cells in any order, and the geoms and flags of each cell."""
     lists = []
     for _ in range(CELLS):
         geoms = np.flatnonzero(rng.random(GEOMS) < 0.3).tolist()
-        flags = rng.choice([STANDS, BLOCKS, STANDS | BLOCKS, STANDS | BLOCKS | PROBED], GEOMS)
+        flags = rng.choice(
+            [OCCUPYING, BLOCKING, OCCUPYING | BLOCKING, OCCUPYING | BLOCKING | AT_WALL_HEIGHT],
+            GEOMS,
+        )
         lists.append([(geom, int(flags[geom])) for geom in geoms])
     first, entries = np.zeros(CELLS, dtype=np.int32), [(-1, 0)]
     for cell in rng.permutation(CELLS):
@@ -29,7 +32,7 @@ def random_lists(rng: np.random.Generator) -> tuple[LevelContents, list[list[tup
     geom, flags = np.array(entries).T
     none = np.full(CELLS, -1, dtype=np.int32), np.full(CELLS, np.inf)
     line = Lattice(0.0, 0.0, 0.25, CELLS, 1)
-    return LevelContents(line, first, geom.astype(np.int32), flags.astype(np.uint8), *none), lists
+    return LevelOccupants(line, first, geom.astype(np.int32), flags.astype(np.uint8), *none), lists
 
 
 @settings(deadline=None)  # its kernels may be compiled first
@@ -38,7 +41,7 @@ def test_entries_by_cell(seed):
     rng = np.random.default_rng(seed)
     listed, lists = random_lists(rng)
     cells = np.flatnonzero(rng.random(CELLS) < 0.7)
-    entries = take_entries(listed.first, listed.geom, listed.flags, cells)
+    entries = entries_of_cells(listed.first, listed.geom, listed.flags, cells)
     found = list(zip(*(array.tolist() for array in entries), strict=True))
     assert found == [(n, *entry) for n, cell in enumerate(cells) for entry in lists[cell]]
 
@@ -53,9 +56,11 @@ def test_wall_cells_and_low_ones(seed):
     walls, lows = np.empty((2, len(cells)), dtype=np.bool_)
     mark_walls(listed, kinds, cells, walls, lows, 0, len(cells))
     for n, cell in enumerate(cells.tolist()):
-        here = [(kinds[geom], flags) for geom, flags in lists[cell] if flags & STANDS]
-        upper = [kind for kind, flags in here if flags & PROBED]
-        blocking = [(kind, flags) for kind, flags in here if flags & BLOCKS]
-        is_wall = any(k == WALL or (k == BUILDING and flags & PROBED) for k, flags in blocking)
+        here = [(kinds[geom], flags) for geom, flags in lists[cell] if flags & OCCUPYING]
+        upper = [kind for kind, flags in here if flags & AT_WALL_HEIGHT]
+        blocking = [(kind, flags) for kind, flags in here if flags & BLOCKING]
+        is_wall = any(
+            k == WALL or (k == BUILDING and flags & AT_WALL_HEIGHT) for k, flags in blocking
+        )
         assert walls[n] == is_wall
         assert lows[n] == (BUILDING in [k for k, _ in blocking] and BUILDING not in upper)

@@ -13,7 +13,7 @@ from box_worlds import stages_of_xml
 from navbake.baker.bake.stages import Stages, bake_stages
 from navbake.baker.core.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.geometry.extents import measure_geoms
-from navbake.baker.occupants.movable import name_contents
+from navbake.baker.occupants.movable import name_occupants
 from navbake.config.settings import load_config
 from project_paths import CONFIGS, SHARED_DATA
 
@@ -257,7 +257,7 @@ def test_a_pattern_that_matches_nothing_is_told_with_near_names(tmp_path):
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
     window = (slice(0, height), slice(0, width))
-    return dict(name_contents(stages.contents, stages.occupants, level, window))
+    return dict(name_occupants(stages.contents, stages.occupants, level, window))
 
 
 # ---------------------------------------------------------------- meshes that hold a building

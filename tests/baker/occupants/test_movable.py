@@ -12,8 +12,8 @@ import pytest
 import navbake
 from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages, mark_in_the_way
-from navbake.baker.occupancy.occupancy_kernels import BLOCKS
-from navbake.baker.occupants.movable import BAND_ROWS, find_occupants
+from navbake.baker.occupancy.occupancy_kernels import BLOCKING
+from navbake.baker.occupants.movable import CHUNK_ROWS, find_movable_occupants
 from random_scenes import make_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
@@ -58,7 +58,7 @@ def test_entries_are_sorted_and_of_what_is_in_the_way(seed):
             assert in_the_way[geom]
             assert flags
         for number_of_band, band in enumerate(stages.occupants.entries[number]):
-            assert (band.cell // (BAND_ROWS * width) == number_of_band).all()
+            assert (band.cell // (CHUNK_ROWS * width) == number_of_band).all()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -67,9 +67,9 @@ def test_cells_are_occupied_by_what_stands_or_blocks_them(seed):
     for number, standing in enumerate(stages.occupancy.levels):
         expected = standing.copy()
         for cell, _, flags in listed(stages, number):
-            if flags & BLOCKS:
+            if flags & BLOCKING:
                 expected.flat[cell] = True
-        np.testing.assert_array_equal(stages.occupants.occupied[number], expected)
+        np.testing.assert_array_equal(stages.occupants.blocked[number], expected)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -79,12 +79,12 @@ def test_a_body_takes_the_cells_that_it_blocks_and_nothing_standing_does(seed):
     taken = set()
     for number, standing in enumerate(stages.occupancy.levels):
         for cell, geom, flags in listed(stages, number):
-            if flags & BLOCKS and not standing.flat[cell]:
+            if flags & BLOCKING and not standing.flat[cell]:
                 taken.add((number, cell, int(mover_of[geom])))
-    expected = np.zeros(len(stages.occupants.taken), dtype=np.int64)
+    expected = np.zeros(len(stages.occupants.num_blocked_alone), dtype=np.int64)
     for _, _, mover in taken:
         expected[mover] += 1
-    np.testing.assert_array_equal(stages.occupants.taken, expected)
+    np.testing.assert_array_equal(stages.occupants.num_blocked_alone, expected)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -111,17 +111,17 @@ def test_a_cup_on_a_table_that_stands_takes_nothing(tmp_path: Path):
     table = box("table", 0, 0, 0, 1, 1, 0.7)
     cup = free("cup", box("cup", 0.3, 0.3, 0.7, 0.5, 0.5, 0.9))
     stages = stages_of_xml(tmp_path, world(FLOOR + table + cup))
-    assert not stages.occupants.taken.any()
+    assert not stages.occupants.num_blocked_alone.any()
     assert listed(stages, 0)
 
 
 def test_nothing_is_looked_for_where_nothing_moves(tmp_path: Path):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("table", 0, 0, 0, 1, 1, 0.7)))
     occupants = stages.occupants
-    assert not occupants.taken.any()
+    assert not occupants.num_blocked_alone.any()
     assert listed(stages, 0) == []
     # and the layers are those of what stands
-    assert occupants.occupied[0] is stages.occupancy.levels[0]
+    assert occupants.blocked[0] is stages.occupancy.levels[0]
 
 
 def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
@@ -131,7 +131,9 @@ def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
         found = []
         for most in (0.0, 2.0):
             monkeypatch.setattr("navbake.baker.occupants.movable.MOST_POINTS", most)
-            found.append(find_occupants(stages.over_floors, stages.scene.shapes, in_the_way))
+            found.append(
+                find_movable_occupants(stages.movable_context, stages.scene.shapes, in_the_way)
+            )
         one, other = found
         for number in range(len(stages.floors.levels)):
             np.testing.assert_array_equal(one.occupied[number], other.occupied[number])

@@ -14,56 +14,56 @@ from navbake.baker.core.components import connect, touching
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, cut_cells
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int, Json
 
-WAYS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """The directions in which links cross gaps, as steps of row and column."""
 ROOM = 0.5  # between a stop and the edge, for agents larger than the bake's [m]
-Leaps = NDArray[np.void]
-"""Straight ways between free cells with `LEAP`'s fields: candidates for links."""
+Crossings = NDArray[np.void]
+"""Straight ways between free cells with `CROSSING`'s fields: candidates for links."""
 NUMBERS = ("way", "level", "cell", "other_level", "other_cell", "between")
-LEAP = np.dtype([(name, np.int64) for name in NUMBERS] + [("z", "f8"), ("other_z", "f8")])
-"""Index into `WAYS`, both ends, how many cells lie between, and the floors of both ends [m]."""
+CROSSING = np.dtype([(name, np.int64) for name in NUMBERS] + [("z", "f8"), ("other_z", "f8")])
+"""Index into `DIRECTIONS`, both ends, how many cells lie between, and both floors [m]."""
 
 Landing = Callable[[Int, Int, Float, int], tuple[Int, Bool, Bool]]
 """Of rows, columns, floors at the starts, and how many cells lie between, returns the levels to
 land on, whether one lands, and whether else one goes on."""
 
 
-class MadeLink(NamedTuple):
+class LatticeLink(NamedTuple):
     """A link: its stops, with cells on the whole lattice, and further fields of a `Link`."""
 
     stops: list[Stop]
     fields: Json
 
 
-class Obstacles(NamedTuple):
+class CollisionShapes(NamedTuple):
     """Geometry that an agent may collide with, by columns and by tiles of one lattice."""
 
     columns: ColumnSource
     tiles: ShapeSource
 
 
-class Space(NamedTuple):
+class CollisionGeometry(NamedTuple):
     """What an agent may collide with, on the whole lattice or on a window of it."""
 
-    obstacles: Sequence[Obstacles]
+    obstacles: Sequence[CollisionShapes]
     footprint: Footprint
     window: Window | None = None
 
-    def with_shapes(self, shapes: Shapes, lattice: Lattice) -> Space:
+    def with_shapes(self, shapes: Shapes, lattice: Lattice) -> CollisionGeometry:
         """The space with further geometry."""
         tiled = tile_shapes(shapes, lattice, self.footprint.reach)
-        more = Obstacles(cast_columns(tiled), tiled)
+        more = CollisionShapes(cast_columns(tiled), tiled)
         return self._replace(obstacles=[*self.obstacles, more])
 
 
-class Ground(NamedTuple):
+class LinkSearch(NamedTuple):
     """The levels of a bake as finders of links read them."""
 
     scene: Scene
@@ -71,7 +71,7 @@ class Ground(NamedTuple):
     lattice: Lattice
     floors: Float  # of all levels, shape (levels, height, width) of the whole lattice
     free: Bool  # the same; not where a door blocks in any of its states
-    space: Space
+    geometry: CollisionGeometry
     agent: AgentSettings
 
     @property
@@ -92,7 +92,7 @@ class Ground(NamedTuple):
         It lies straight beyond a cell in a direction, over free cells without a step between;
         where these end earlier, on the last of them.
         """
-        down, right = WAYS[way]
+        down, right = DIRECTIONS[way]
         rows, cols = self.lattice.shape
         row, col = divmod(cell, cols)
         for _ in range(
@@ -111,13 +111,13 @@ class Ground(NamedTuple):
 
     def look_out(
         self, starts: tuple[int, Bool], ways: Iterable[int], gap: float, land: Landing
-    ) -> Leaps:
+    ) -> Crossings:
         """Go straight from marked cells of a level over a gap [m] until `land` lands."""
         level, marked = starts
-        parts = [np.empty(0, dtype=LEAP)]
+        parts = [np.empty(0, dtype=CROSSING)]
         rows, cols = self.lattice.shape
         for way in ways:
-            down, right = WAYS[way]
+            down, right = DIRECTIONS[way]
             row, col = np.nonzero(marked)
             z = self.floors[level, row, col]
             for between in range(math.floor(gap / self.lattice.cell_size + LIMIT_SLACK) + 1):
@@ -130,7 +130,7 @@ class Ground(NamedTuple):
                 c = c[inside]
                 z = z[inside]
                 other, lands, goes_on = land(r, c, z, between)
-                found = np.empty(int(np.count_nonzero(lands)), dtype=LEAP)
+                found = np.empty(int(np.count_nonzero(lands)), dtype=CROSSING)
                 found["way"] = way
                 found["level"] = level
                 found["between"] = between
@@ -146,12 +146,12 @@ class Ground(NamedTuple):
                 z = z[goes_on]
         return np.concatenate(parts)
 
-    def are_clear(self, found: Leaps, space: Space) -> Bool:
+    def are_clear(self, found: Crossings, geometry: CollisionGeometry) -> Bool:
         """Whether nothing stands in the way of each, over its higher end and to its lower one."""
         count = found["between"] + 1
         width = self.lattice.width
         owner = np.repeat(np.arange(len(found)), count)
-        step = np.array([down * width + right for down, right in WAYS])[found["way"]]
+        step = np.array([down * width + right for down, right in DIRECTIONS])[found["way"]]
         nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 1
         top = np.maximum(found["z"], found["other_z"])
         asked: list[tuple[Any, ...]] = [
@@ -165,17 +165,17 @@ class Ground(NamedTuple):
             asked.append((found["other_cell"][falls], low[falls], falls))
             low = low + stride
         cells, floors, whose = (np.concatenate(arrays) for arrays in zip(*asked, strict=True))
-        if space.window is not None:
-            cells = cut_cells(cells, space.window, width)[0]
+        if geometry.window is not None:
+            cells = cut_cells(cells, geometry.window, width)[0]
         clear = np.ones(len(found), dtype=np.bool_)
-        for obstacles in space.obstacles:
+        for obstacles in geometry.obstacles:
             columns = obstacles.columns.at(np.unique(cells))
             tiled = obstacles.tiles.at(cells)
-            met = look_at_cells(columns, tiled, space.footprint, cells, floors).occupied
+            met = check_occupancy(columns, tiled, geometry.footprint, cells, floors).occupied
             clear[whose[met]] = False
         return clear
 
-    def group(self, found: Leaps) -> list[tuple[Leaps, np.void, float]]:
+    def group(self, found: Crossings) -> list[tuple[Crossings, np.void, float]]:
         """Group leaps of one way and pair of levels that start side by side, without a step.
 
         Returns each group, its middle one, and how wide it is for discs [m].

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from box_worlds import FLOOR, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages
-from navbake.baker.occupancy.occupancy_kernels import BLOCKS, PROBED, STANDS
-from navbake.baker.occupants.kinds import WALL_BAND
-from navbake.baker.occupants.list_kernels import LevelContents
-from navbake.baker.occupants.standing import Contents, take_entries
+from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.baker.occupants.kinds import WALL_HEIGHTS
+from navbake.baker.occupants.list_kernels import LevelOccupants
+from navbake.baker.occupants.standing import StandingOccupants, entries_of_cells
 from navbake.config.settings import load_config
 from navbake.threads import limit_threads
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
@@ -59,21 +59,21 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
     return things
 
 
-def all_entries(listed: LevelContents) -> tuple[NDArray, NDArray, NDArray]:
+def all_entries(listed: LevelOccupants) -> tuple[NDArray, NDArray, NDArray]:
     """The cell, the geom and the flags of each entry of a level."""
-    return take_entries(listed.first, listed.geom, listed.flags, np.arange(len(listed.first)))
+    return entries_of_cells(listed.first, listed.geom, listed.flags, np.arange(len(listed.first)))
 
 
-def masks(listed: LevelContents, geom: int) -> tuple[NDArray, NDArray, NDArray]:
+def masks(listed: LevelOccupants, geom: int) -> tuple[NDArray, NDArray, NDArray]:
     """The cells that a geom stands in, those it blocks, and those it meets in the upper band."""
     cell, geoms, flags = all_entries(listed)
     found = np.zeros((3, len(listed.first)), dtype=bool)
-    for mask, flag in zip(found, (STANDS, BLOCKS, PROBED), strict=True):
+    for mask, flag in zip(found, (OCCUPYING, BLOCKING, AT_WALL_HEIGHT), strict=True):
         mask[cell[(geoms == geom) & (flags & flag > 0)]] = True
     return tuple(found)
 
 
-def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
+def compare(stages: Stages, contents: StandingOccupants, things: list[Thing]) -> float:
     """Compare each geom in each cell with a floor; returns the share that is too near to tell."""
     lattice, radius = stages.lattice, stages.config.agent.radius
     half = lattice.cell_size / 2
@@ -86,7 +86,7 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
         x, y = lattice.positions(*np.divmod(cells, lattice.width)).T
         ceiling = np.maximum(floor + HEIGHT, top)
         column = Prisms(x, y, floor + 1e-5, ceiling, half, False)
-        upper = Prisms(x, y, floor + WALL_BAND[0], floor + WALL_BAND[1], half, False)
+        upper = Prisms(x, y, floor + WALL_HEIGHTS[0], floor + WALL_HEIGHTS[1], half, False)
         band = [Prisms(x, y, floor + STEP, floor + HEIGHT, half, False)]
         if radius > half:
             band.append(Prisms(x, y, floor + STEP, floor + HEIGHT, radius, True))
@@ -113,7 +113,7 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
     return unknown / total
 
 
-def check_whole(stages: Stages, contents: Contents) -> None:
+def check_whole(stages: Stages, contents: StandingOccupants) -> None:
     """Entries are sorted, in cells with a floor only, and block exactly what is occupied."""
     for level, occupied, listed in zip(
         stages.floors.levels, stages.occupancy.levels, contents.levels, strict=True
@@ -124,7 +124,7 @@ def check_whole(stages: Stages, contents: Contents) -> None:
         assert (np.diff(cell * 100_000 + geom) > 0).all()
         assert flags.all()
         blocked = np.zeros(len(has_floor), dtype=bool)
-        blocked[cell[flags & BLOCKS > 0]] = True
+        blocked[cell[flags & BLOCKING > 0]] = True
         np.testing.assert_array_equal(blocked[has_floor], occupied.ravel()[has_floor])
 
 
@@ -147,7 +147,7 @@ FLOORS = {
 )
 def test_every_geom_in_every_cell(tmp_path, monkeypatch, kinds, floor, radius):
     everything = lambda scene, extents: np.ones(len(scene.geoms), dtype=bool)  # noqa: E731
-    monkeypatch.setattr("navbake.baker.bake.stages.wall_candidates", everything)
+    monkeypatch.setattr("navbake.baker.bake.stages.mark_wall_candidates", everything)
     rng = np.random.default_rng([len(kinds), ord(floor[1]), round(radius * 100)])
     for _ in range(2):
         things = [FLOORS[floor], *random_things(rng, kinds, 7)]
