@@ -30,6 +30,9 @@ KERNELS_ONLY += (
     "navbake.baker.core.area_test",
     "navbake.baker.core.limits",
 )
+# the methods of a grid whose code stands in modules above: it alone may import upwards, for types
+# and inside of these methods, and each of them does nothing but call one function
+FORWARDING = "navgrid.grid_methods"
 # library -> the modules that may import it
 DOORS = {
     "mujoco": ("baker.scene", "baker.readers", "verifier"),
@@ -103,13 +106,19 @@ def imports_of(source: str, *, with_types: bool) -> frozenset[str]:
 
 
 def import_graph(package: Path) -> dict[str, set[str]]:
-    """Which of a package's modules each of them imports, in functions and for types as well."""
+    """Which of a package's modules each of them imports, in functions and for types as well.
+
+    `FORWARDING` has no imports here: it names modules that stand above it, and that import it.
+    """
     modules = find_modules(package)
     known = {f"{package.name}.{name}": name for name in modules}
-    return {
+    graph = {
         name: {known[found] for found in imports(path, with_types=True) if found in known} - {name}
         for name, path in modules.items()
     }
+    if FORWARDING in graph:
+        graph[FORWARDING] = set()
+    return graph
 
 
 def find_circle(graph: Mapping[str, set[str]]) -> list[str] | None:
@@ -167,6 +176,21 @@ def test_a_planted_circle_is_found(tmp_path):
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import planted.one\n"
     )
     assert find_circle(import_graph(package)) == ["one", "two", "three", "one"]
+
+
+def test_only_calls_stand_where_imports_go_upwards():
+    """So nothing of what decides something is beyond the tests of who imports what."""
+    assert f"navbake.{FORWARDING}" == draw_imports.FORWARDING
+    tree = ast.parse(MODULES[FORWARDING].read_text(encoding="utf-8"))
+    at_the_top = {node.module for node in tree.body if isinstance(node, ast.ImportFrom)}
+    assert {name for name in at_the_top if name.startswith("navbake")} == {"navbake.types"}
+    (methods,) = (node for node in tree.body if isinstance(node, ast.ClassDef))
+    functions = [node for node in methods.body if isinstance(node, ast.FunctionDef)]
+    assert len(functions) == len(methods.body) - 1 > 25
+    for function in functions:
+        for statement in function.body:
+            allowed = ast.ImportFrom | ast.Expr | ast.Assign | ast.Return
+            assert isinstance(statement, allowed), f"{FORWARDING}.{function.name}"
 
 
 # the folders of the baker, from below: none imports one that stands later
@@ -256,7 +280,9 @@ def test_only_kernels_call_subkernels():
         assert name in KERNELS or not imports(path) & parts, name
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if belongs(name, BELOW_VIEWS)])
+@pytest.mark.parametrize(
+    "name", [name for name in MODULES if belongs(name, BELOW_VIEWS) and name != FORWARDING]
+)
 def test_what_lies_below_imports_no_views(name):
     found = imports(MODULES[name], with_types=True)
     assert not any(belongs(each, ("navbake.views",)) for each in found), found

@@ -112,7 +112,8 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
     """Write the files of a product, each whole or not at all; returns its values for the row."""
     kind, *values = product.split(":")
     if kind == "inflated":
-        inflated = grid.inflate(*map(float, values))
+        clearance = float(values[1]) if len(values) > 1 else None
+        inflated = grid.inflate(float(values[0]), clearance)
         write_navgrid(inflated, folder / f"inflated-{'-'.join(values)}.json.gz")
     elif kind == "nav2":
         radius = float(values[0]) if values else None

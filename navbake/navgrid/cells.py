@@ -69,7 +69,9 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
     return Cells(*(v.reshape(p.shape[:-1]) for v in found))
 
 
-def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
+def position_of(
+    grid: GridBase, cells: Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
+) -> Float:
     """World positions of cells' centres, on the floor: x, y, z [m], shape (..., 3), float64.
 
     z is the level's ground where there is no floor. `cells` are one, or many of shape (...); a
@@ -85,7 +87,9 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
     return positions
 
 
-def check_cells(grid: GridBase, cells: Cell | Cells) -> Cells:
+def check_cells(
+    grid: GridBase, cells: Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
+) -> Cells:
     """Check that cells exist, and broadcast them to one shape, int64."""
     try:
         arrays = np.broadcast_arrays(*(np.asarray(v) for v in cells))

@@ -10,19 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partialmethod
 from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.lazy import Method
 from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
-from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice
+from navbake.navgrid.grid_methods import GridMethods
+from navbake.navgrid.lattice import FARTHEST, Lattice
 from navbake.navgrid.links import (
     Agent,
     Area,
@@ -47,7 +45,7 @@ MAX_RADIUS = 10_000.0  # [m]
 
 
 @dataclass(eq=False, kw_only=True)
-class GridBase:
+class GridBase(GridMethods):
     """Common base of grids of one level and of several.
 
     Its `rooms`, `doors`, `steps`, `links`, `areas` and `agents` are tables of the file, which are
@@ -237,39 +235,6 @@ class GridBase:
     def cell_attributes(self) -> list[Json]:
         """The metadata of each attribute, completed from the arrays."""
         return describe_attributes(self.metadata, [level.attributes for level in self.levels])
-
-    # methods defined as functions of higher modules, which are imported on first access
-    cell_at = Method[Cell | None]("navbake.navgrid.cells:cell_at")
-    cells_at = Method[Cells]("navbake.navgrid.cells:cells_at")
-    position_of = Method[Float]("navbake.navgrid.cells:position_of")
-    with_doors = Method[Any]("navbake.navgrid.door_states:with_doors")
-    with_links = Method[Any]("navbake.navgrid.door_states:with_links")
-    at = Method[Any]("navbake.navgrid.cells:place_at")
-    values_at = Method[NDArray[Any]]("navbake.navgrid.cells:values_at")
-    find_path = Method[Any]("navbake.runtime.path_finder:plan_path")
-    inflate = Method[Any]("navbake.runtime.inflation:inflate")
-    inflate_footprint = Method[list[Bool]]("navbake.runtime.inflation:inflate_footprint")
-    block = Method[Any]("navbake.runtime.blocking:block")
-    routes = Method[Any]("navbake.routes.build:make_routes")
-    tensors = Method[Any]("navbake.tensors.build:make_tensors")
-    describe_cell = Method[Json]("navbake.views.describe:describe_cell")
-    save = Method[None]("navbake.formats.navgrid:write_navgrid")
-    convert = Method[list[Path]]("navbake.formats.convert:write_as")
-    to_nav2: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="nav2")
-    to_procthor: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="procthor")
-    to_npz: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="npz")
-    to_mjcf: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="mjcf")
-    to_mesh = Method[Any]("navbake.formats.floor_mesh:make_floor_mesh")
-    to_polygons = Method[list[Any]]("navbake.formats.shapes:find_shapes")
-    to_geojson = Method[Json]("navbake.formats.shapes:to_geojson")
-    to_graph = Method[Any]("navbake.formats.graphs:make_graph")
-    plot = Method[Any]("navbake.views.plot:plot")
-    _repr_html_ = Method[str]("navbake.views.notebook:show_html")
-    _repr_png_ = Method[bytes]("navbake.views.notebook:draw_png")
-
-    def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
-        """The sorted names of the things that block the cell at a position; see `describe_cell`."""
-        return list(self.describe_cell(x, y, level)["blockers"])
 
 
 class DerivedWeights:

@@ -12,13 +12,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import ConfigError, FormatError, QueryError
-from navbake.lazy import Method
+from navbake.lazy import resolve
 from navbake.navgrid.lattice import CELL_SLACK, FARTHEST, LEAST_EDGE, num_cells
 from navbake.types import Bool, Float, Int, Vector3
 
@@ -98,15 +98,28 @@ class VoxelGrid:
         return middles
 
     def indices(self, xyz: ArrayLike) -> Int:
-        """The voxels of positions, (..., 3) int64, extrapolated outside; world frame [m]."""
+        """Return the indices of the voxels at positions; they go on beyond the grid.
+
+        Args:
+            xyz: World x, y, z [m], shape (..., 3).
+
+        Returns:
+            Indices (i, j, k), shape (..., 3), int64; negative or too large outside of the grid.
+        """
         place = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
         return np.floor(place).astype(np.int64)
 
     def at(self, xyz: ArrayLike) -> NDArray[Any]:
-        """The values of the voxels at positions, (..., 3), world frame [m].
+        """Return the values of the voxels at positions.
+
+        Args:
+            xyz: World x, y, z [m], shape (..., 3).
+
+        Returns:
+            The values, shape (...), of the dtype of `values`.
 
         Raises:
-            QueryError: a position is outside the grid, or no number.
+            QueryError: A position is outside the grid, or not a finite number.
         """
         places = np.asarray(xyz, dtype=np.float64)
         if places.shape[-1:] != (3,) or not np.isfinite(places).all():
@@ -157,8 +170,40 @@ class VoxelGrid:
         count = f"{np.count_nonzero(self.values):,} occupied"
         return f"VoxelGrid({shape} voxels of {self.res:g} m from ({corner}) on, {count})"
 
-    save = Method[None]("navbake.formats.voxels:write_voxels")
-    _repr_png_ = Method[bytes]("navbake.views.notebook:draw_voxels")
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        free: bool = False,
+        layout: Literal["binvox", "airsim"] = "binvox",
+        mapping: Mapping[int, int] | Literal["compact"] | None = None,
+    ) -> None:
+        """Write the voxels in the format of the file's ending; `navbake.load_voxels` reads them.
+
+        The names of IDs are written beside it: those of ``a.npz`` into ``a.npz.names.json``.
+
+        Args:
+            path: Name of the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
+            free: Of octrees (``.bt``, ``.ot``): write known voxels that are not occupied as free,
+                not as unknown.
+            layout: Of ``.binvox``: ``airsim`` is the layout of AirSim's ``simCreateVoxelGrid``,
+                which lacks the position of the grid.
+            mapping: Of ``.binvox``: the ID to write for each ID, 0 to 255; ``"compact"`` numbers
+                the IDs that occur from 1, in order. None to write them as they are.
+
+        Raises:
+            FormatError: The ending is another one, the format cannot hold the voxels, or the file
+                cannot be written.
+        """
+        # the formats import this module
+        write_voxels = resolve("navbake.formats.voxels:write_voxels")
+        write_voxels(self, path, free=free, layout=layout, mapping=mapping)
+
+    def _repr_png_(self) -> bytes:
+        """Return a picture of the voxels as PNG, which notebooks show."""
+        # pictures import this module
+        picture: bytes = resolve("navbake.views.notebook:draw_voxels")(self)
+        return picture
 
 
 def dtype_of(most: int) -> np.dtype[Any]:
