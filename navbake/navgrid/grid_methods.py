@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.links import Agent
     from navbake.routes.graph import RouteGraph
     from navbake.runtime import paths
-    from navbake.runtime.blocking import Block
+    from navbake.runtime.blocking import AddedObstacle
     from navbake.tensors.grid_tensors import GridTensors
     from navbake.views.plot import Mark
 
@@ -329,7 +329,7 @@ class GridMethods:
         level: int | None = None,
         height: float | None = None,
         margin: float | None = None,
-    ) -> Block:
+    ) -> AddedObstacle:
         """Block cells of the grid for an obstacle, until it is freed.
 
         The weights, the occupancy and the layer ``clearance`` of this grid change in place. Each
