@@ -1,10 +1,10 @@
 """Makes the graph of routes of a grid: nodes where agents turn, and lanes that are free for them.
 
 Nodes are doors, rooms' middles, the stops of links and stairs, and junctions of the medial axis of
-the free cells; where a free cell is farther than `REACH` from all of these, waypoints are added.
-Lanes are straight lines that `Search.can_pass` allows an agent inflated to its radius, so that its
-disc meets nothing on them. They are a greedy spanner: a lane is left out where the way over shorter
-ones costs at most 5 % more. Where regions of nodes are near that are joined by no such way, the
+the free cells. Where a free cell is farther than `MAX_NODE_DISTANCE` from all of these, waypoints
+are added. Lanes are straight lines that `Search.can_pass` allows an agent inflated to its radius,
+so that its disc meets nothing on them. They are a greedy spanner: a lane is left out where a route
+over shorter lanes costs at most 5 % more. Where two nodes are near and such a route is missing, the
 corners of the path between them become nodes.
 
 Source: Althöfer et al. 1993 for the spanner; Zhang and Suen 1984 for thinning.
@@ -15,16 +15,16 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.links import SPEED, Agent
+from navbake.navgrid.links import SPEED, Agent, Link
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
 from navbake.runtime.blocking import find_agent, fit_grid
-from navbake.runtime.flat_grid import find_leaf_cells, find_stairs
+from navbake.runtime.flat_grid import FlatGrid, find_leaf_cells, find_stairs
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -33,458 +33,607 @@ ndimage = lazy("scipy.ndimage")
 sparse = lazy("scipy.sparse")
 spatial = lazy("scipy.spatial")
 
-LEAST_AREA = 4.0  # m²: smaller islands have no nodes but stops of links
-REACH = 1.8  # metres from any cell to a node
-APART = 1.0  # metres between nodes that see each other
-SNAP = 0.4  # metres from a corner of a path to a node that takes its place
-HOPS = 3  # regions from one node's to another's, between which a way has to be short
-STRETCH = 1.05  # of the cost of a way over other lanes, against a straight one
-LONGEST = 20.0  # metres of a lane
+MIN_ISLAND_AREA = 4.0  # smaller islands have no nodes but the stops of links [m²]
+MAX_NODE_DISTANCE = 1.8  # from any cell to its nearest node [m]
+MIN_JUNCTION_SPACING = 1.0  # between a junction and a node that sees it [m]
+CORNER_SNAP = 0.4  # from a path's corner to a node that takes its place [m]
+MAX_REGION_HOPS = 3  # from one node's cells to another's, between which a route has to be short
+MAX_DETOUR = 1.05  # cost of a route over other lanes, as a multiple of the straight lane's
+MAX_LANE_LENGTH = 20.0  # [m]
 DIGITS = 6  # of positions and lengths, after the point: micrometres
 
 
 def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
     """Make the graph of routes of a grid for an agent, as the grid is now.
 
-    The grid is inflated to the agent's radius. `agent` is its name in the grid, or an Agent; None
-    for one of the grid's radius with all rights. Raises a QueryError if the grid names no such
-    agent, or isn't for one of its size.
+    The grid is inflated to the agent's radius.
+
+    Args:
+        grid: the grid, with its doors and obstacles in their present states.
+        agent: an agent's name in the grid, or an Agent; None for one of the grid's radius with all
+            rights.
+
+    Returns:
+        The graph, with positions in world coordinates [m].
+
+    Raises:
+        QueryError: the grid has no agent of that name, or isn't for one of its size.
     """
     return _Builder(grid, find_agent(grid, agent)).build()
 
 
+class _Stairs(NamedTuple):
+    """Stairs or a ramp between two levels."""
+
+    name: str
+    kind: str  # ``stairs`` or ``ramp``
+    cells: list[int]  # both cells of one step between the levels, the lower first
+
+
 class _Builder:
-    """The nodes and lanes of a graph while they are found."""
+    """The nodes and lanes of a graph while they are added."""
 
     def __init__(self, grid: NavGrid, agent: Agent | None) -> None:
         self.speed = SPEED if agent is None else agent.speed
         fitted = fit_grid(grid, agent)
         self.radius = fitted.radius
-        # lines are swept exactly on inflated grids only
-        exact = fitted if fitted.inflated_radius >= fitted.radius else fitted.inflate(fitted.radius)
-        self.search = Search(exact, agent=agent and agent.of_any_size(), radius=self.radius)
+        if fitted.inflated_radius < fitted.radius:
+            # lines are swept exactly on inflated grids only
+            fitted = fitted.inflate(fitted.radius)
+        any_size = agent and agent.of_any_size()
+        self.search = Search(fitted, agent=any_size, radius=self.radius)
         self.grid = self.search.grid
-        self.flat = flat = self.search.flat
-        areas = self.search.islands.areas
-        self.inside: Bool = flat.free & (areas >= LEAST_AREA)[self.search.islands.number]
-        self.least = float(flat.weight[flat.free].min(initial=1.0))  # price of a cell
-        self.clearance = np.concatenate([
-            ndimage.distance_transform_edt(
-                np.pad(flat.free[flat.cells_of(number)].reshape(level.shape), 1)
-            )[1:-1, 1:-1].ravel() * level.lattice.cell_size
-            for number, level in enumerate(self.grid.levels)
-        ])  # fmt: skip
+        self.flat = self.search.flat
+
+        # by cell
+        islands = self.search.islands
+        is_large = islands.areas >= MIN_ISLAND_AREA
+        self.inside: Bool = self.flat.free & is_large[islands.number]
+        self.clearance = _measure_clearance(self.grid, self.flat)
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
-        self.leaves = {
-            cell: own.id for own in grid.doors for cell in find_leaf_cells(own, flat).tolist()
+        self.leaf_doors = {
+            cell: door.id
+            for door in grid.doors
+            for cell in find_leaf_cells(door, self.flat).tolist()
         }
+
+        self.lowest_price = float(self.flat.weight[self.flat.free].min(initial=1.0))
         self.links = [
             link
             for link in self.grid.links
             if link.refuses(self.search.agent) is None and link.fits(self.radius)
         ]
-        # stairs by their names and kinds, with both cells of a step, the lower first
-        self.stairs: list[tuple[str, str, list[int]]] = []
-        for number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, flat)):
-            # the free step that is the farthest from what is beside it
-            ends = steps[self.inside[steps].all(axis=1)]
-            if len(ends):
-                room = np.round(self.clearance[ends].min(axis=1), DIGITS)
-                places = flat.positions(ends).mean(axis=1)
-                off = np.linalg.norm(places - places.mean(axis=0), axis=1)
-                step = ends[np.lexsort((off, -room))[0]].tolist()
-                self.stairs.append((f"{kind} {number}", kind, step))
+        self.stairs = self._find_stairs()
+
         self.cells: list[int] = []  # of the nodes
         self.nodes: list[Node] = []
-        self.points = np.empty((0, 3))
+        self.points = np.empty((0, 3))  # the nodes' positions [m]
         self.lanes: list[Lane] = []
-        self.distance = np.empty((0, 0))  # of the cheapest ways over lanes [m]
+        self.route_costs = np.empty((0, 0))  # of the cheapest routes between nodes [m]
 
     def build(self) -> RouteGraph:
         self._add_named_places()
         self._add_junctions()
-        self._cover()
-        self._link()
-        self._join_visible()
-        self._join_regions()
-        return self._graph()
+        self._add_waypoints()
+        self._add_lanes_of_links()
+        self._add_lanes_in_sight()
+        self._add_paths_between_neighbors()
+        return self._make_graph()
+
+    def _find_stairs(self) -> list[_Stairs]:
+        """The stairs of the grid, each with its widest step that agents reach."""
+        stairs = []
+        for number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, self.flat)):
+            free_steps = steps[self.inside[steps].all(axis=1)]
+            if not len(free_steps):
+                continue
+            clearance = np.round(self.clearance[free_steps].min(axis=1), DIGITS)
+            middles = self.flat.positions(free_steps).mean(axis=1)
+            from_center = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
+            best = np.lexsort((from_center, -clearance))[0]
+            stairs.append(_Stairs(f"{kind} {number}", kind, free_steps[best].tolist()))
+        return stairs
 
     # ---------------------------------------------------------------- nodes
 
-    def _add(
+    def _add_node(
         self, cell: int, kind: str, name: str = "", *, door: str | None = None, link: str = ""
     ) -> int:
-        """Add a node; returns the index of it, or of the one that its cell has already.
+        """Add a node; return its index, or that of the node which the cell has already.
 
         Links that stop on one cell have a node each, because a node names one link.
         """
-        at = np.round(self.flat.positions(cell), DIGITS) + 0.0
-        room = self.search.rooms.id_of(int(self.search.rooms.number[cell]))
-        level = int(self.flat.level_of(cell))
-        x, y, z = at.tolist()
-        node = Node(name, (x, y, z), level, kind, room, door, link or None)
-        for number, other in enumerate(self.nodes):
-            is_of_other = link and other.link and link != other.link
-            if self.cells[number] == cell and not is_of_other:
-                if other.kind in ("junction", "waypoint") and kind != "waypoint":
-                    self.nodes[number] = node
-                return number
+        position = np.round(self.flat.positions(cell), DIGITS) + 0.0
+        x, y, z = position.tolist()
+        node = Node(
+            name,
+            position=(x, y, z),
+            level=int(self.flat.level_of(cell)),
+            kind=kind,
+            room=self.search.rooms.id_of(int(self.search.rooms.number[cell])),
+            door=door,
+            link=link or None,
+        )
+        for index, present in enumerate(self.nodes):
+            is_of_other_link = link and present.link and link != present.link
+            if self.cells[index] == cell and not is_of_other_link:
+                if present.kind in ("junction", "waypoint") and kind != "waypoint":
+                    self.nodes[index] = node
+                return index
         self.cells.append(cell)
         self.nodes.append(node)
-        self.points = np.concatenate([self.points, at[None]])
-        self.distance = np.pad(self.distance, (0, 1), constant_values=math.inf)
-        self.distance[-1, -1] = 0.0
+        self.points = np.concatenate([self.points, position[None]])
+        self.route_costs = np.pad(self.route_costs, (0, 1), constant_values=math.inf)
+        self.route_costs[-1, -1] = 0.0
         return len(self.nodes) - 1
 
     def _add_named_places(self) -> None:
         """Add the stops of links and stairs, doors, and the widest place of each room."""
-        flat = self.flat
-        rooms = self.search.rooms
         for link in self.links:
-            for number, stop in enumerate(link.stops):
-                cell = int(flat.layout.start[stop.level]) + stop.cell
-                if flat.free[cell]:
-                    self._add(cell, "stop", f"{link.name} {number}", link=link.name)
-        for name, _, step in self.stairs:
-            for cell in step:
-                self._add(cell, "stop", f"{name} {flat.level_of(cell)}")
+            for number, cell in enumerate(self._stop_cells(link)):
+                if self.flat.free[cell]:
+                    self._add_node(cell, "stop", f"{link.name} {number}", link=link.name)
+        for stairs in self.stairs:
+            for cell in stairs.cells:
+                self._add_node(cell, "stop", f"{stairs.name} {self.flat.level_of(cell)}")
         for door in self.grid.doors:
-            cells = find_leaf_cells(door, flat)
+            cells = find_leaf_cells(door, self.flat)
             cells = cells[self.inside[cells]]
             if len(cells):
-                cell = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
-                self._add(cell, "door", door.id, door=door.id)
+                widest = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
+                self._add_node(widest, "door", door.id, door=door.id)
+        rooms = self.search.rooms
         for number, room in enumerate(rooms.rooms, 1):
             cells = np.flatnonzero((rooms.number == number) & self.inside)
-            if len(cells):  # of several, the nearest to the room's centre
-                off = np.linalg.norm(flat.positions(cells) - room.centroid, axis=1)
-                best = np.lexsort((off, -np.round(self.clearance[cells], DIGITS)))[0]
-                self._add(int(cells[best]), "room", room.name or room.id)
+            if len(cells):
+                # of several with the same clearance, the nearest to the room's centre
+                from_center = np.linalg.norm(self.flat.positions(cells) - room.centroid, axis=1)
+                clearance = np.round(self.clearance[cells], DIGITS)
+                best = np.lexsort((from_center, -clearance))[0]
+                self._add_node(int(cells[best]), "room", room.name or room.id)
+
+    def _stop_cells(self, link: Link) -> list[int]:
+        """The cells of a link's stops."""
+        start = self.flat.layout.start
+        return [int(start[stop.level]) + stop.cell for stop in link.stops]
 
     def _add_junctions(self) -> None:
         """Add where three branches of the medial axis meet and no node is near, widest first."""
-        found = []
+        cells_of_levels = []
         for number, level in enumerate(self.grid.levels):
-            part = self.flat.cells_of(number)
-            thin = thin_mask(self.inside[part].reshape(level.shape))
-            _, turns = _around(np.pad(thin, 1))
-            found.append(part.start + np.flatnonzero(thin & (turns >= 3)))
-        cells = np.concatenate(found)
-        order = np.argsort(-np.round(self.clearance[cells], DIGITS), kind="stable")
-        for cell in cells[order].tolist():
-            on = int(self.flat.level_of(cell))
-            at = self.flat.positions(cell)
-            near = np.flatnonzero(np.hypot(*(self.points - at)[:, :2].T) < APART).tolist()
-            if not any(self.nodes[k].level == on and self._sees(self.cells[k], cell) for k in near):
-                self._add(cell, "junction")
+            level_cells = self.flat.cells_of(number)
+            axis = thin_mask(self.inside[level_cells].reshape(level.shape))
+            _, num_branches = _count_neighbors(np.pad(axis, 1))
+            branching = np.flatnonzero(axis & (num_branches >= 3))
+            cells_of_levels.append(level_cells.start + branching)
+        cells = np.concatenate(cells_of_levels)
+        widest_first = np.argsort(-np.round(self.clearance[cells], DIGITS), kind="stable")
+        for cell in cells[widest_first].tolist():
+            level_number = int(self.flat.level_of(cell))
+            distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
+            near_nodes = np.flatnonzero(distance < MIN_JUNCTION_SPACING).tolist()
+            if not any(
+                self.nodes[node].level == level_number and self._sees(self.cells[node], cell)
+                for node in near_nodes
+            ):
+                self._add_node(cell, "junction")
 
-    def _cover(self) -> None:
-        """Add waypoints until every cell is near a node."""
+    def _add_waypoints(self) -> None:
+        """Add waypoints until every cell is near a node, beginning with the farthest cells."""
         cells = np.flatnonzero(self.inside)
-        places = self.flat.positions(cells)
-        places[:, 2] += 1e3 * self.flat.level_of(cells)  # other levels are far
-        tree = spatial.cKDTree(places)
+        positions = self.flat.positions(cells)
+        positions[:, 2] += 1e3 * self.flat.level_of(cells)  # other levels are far
+        tree = spatial.cKDTree(positions)
+        islands = self.search.islands.number[cells]
         while True:
-            nodes = np.array(self.cells, dtype=np.int64)
-            far = np.full(len(cells), math.inf)
-            if len(nodes):
-                far = self.search.field(nodes, by="length")[cells]
-            left = np.flatnonzero(far > REACH)
-            if not len(left):
+            distance = np.full(len(cells), math.inf)
+            if self.cells:
+                nodes = np.array(self.cells, dtype=np.int64)
+                distance = self.search.field(nodes, by="length")[cells]
+            far_places = np.flatnonzero(distance > MAX_NODE_DISTANCE)
+            if not len(far_places):
                 return
-            left = left[np.argsort(-far[left], kind="stable")]
-            taken = np.zeros(len(cells), dtype=np.bool_)
-            for one in left.tolist():
-                if not taken[one]:
-                    near = np.array(tree.query_ball_point(places[one], REACH / 2))
-                    same = self.search.islands.number[cells[near]]
-                    near = near[same == self.search.islands.number[cells[one]]]
-                    room = np.round(self.clearance[cells[near]], DIGITS)
-                    best = near[np.lexsort((near, -room))[0]]
-                    # a wider place only where it still reaches this one
-                    best = best if self._sees(cells[best], cells[one]) else one
-                    self._add(int(cells[best]), "waypoint")
-                    taken[tree.query_ball_point(places[one], REACH)] = True
+            far_places = far_places[np.argsort(-distance[far_places], kind="stable")]
+            is_covered = np.zeros(len(cells), dtype=np.bool_)
+            for place in far_places.tolist():
+                if is_covered[place]:
+                    continue
+                near = np.array(tree.query_ball_point(positions[place], MAX_NODE_DISTANCE / 2))
+                near = near[islands[near] == islands[place]]
+                clearance = np.round(self.clearance[cells[near]], DIGITS)
+                widest = near[np.lexsort((near, -clearance))[0]]
+                # a wider place only where this one is seen from it
+                is_seen = self._sees(cells[widest], cells[place])
+                self._add_node(int(cells[widest if is_seen else place]), "waypoint")
+                is_covered[tree.query_ball_point(positions[place], MAX_NODE_DISTANCE)] = True
 
-    def _sees(self, one: int, other: int) -> bool:
+    def _sees(self, cell: int, target: int) -> bool:
         """Whether an agent may move straight from one cell's centre to another's on its level.
 
         It may where `Search.can_pass` allows it, or over steps along a row, column or diagonal.
         """
         from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
-        level = int(self.flat.level_of(one))
-        a, b = self.flat.positions(np.array([one, other]))
-        a = np.round(a[:2], DIGITS)
-        b = np.round(b[:2], DIGITS)
-        if self.search.can_pass(a, b, level):
+        level = int(self.flat.level_of(cell))
+        start, end = self.flat.positions(np.array([cell, target]))
+        start_xy = np.round(start[:2], DIGITS)
+        end_xy = np.round(end[:2], DIGITS)
+        if self.search.can_pass(start_xy, end_xy, level):
             return True
-        _, (row, to_row), (col, to_col) = self.flat.split(np.array([one, other]))
-        down = int(to_row - row)
-        across = int(to_col - col)
-        count = max(abs(down), abs(across))
-        if not count or not (down == 0 or across == 0 or abs(down) == abs(across)):
+        _, (row, target_row), (col, target_col) = self.flat.split(np.array([cell, target]))
+        down = int(target_row - row)
+        across = int(target_col - col)
+        num_steps = max(abs(down), abs(across))
+        is_straight = down == 0 or across == 0 or abs(down) == abs(across)
+        if not num_steps or not is_straight:
             return False
-        step = down // count * int(self.flat.layout.width[level]) + across // count
-        steps = zip(ROW_STEP, COL_STEP, strict=True)
-        bit = next(k for k, way in enumerate(steps) if way == (down // count, across // count))
-        return bool((self.search.graph.moves[one + step * np.arange(count)] >> bit & 1).all())
+        row_step = down // num_steps
+        col_step = across // num_steps
+        directions = list(zip(ROW_STEP, COL_STEP, strict=True))
+        bit = directions.index((row_step, col_step))
+        cell_step = row_step * int(self.flat.layout.width[level]) + col_step
+        passed = cell + cell_step * np.arange(num_steps)
+        return bool((self.search.graph.moves[passed] >> bit & 1).all())
 
     # ---------------------------------------------------------------- lanes
 
-    def _apart(self, one: Any, other: Any) -> Any:
-        """How far nodes are apart, seen from above, as paths' lengths are [m]."""
-        return np.hypot(*(self.points[one] - self.points[other])[..., :2].T)
+    def _distance(self, node: Any, target: Any) -> Any:
+        """How far nodes are from others, seen from above; indices or arrays of them [m]."""
+        return np.hypot(*(self.points[node] - self.points[target])[..., :2].T)
 
-    def _cost(self, one: int, other: int) -> float:
+    def _lane_cost(self, node: int, target: int) -> float:
         """The cost of a straight lane, or of a step between levels, which costs its length [m]."""
-        level = self.nodes[one].level
-        if level != self.nodes[other].level:
-            return float(self._apart(one, other))
-        return self._cost_of(self.points[[one, other], :2], level)
+        level = self.nodes[node].level
+        if level != self.nodes[target].level:
+            return float(self._distance(node, target))
+        return self._line_cost(self.points[[node, target], :2], level)
 
-    def _cost_of(self, line: Float, level: int) -> float:
+    def _line_cost(self, points: Float, level: int) -> float:
         """The cost of a line on a level, shape (n, 2) [m]."""
-        steps = itertools.pairwise(line)
-        return sum(float(np.hypot(*(b - a))) * self._price(a, b, level) for a, b in steps)
+        return sum(
+            float(np.hypot(*(end - start))) * self._mean_price(start, end, level)
+            for start, end in itertools.pairwise(points)
+        )
 
-    def _price(self, a: Float, b: Float, level: int) -> float:
+    def _mean_price(self, start: Float, end: Float, level: int) -> float:
         """The mean weight of the cells on a straight line."""
-        return float(self.flat.weight[self._cells_on(a, b, level)].mean())
+        return float(self.flat.weight[self._cells_on_line(start, end, level)].mean())
 
-    def _join(self, one: int, other: int, **fields: Any) -> None:
-        """Add a lane between two nodes, and what it shortens."""
-        length = self._apart(one, other)
-        fields = {"length": length, "cost": self._cost(one, other), **fields}
-        self.lanes.append(Lane(one, other, "", **fields))
-        ways = [(one, other)] + [(other, one)] * fields.get("two_way", True)
-        for a, b in ways:
-            over = self.distance[:, a, None] + fields["cost"] + self.distance[None, b]
-            np.minimum(self.distance, over, out=self.distance)
-
-    def _link(self) -> None:
-        """Add the lanes over links and stairs."""
-        start = self.flat.layout.start
-        for link in self.links:
-            index = {
-                cell: k
-                for k, (cell, own) in enumerate(zip(self.cells, self.nodes, strict=True))
-                if own.link in (None, link.name)
-            }
-            cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
-            for i, j in zip(*np.triu_indices(len(cells), 1), strict=True):
-                if {cells[i], cells[j]} <= index.keys() and cells[i] != cells[j]:
-                    length = link.length(int(i), int(j))
-                    cost = length if link.cost is None else link.cost
-                    self._join(
-                        index[cells[i]], index[cells[j]], length=length, cost=cost,
-                        two_way=not link.one_way, kind=link.kind, link=link.name,
-                        seconds=cost / self.speed if link.seconds is None else link.seconds,
-                    )  # fmt: skip
-        index = {cell: k for k, cell in enumerate(self.cells)}
-        for _, kind, (low, high) in self.stairs:
-            self._join(index[low], index[high], kind=kind)
-
-    def _is_free(self, one: int, other: int, doors: set[str | None]) -> bool:
-        """Whether a straight lane is free, and leads through no other doors than some."""
-        seen = self._sees(self.cells[one], self.cells[other])
-        return seen and self._doors_on(one, other) <= doors
-
-    def _doors_on(self, one: int, other: int) -> set[str | None]:
-        """The doors whose leaves lie on the line between two nodes, and those of its ends; None."""
-        level = self.nodes[one].level
-        a, b = self.points[[one, other], :2]
-        on = {self.leaves.get(cell) for cell in self._cells_on(a, b, level).tolist()}
-        return on | {None, self.nodes[one].door, self.nodes[other].door}
-
-    def _cells_on(self, a: Float, b: Float, level: int) -> Int:
+    def _cells_on_line(self, start: Float, end: Float, level: int) -> Int:
         """The cells along a line, by points a quarter of a cell apart."""
-        size = float(self.flat.layout.cell_size[level])
-        count = math.ceil(float(np.linalg.norm(b - a)) / size * 4) + 1
-        shares = (np.arange(count) + 0.5)[:, None] / count
-        return self.flat.cells_at(a + shares * (b - a), level)
+        cell_size = float(self.flat.layout.cell_size[level])
+        num_points = math.ceil(float(np.linalg.norm(end - start)) / cell_size * 4) + 1
+        shares = (np.arange(num_points) + 0.5)[:, None] / num_points
+        return self.flat.cells_at(start + shares * (end - start), level)
 
-    def _join_visible(self) -> None:
-        """Add lanes between nodes that see each other, unless a way over shorter ones will do."""
+    def _doors_on_lane(self, node: int, target: int) -> set[str | None]:
+        """The doors whose leaves lie on the line between two nodes, those of its ends, and None."""
+        start, end = self.points[[node, target], :2]
+        cells = self._cells_on_line(start, end, self.nodes[node].level)
+        crossed = {self.leaf_doors.get(cell) for cell in cells.tolist()}
+        return crossed | self._doors_of_ends(node, target)
+
+    def _doors_of_ends(self, node: int, target: int) -> set[str | None]:
+        """The doors in which two nodes stand, and None."""
+        return {None, self.nodes[node].door, self.nodes[target].door}
+
+    def _is_free(self, node: int, target: int, allowed_doors: set[str | None]) -> bool:
+        """Whether a straight lane is free, and leads through no doors but those allowed."""
+        is_seen = self._sees(self.cells[node], self.cells[target])
+        return is_seen and self._doors_on_lane(node, target) <= allowed_doors
+
+    def _add_lane(self, lane: Lane) -> None:
+        """Add a lane, and shorten the routes that it shortens."""
+        self.lanes.append(lane)
+        directions = [(lane.start, lane.end)]
+        if lane.two_way:
+            directions.append((lane.end, lane.start))
+        for start, end in directions:
+            over_lane = self.route_costs[:, start, None] + lane.cost + self.route_costs[None, end]
+            np.minimum(self.route_costs, over_lane, out=self.route_costs)
+
+    def _add_straight_lane(self, node: int, target: int, kind: str = FLOOR) -> None:
+        """Add the lane along the straight line between two nodes."""
+        self._add_lane(
+            Lane(
+                node,
+                target,
+                name="",
+                length=self._distance(node, target),
+                cost=self._lane_cost(node, target),
+                kind=kind,
+            )
+        )
+
+    def _add_lanes_of_links(self) -> None:
+        """Add the lanes over links and stairs."""
+        for link in self.links:
+            node_of_cell = {
+                cell: index
+                for index, (cell, node) in enumerate(zip(self.cells, self.nodes, strict=True))
+                if node.link in (None, link.name)
+            }
+            cells = self._stop_cells(link)
+            for first, last in itertools.combinations(range(len(cells)), 2):
+                if cells[first] == cells[last]:
+                    continue
+                start = node_of_cell.get(cells[first])
+                end = node_of_cell.get(cells[last])
+                if start is None or end is None:
+                    continue
+                length = link.length(first, last)
+                cost = length if link.cost is None else link.cost
+                self._add_lane(
+                    Lane(
+                        start,
+                        end,
+                        name="",
+                        length=length,
+                        cost=cost,
+                        two_way=not link.one_way,
+                        kind=link.kind,
+                        link=link.name,
+                        seconds=cost / self.speed if link.seconds is None else link.seconds,
+                    )
+                )
+        node_of_cell = {cell: index for index, cell in enumerate(self.cells)}
+        for stairs in self.stairs:
+            low, high = stairs.cells
+            self._add_straight_lane(node_of_cell[low], node_of_cell[high], stairs.kind)
+
+    def _add_lanes_in_sight(self) -> None:
+        """Add lanes between nodes that see each other, unless a route over shorter ones will do."""
         levels = self.flat.level_of(np.array(self.cells, dtype=np.int64))
-        pairs = []
+        pairs_of_levels = []
         for level in range(self.flat.num_levels):
-            own = np.flatnonzero(levels == level)
-            if len(own) > 1:
-                tree = spatial.cKDTree(self.points[own, :2])
-                pairs.append(own[tree.query_pairs(LONGEST, output_type="ndarray")])
-        if not pairs:
+            nodes = np.flatnonzero(levels == level)
+            if len(nodes) > 1:
+                tree = spatial.cKDTree(self.points[nodes, :2])
+                near_pairs = tree.query_pairs(MAX_LANE_LENGTH, output_type="ndarray")
+                pairs_of_levels.append(nodes[near_pairs])
+        if not pairs_of_levels:
             return
-        one, other = np.sort(np.concatenate(pairs), axis=1).T
-        length = np.round(self._apart(one, other), DIGITS)
-        order = np.lexsort((other, one, length))
-        ways = zip(one[order].tolist(), other[order].tolist(), length[order].tolist(), strict=True)
-        for a, b, straight in ways:
-            doors = {None, self.nodes[a].door, self.nodes[b].door}
+        pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
+        for node, target, length in self._shortest_first(pairs):
             if (
-                self.distance[a, b] > STRETCH * straight * self.least
-                and self.distance[a, b] > STRETCH * self._cost(a, b)
-                and self._is_free(a, b, doors)
+                self.route_costs[node, target] > MAX_DETOUR * length * self.lowest_price
+                and self.route_costs[node, target] > MAX_DETOUR * self._lane_cost(node, target)
+                and self._is_free(node, target, self._doors_of_ends(node, target))
             ):
-                self._join(a, b)
+                self._add_straight_lane(node, target)
 
-    def _join_regions(self) -> None:
-        """Add the paths between nodes whose regions are near, unless a way over lanes will do.
+    def _shortest_first(self, pairs: Int) -> list[tuple[int, int, float]]:
+        """Pairs of nodes, shape (n, 2), with their distances [m]; the shortest first."""
+        node, target = pairs.T
+        length = np.round(self._distance(node, target), DIGITS)
+        order = np.lexsort((target, node, length))
+        return [(int(node[index]), int(target[index]), float(length[index])) for index in order]
+
+    def _add_paths_between_neighbors(self) -> None:
+        """Add the paths between nodes whose cells are near, unless a route over lanes will do.
 
         A cell belongs to the node that is the nearest by steps.
         """
-        size = len(self.nodes)
-        if not size:
+        num_nodes = len(self.nodes)
+        if not num_nodes:
             return
-        ends = self._touching()
-        touch = sparse.csr_array((np.ones(len(ends), np.int64), tuple(ends.T)), (size, size))
-        near = touch = touch + touch.T
-        for _ in range(HOPS - 1):
-            near = near + near @ touch
-        one, other = sparse.triu(near, 1).nonzero()
-        straight = np.round(self._apart(one, other), DIGITS)
-        order = np.lexsort((other, one, straight))
-        pairs = np.stack([one, other], axis=1)[order].tolist()
-        for (a, b), least in zip(pairs, straight[order].tolist(), strict=True):
-            if self.distance[a, b] > STRETCH * least * self.least:
-                self._join_path(a, b, {None, self.nodes[a].door, self.nodes[b].door})
-        for a, b in self._touching().tolist():  # through doors that stand side by side
-            if not math.isfinite(self.distance[a, b]):
-                self._join_path(a, b, {None, *self.leaves.values()})
+        touching = self._find_touching_nodes()
+        ones = np.ones(len(touching), np.int64)
+        touches = sparse.csr_array((ones, tuple(touching.T)), (num_nodes, num_nodes))
+        touches = touches + touches.T
+        is_near = touches
+        for _ in range(MAX_REGION_HOPS - 1):
+            is_near = is_near + is_near @ touches
+        near_pairs = np.stack(sparse.triu(is_near, 1).nonzero(), axis=1)
+        for node, target, length in self._shortest_first(near_pairs):
+            if self.route_costs[node, target] > MAX_DETOUR * length * self.lowest_price:
+                self._add_path(node, target, self._doors_of_ends(node, target))
+        # through doors that stand side by side
+        for node, target in self._find_touching_nodes().tolist():
+            if not math.isfinite(self.route_costs[node, target]):
+                self._add_path(node, target, {None, *self.leaf_doors.values()})
 
-    def _touching(self) -> Int:
-        """The pairs of nodes whose regions touch on a level, shape (n, 2)."""
+    def _find_touching_nodes(self) -> Int:
+        """The pairs of nodes whose cells touch on a level, shape (n, 2)."""
         from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
-        cells = np.array(self.cells)
-        _, onward = self.search.find_next_cells(cells)
-        root = np.where(onward < 0, np.arange(len(onward)), onward)
-        while (root != root[root]).any():
-            root = root[root]
-        index = np.full(len(root), -1)
-        index[cells] = np.arange(len(cells))
-        pairs = []
+        node_cells = np.array(self.cells)
+        _, next_cell = self.search.find_next_cells(node_cells)
+        nearest = np.where(next_cell < 0, np.arange(len(next_cell)), next_cell)
+        while (nearest != nearest[nearest]).any():
+            nearest = nearest[nearest]
+        node_of_cell = np.full(len(nearest), -1)
+        node_of_cell[node_cells] = np.arange(len(node_cells))
+        pairs_of_levels = []
         for level in range(self.flat.num_levels):
-            own = self.flat.cells_of(level)
+            level_cells = self.flat.cells_of(level)
             width = int(self.flat.layout.width[level])
             for bit, step in ((EAST, 1), (SOUTH, width)):
-                here = own.start + np.flatnonzero(self.search.graph.moves[own] & bit)
-                pairs.append(np.stack([index[root[here]], index[root[here + step]]], axis=1))
-        found = np.unique(np.concatenate(pairs), axis=0)
-        differ: Int = found[(found >= 0).all(axis=1) & (found[:, 0] != found[:, 1])]
-        return differ
+                can_move = self.search.graph.moves[level_cells] & bit
+                cells = level_cells.start + np.flatnonzero(can_move)
+                node = node_of_cell[nearest[cells]]
+                neighbor = node_of_cell[nearest[cells + step]]
+                pairs_of_levels.append(np.stack([node, neighbor], axis=1))
+        pairs = np.unique(np.concatenate(pairs_of_levels), axis=0)
+        have_nodes = (pairs >= 0).all(axis=1)
+        touching: Int = pairs[have_nodes & (pairs[:, 0] != pairs[:, 1])]
+        return touching
 
-    def _join_path(self, one: int, other: int, doors: set[str | None]) -> None:
+    def _add_path(self, node: int, target: int, allowed_doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: its corners, and lanes between them."""
-        level = self.nodes[one].level
-        if level != self.nodes[other].level:
+        level = self.nodes[node].level
+        if level != self.nodes[target].level:
             return
-        start = self.points[one, :2]
-        end = self.points[other, :2]
-        found = find_path(self.search, start, end, level, by="cost", smooth=True)
-        if found is None or found.links or (found.levels != level).any():
+        start = self.points[node, :2]
+        end = self.points[target, :2]
+        path = find_path(self.search, start, end, level, by="cost", smooth=True)
+        if path is None or path.links or (path.levels != level).any():
             return
-        if self.distance[one, other] <= STRETCH * self._cost_of(found.positions[:, :2], level):
+        path_cost = self._line_cost(path.positions[:, :2], level)
+        if self.route_costs[node, target] <= MAX_DETOUR * path_cost:
             return
-        cells = self.flat.cells_at(found.positions[1:-1, :2], level)
+        corners = self._corner_nodes(node, target, path.positions[:, :2], level)
+        for before, after in itertools.pairwise(corners):
+            if (
+                before != after
+                and self.route_costs[before, after] > self._lane_cost(before, after)
+                and self._is_free(before, after, allowed_doors)
+            ):
+                self._add_straight_lane(before, after)
+
+    def _corner_nodes(self, node: int, target: int, path: Float, level: int) -> list[int]:
+        """The nodes along a path, shape (n, 2) [m]: corners that see each other, added if need be.
+
+        Corners are skipped as long as the line past them costs hardly more.
+        """
+        inner = path[1:-1]
+        cells = self.flat.cells_at(inner, level)
         centers = self.flat.positions(cells)[:, :2]
-        turns = np.abs(centers - found.positions[1:-1, :2]).max(axis=1, initial=0.0) < 1e-6
-        # corners of the path, without the points where only the floor bends
-        left = [*cells[turns].tolist(), self.cells[other]]
-        corners = [one]
-        while left:
-            here = corners[-1]
-            ahead_xy = self.flat.positions(np.array(left))[:, :2]
-            line = np.concatenate([self.points[[here], :2], ahead_xy])
-            seen = [
-                k
-                for k, cell in enumerate(left)
-                if self._sees(self.cells[here], cell)
-                and self._cost_of(line[[0, k + 1]], level)
-                <= STRETCH * self._cost_of(line[: k + 2], level)
-            ]
-            last = max(seen, default=0)
-            ahead = left[last + 1 : last + 2]
-            price = self._price(line[0], line[last + 1], level)
-            near = np.hypot(*(self.points - self.flat.positions(left[last]))[:, :2].T)
-            ends = self.cells[here], *ahead
-            known = [
-                k
-                for k in np.flatnonzero(near < SNAP).tolist()
-                if self.nodes[k].level == level
-                and all(self._sees(self.cells[k], end) for end in ends)
-                and self._cost(here, k) <= STRETCH * price * self._apart(here, k)
-            ]
-            if known and ahead:
-                corners.append(min(known, key=near.__getitem__))
-            else:
-                corners.append(self._add(left[last], "waypoint"))
-            left = left[last + 1 :]
-        for a, b in itertools.pairwise(corners):
-            if a != b and self.distance[a, b] > self._cost(a, b) and self._is_free(a, b, doors):
-                self._join(a, b)
+        # without the points where only the floor bends, which are no cell's centre
+        turns = np.abs(centers - inner).max(axis=1, initial=0.0) < 1e-6
+        remaining = [*cells[turns].tolist(), self.cells[target]]
+        corners = [node]
+        while remaining:
+            corner = corners[-1]
+            remaining_xy = self.flat.positions(np.array(remaining))[:, :2]
+            line = np.concatenate([self.points[[corner], :2], remaining_xy])
+            farthest = 0
+            for place, cell in enumerate(remaining):
+                if self._sees(self.cells[corner], cell):
+                    straight_cost = self._line_cost(line[[0, place + 1]], level)
+                    path_cost = self._line_cost(line[: place + 2], level)
+                    if straight_cost <= MAX_DETOUR * path_cost:
+                        farthest = place
+            cell = remaining[farthest]
+            next_cells = remaining[farthest + 1 : farthest + 2]
+            near_node = None
+            if next_cells:
+                price = self._mean_price(line[0], line[farthest + 1], level)
+                near_node = self._node_in_place_of(cell, corner, next_cells[0], price)
+            if near_node is None:
+                near_node = self._add_node(cell, "waypoint")
+            corners.append(near_node)
+            remaining = remaining[farthest + 1 :]
+        return corners
+
+    def _node_in_place_of(self, cell: int, corner: int, next_cell: int, price: float) -> int | None:
+        """The nearest node that can take the place of a path's corner in a cell; None without one.
+
+        It sees the corner before, a node, and the cell after, and its lane from the corner before
+        costs hardly more than the path at its mean `price`.
+        """
+        level = int(self.flat.level_of(cell))
+        distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
+        candidates = [
+            index
+            for index in np.flatnonzero(distance < CORNER_SNAP).tolist()
+            if self.nodes[index].level == level
+            and self._sees(self.cells[index], self.cells[corner])
+            and self._sees(self.cells[index], next_cell)
+            and self._lane_cost(corner, index) <= MAX_DETOUR * price * self._distance(corner, index)
+        ]
+        return min(candidates, key=distance.__getitem__, default=None)
 
     # ---------------------------------------------------------------- the graph
 
-    def _graph(self) -> RouteGraph:
-        """The graph: nodes have unique names, and lanes their doors and what areas make of them."""
-        taken = set[str]()
+    def _make_graph(self) -> RouteGraph:
+        """The graph, whose nodes have unique names, and whose lanes have their doors and speeds."""
+        used_names = set[str]()
         nodes = list[Node]()
-        lanes = list[Lane]()
         for number, node in enumerate(self.nodes):
-            name = base = node.name or f"{node.kind} {number}"
-            while name in taken:
+            base = node.name or f"{node.kind} {number}"
+            name = base
+            while name in used_names:
                 name = f"{base} ({number})"
                 number += 1
-            taken.add(name)
+            used_names.add(name)
             nodes.append(replace(node, name=name))
-        for lane in self.lanes:
-            one = nodes[lane.start]
-            other = nodes[lane.end]
-            fields: dict[str, Any] = {"name": f"{one.name} - {other.name}"}
-            for key in ("length", "cost", "seconds"):
-                value = getattr(lane, key)
-                fields[key] = None if value is None else round(float(value), DIGITS)
-            if lane.kind == FLOOR:
-                through = self._doors_on(lane.start, lane.end)
-                fields["door"] = min((door for door in through if door), default=None)
-                begin, end = self.points[[lane.start, lane.end], :2]
-                numbers = np.unique(self.areas[self._cells_on(begin, end, one.level)]).tolist()
-                speeds = [self.grid.areas[k - 1].speed for k in numbers if k]
-                fields["speed"] = min((v for v in speeds if v is not None), default=None)
-            lanes.append(replace(lane, **fields))
+        lanes = [self._finish_lane(lane, nodes) for lane in self.lanes]
         return RouteGraph(
-            tuple(nodes), tuple(lanes), self.grid.scene_id, tuple(self.grid.level_names),
-            (self.search.agent and self.search.agent.name) or None, self.radius, self.speed,
-        )  # fmt: skip
+            nodes=tuple(nodes),
+            lanes=tuple(lanes),
+            scene_id=self.grid.scene_id,
+            level_names=tuple(self.grid.level_names),
+            agent=(self.search.agent and self.search.agent.name) or None,
+            radius=self.radius,
+            speed=self.speed,
+        )
+
+    def _finish_lane(self, lane: Lane, nodes: list[Node]) -> Lane:
+        """The lane with its name, rounded numbers, its door, and the lowest speed of its areas."""
+        start = nodes[lane.start]
+        end = nodes[lane.end]
+        lane = replace(
+            lane,
+            name=f"{start.name} - {end.name}",
+            length=round(float(lane.length), DIGITS),
+            cost=round(float(lane.cost), DIGITS),
+            seconds=None if lane.seconds is None else round(float(lane.seconds), DIGITS),
+        )
+        if lane.kind != FLOOR:
+            return lane
+        doors = [door for door in self._doors_on_lane(lane.start, lane.end) if door]
+        start_xy, end_xy = self.points[[lane.start, lane.end], :2]
+        cells = self._cells_on_line(start_xy, end_xy, start.level)
+        area_numbers = [number for number in np.unique(self.areas[cells]).tolist() if number]
+        speeds = [self.grid.areas[number - 1].speed for number in area_numbers]
+        limits = [speed for speed in speeds if speed is not None]
+        return replace(lane, door=min(doors, default=None), speed=min(limits, default=None))
 
 
-def _around(padded: Bool) -> tuple[Int, Int]:
-    """How many of the eight neighbours of cells are set, and how often the ring turns to set."""
-    inner = padded[1:-1, 1:-1].shape
-    ways = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
-    ring = [padded[r : r + inner[0], c : c + inner[1]].view(np.int8) for r, c in ways]
-    turns = [
-        (one == 0) & (other == 1) for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
+def _measure_clearance(grid: NavGrid, flat: FlatGrid) -> Float:
+    """How far each free cell is from the next one that isn't, by centres, shape (cells,) [m]."""
+    clearance = []
+    for number, level in enumerate(grid.levels):
+        free = flat.free[flat.cells_of(number)].reshape(level.shape)
+        # beyond the level's edge is no free cell
+        num_cells = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
+        clearance.append(num_cells.ravel() * level.lattice.cell_size)
+    return np.concatenate(clearance)
+
+
+def _count_neighbors(padded: Bool) -> tuple[Int, Int]:
+    """How many of a cell's eight neighbours are set, and in how many runs around it.
+
+    Args:
+        padded: the mask with one cell more on each side.
+    """
+    height, width = padded[1:-1, 1:-1].shape
+    # clockwise from the upper neighbour
+    offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
+    ring = [padded[row : row + height, col : col + width].view(np.int8) for row, col in offsets]
+    next_in_ring = ring[1:] + ring[:1]
+    begins_run = [
+        (neighbor == 0) & (next_neighbor == 1)
+        for neighbor, next_neighbor in zip(ring, next_in_ring, strict=True)
     ]
-    return np.sum(ring, axis=0), np.sum(turns, axis=0)
+    return np.sum(ring, axis=0), np.sum(begins_run, axis=0)
 
 
 def thin_mask(mask: Bool) -> Bool:
-    """Thin a mask to lines one cell wide."""
+    """Thin a mask to lines one cell wide (Zhang and Suen 1984).
+
+    Args:
+        mask: shape (height, width).
+
+    Returns:
+        The thinned mask, of the same shape.
+    """
     padded = np.pad(mask, 1)
+    inner = padded[1:-1, 1:-1]  # a view
     while True:
-        before = np.count_nonzero(padded)
-        for first in (True, False):
-            count, turns = _around(padded)
+        num_before = np.count_nonzero(padded)
+        for is_first_pass in (True, False):
+            num_neighbors, num_runs = _count_neighbors(padded)
             north = padded[:-2, 1:-1]
             east = padded[1:-1, 2:]
             south = padded[2:, 1:-1]
             west = padded[1:-1, :-2]
-            keeps = (north & east & south) | (east & south & west)
-            if not first:
-                keeps = (north & east & west) | (north & south & west)
-            goes = padded[1:-1, 1:-1] & (count >= 2) & (count <= 6) & (turns == 1) & ~keeps
-            padded[1:-1, 1:-1][goes] = False
-        if np.count_nonzero(padded) == before:
-            return padded[1:-1, 1:-1]
+            if is_first_pass:
+                stays = (north & east & south) | (east & south & west)
+            else:
+                stays = (north & east & west) | (north & south & west)
+            is_border = (num_neighbors >= 2) & (num_neighbors <= 6) & (num_runs == 1)
+            inner[inner & is_border & ~stays] = False
+        if np.count_nonzero(padded) == num_before:
+            return inner

@@ -36,7 +36,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Lane:
-    """A way from one node to another, along a straight line or over a link."""
+    """A connection of one node to another, along a straight line or over a link."""
 
     start: int  #: Index of a node.
     end: int  #: Index of another one.
@@ -81,33 +81,53 @@ class RouteGraph:
         """The cost of the cheapest lane from each node to each other, a scipy csr_array [m]."""
         cheapest: dict[tuple[int, int], float] = {}
         for lane in directed(self.lanes):
-            ends = lane.start, lane.end
+            ends = (lane.start, lane.end)
             cheapest[ends] = min(lane.cost, cheapest.get(ends, math.inf))
-        size = len(self.nodes), len(self.nodes)
+        shape = (len(self.nodes), len(self.nodes))
         if not cheapest:
-            return sparse.csr_array(size)
-        return sparse.csr_array((list(cheapest.values()), np.array([*cheapest]).T), shape=size)
+            return sparse.csr_array(shape)
+        start_end = np.array(list(cheapest)).T
+        return sparse.csr_array((list(cheapest.values()), start_end), shape=shape)
 
     def distances(self) -> Float:
         """The costs of the cheapest routes between all nodes [m], shape (n, n), inf for none."""
-        found: Float = csgraph.dijkstra(self.costs)
-        return found
+        route_costs: Float = csgraph.dijkstra(self.costs)
+        return route_costs
 
     def route(self, start: int | str, end: int | str) -> list[int] | None:
-        """The nodes of the cheapest route between two, by index or name; None if there is none."""
+        """The cheapest route between two nodes.
+
+        Args:
+            start: the first node, by index or name.
+            end: the last node, by index or name.
+
+        Returns:
+            The indices of its nodes, from start to end; None if there is no route.
+
+        Raises:
+            QueryError: there is no such node.
+
+        Example:
+            >>> graph.route("Kitchen", "Hall")
+            [3, 17, 5]
+        """
         first = self.index_of(start)
         last = self.index_of(end)
         _, before = csgraph.dijkstra(self.costs, indices=first, return_predecessors=True)
-        way = [last]
-        while way[-1] != first:
-            way.append(int(before[way[-1]]))
-            if way[-1] < 0:
+        backward = [last]
+        while backward[-1] != first:
+            backward.append(int(before[backward[-1]]))
+            if backward[-1] < 0:
                 return None
-        return way[::-1]
+        return backward[::-1]
 
     def index_of(self, node: int | str) -> int:
-        """The index of a node; raises a QueryError for an unknown name or index."""
-        names = [own.name for own in self.nodes]
+        """The index of a node that is given by its index or name.
+
+        Raises:
+            QueryError: there is no such node.
+        """
+        names = [present.name for present in self.nodes]
         if isinstance(node, str) and node in names:
             return names.index(node)
         if isinstance(node, str) or not 0 <= node < len(names):
@@ -115,55 +135,67 @@ class RouteGraph:
         return int(node)
 
     def on_level(self, number: int) -> RouteGraph:
-        """The nodes of one level, and the lanes between them."""
+        """The graph of one level: its nodes, and the lanes between them.
+
+        Raises:
+            QueryError: the graph has no such level.
+        """
         if not 0 <= number < len(self.level_names):
             count = len(self.level_names)
             raise QueryError(f"no level {number}: the graph has {count}, counted from 0")
-        kept = [k for k, node in enumerate(self.nodes) if node.level == number]
-        index = {k: place for place, k in enumerate(kept)}
+        on_level = [index for index, node in enumerate(self.nodes) if node.level == number]
+        new_index = {index: place for place, index in enumerate(on_level)}
         lanes = [
-            replace(lane, start=index[lane.start], end=index[lane.end])
+            replace(lane, start=new_index[lane.start], end=new_index[lane.end])
             for lane in self.lanes
-            if lane.start in index and lane.end in index
+            if lane.start in new_index and lane.end in new_index
         ]
-        nodes = tuple(replace(self.nodes[k], level=0) for k in kept)
-        names = (self.level_names[number],)
-        return replace(self, nodes=nodes, lanes=tuple(lanes), level_names=names)
+        nodes = [replace(self.nodes[index], level=0) for index in on_level]
+        return replace(
+            self,
+            nodes=tuple(nodes),
+            lanes=tuple(lanes),
+            level_names=(self.level_names[number],),
+        )
 
 
 # ---------------------------------------------------------------- for files
 
 
 def directed(lanes: Iterable[Lane]) -> list[Lane]:
-    """The lanes one way each; of one that leads both ways, its way back follows it."""
-    found = []
+    """Split lanes that lead both ways: each is followed by the lane back. See `undirected`."""
+    one_way_lanes = []
     for lane in lanes:
-        found.append(replace(lane, two_way=False))
+        one_way_lanes.append(replace(lane, two_way=False))
         if lane.two_way:
-            found.append(replace(lane, two_way=False, start=lane.end, end=lane.start))
-    return found
+            one_way_lanes.append(replace(lane, two_way=False, start=lane.end, end=lane.start))
+    return one_way_lanes
 
 
 def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
     """Join lanes that differ in nothing but their direction; the inverse of `directed`."""
-    waiting: dict[Lane, list[int]] = {}
-    found: list[Lane] = []
+    joined: list[Lane] = []
+    without_return: dict[Lane, list[int]] = {}  # places in `joined`
     for lane in lanes:
-        back = replace(lane, start=lane.end, end=lane.start)
-        if waiting.get(back):
-            place = waiting[back].pop()
-            found[place] = replace(found[place], two_way=True)
+        lane_back = replace(lane, start=lane.end, end=lane.start)
+        if without_return.get(lane_back):
+            place = without_return[lane_back].pop()
+            joined[place] = replace(joined[place], two_way=True)
         else:
-            waiting.setdefault(lane, []).append(len(found))
-            found.append(lane)
-    return tuple(found)
+            without_return.setdefault(lane, []).append(len(joined))
+            joined.append(lane)
+    return tuple(joined)
 
 
-def entry_of(thing: Node | Lane | RouteGraph, *left_out: str) -> Json:
-    """The fields of a node, a lane or a graph as JSON, without those that are None.
+def entry_of(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
+    """The fields of a node, a lane or a graph as JSON.
 
-    Those of a graph lack its nodes and lanes.
+    Args:
+        element: of a graph, its nodes and lanes are left out.
+        left_out: names of fields that are left out; so are those that are None.
     """
-    fields = {name: getattr(thing, name) for name in thing.__dataclass_fields__}
     without = {"nodes", "lanes", *left_out}
-    return {key: v for key, v in fields.items() if v is not None and key not in without}
+    values = {name: getattr(element, name) for name in element.__dataclass_fields__}
+    return {
+        name: value for name, value in values.items() if value is not None and name not in without
+    }
