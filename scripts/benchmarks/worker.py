@@ -80,14 +80,14 @@ def _is_long(settings: dict[str, Any]) -> bool:
 
 def reach_first_ray(settings: dict[str, Any]) -> None:
     """Run the command `navbake bake`, and end the process where the first ray would be cast."""
-    import navbake.baker.columns.column_blocks as column_blocks
+    import navbake.baker.columns.column_sources as column_sources
     from navbake.cli.main import main
 
     def end(*_: Any, **__: Any) -> None:
         print("{}", flush=True)
         raise SystemExit
 
-    column_blocks.cast_columns = end  # type: ignore[attr-defined]
+    column_sources.cast_columns = end  # type: ignore[attr-defined]
     path = settings["scene"]["path"]
     options = ["--set", f"grid.cell_size={settings['grid']['cell_size']}"]
     # nothing is ever written there

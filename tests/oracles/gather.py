@@ -7,24 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import Columns, TiledShapes
-from navbake.baker.core.arrays import Band, Prism
+from navbake.baker.core.arrays import HeightRange, Prism
 from navbake.baker.core.constants import APART, MEETS, OPEN_SURFACE, UNDECIDED
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.geometry.gjk_kernels import make_simplex
 from navbake.baker.geometry.overlap_kernels import (
     ANY_GEOM,
-    line_is_blocked,
+    is_line_blocked,
     make_polygons,
     plane_meets_prism,
     triangle_meets_prism,
 )
-from navbake.baker.geometry.solid_kernels import solid_meets
+from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
 make_simplex = numba.njit(make_simplex.py_func)
 plane_meets_prism = numba.njit(plane_meets_prism.py_func)
-solid_meets = numba.njit(solid_meets.py_func)
-line_is_blocked = numba.njit(line_is_blocked.py_func)
+solid_meets_prism = numba.njit(solid_meets_prism.py_func)
+is_line_blocked = numba.njit(is_line_blocked.py_func)
 triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
 make_polygons = numba.njit(make_polygons.py_func)
 
@@ -45,8 +45,8 @@ def prisms_over(
 
 
 def line_meets(columns: Columns, cell: int, prism: Prism, geom: int = ANY_GEOM) -> bool:
-    band = Band(prism.low, prism.high)
-    return line_is_blocked(columns.hits, cell, band, np.int32(geom))
+    band = HeightRange(prism.low, prism.high)
+    return is_line_blocked(columns.hits, cell, band, np.int32(geom))
 
 
 def geoms_that_meet(tiled: TiledShapes, prisms: list[Prism]) -> dict[int, int]:
@@ -72,7 +72,7 @@ def _geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
         if triangle_meets_prism(tiled.facets.corners[t], asked, POLYGONS):
             found[int(tiled.facets.geom[t])] = MEETS
     for s in _boxes_near(shapes.solids.bounds, prism, 0.0):
-        answer = solid_meets(shapes.solids, s, prism, SIMPLEX)
+        answer = solid_meets_prism(shapes.solids, s, prism, SIMPLEX)
         if answer != APART:
             found[int(shapes.solids.geom[s])] = answer
     return found

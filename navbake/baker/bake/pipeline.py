@@ -18,7 +18,7 @@ from navbake.baker.bake.boxes import written_ground
 from navbake.baker.bake.stages import open_stages
 from navbake.baker.bake.warnings import collect_warnings
 from navbake.baker.core.clock import Progress, StageClock
-from navbake.baker.core.windows import cut_cells
+from navbake.baker.core.windows import crop_cells
 from navbake.baker.occupants.movable import name_occupants
 from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
 from navbake.baker.scene.scene import GeomReport, Scene
@@ -314,7 +314,7 @@ def _named_links(standing: Standing, moving: Moving) -> list[Json]:
 
     def cut(stop: Stop) -> Stop:
         window = standing.boxes.windows[stop.level]
-        cells, _ = cut_cells(np.array([stop.cell]), window, standing.lattice.width)
+        cells, _ = crop_cells(np.array([stop.cell]), window, standing.lattice.width)
         return replace(stop, cell=int(cells[0]))
 
     links = moving.links.links

@@ -23,17 +23,17 @@ from navbake.baker.bake.baked import CutDoor, FloorLattice, Moving, Standing, St
 from navbake.baker.bake.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.bake.lattice import lay_lattice, lay_whole
 from navbake.baker.bake.warnings import warn_of_standing
-from navbake.baker.columns.column_blocks import (
-    ColumnBlocks,
+from navbake.baker.columns.column_sources import (
+    ColumnCaster,
     WindowColumns,
     join_columns,
-    list_shapes,
+    make_shape_source,
 )
 from navbake.baker.columns.columns import Columns, ColumnSource, ShapeSource
-from navbake.baker.core.arrays import Band
+from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.clock import Progress, StageClock
-from navbake.baker.core.components import label_parts
-from navbake.baker.core.windows import Window, cut_cells
+from navbake.baker.core.components import label_components_2d
+from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
     DoorContext,
@@ -47,7 +47,7 @@ from navbake.baker.doors.doors import (
 )
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
-from navbake.baker.geometry.extents import Extents, measure_geoms
+from navbake.baker.geometry.extents import Extents, measure_extents
 from navbake.baker.links.areas import PaintedAreas, paint_areas
 from navbake.baker.links.links import BakedLinks, find_links
 from navbake.baker.links.search import CollisionGeometry, CollisionShapes, LinkSearch
@@ -153,7 +153,7 @@ class Stages:
     @cached_property
     def floor_columns(self) -> ColumnSource:
         """All surfaces of what stands on that lattice; not all are kept where they are many."""
-        return ColumnBlocks(
+        return ColumnCaster(
             self.floor_tile_index, self.config.agent, self.config.floors.crack, self.clock
         )
 
@@ -176,7 +176,7 @@ class Stages:
         extents: Callable[[], Extents | None] = lambda: None  # noqa: E731
         if self.config.names.enabled or self.config.rooms.sources:
             # columns took all threads, and expanded the triangles that are measured
-            extents = run_beside(measure_geoms, self.scene.structure, len(self.scene.geoms))
+            extents = run_beside(measure_extents, self.scene.structure, len(self.scene.geoms))
         with self.clock.stage("floors"):
             floors = judge_floors(
                 columns,
@@ -368,7 +368,7 @@ class Stages:
         if level.unseen is None:
             is_occupied = occupancy_test(self.floor_columns, self.floor_tile_index, self.config)
             level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
-        part, _ = label_parts(np.asarray(level.unseen))
+        part, _ = label_components_2d(np.asarray(level.unseen))
         areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
         return areas
 
@@ -442,7 +442,7 @@ class Stages:
 
     def _list_structure(self, lattice: Lattice) -> ShapeSource:
         reach = max(self.footprint.reach, self.config.floors.crack)
-        return list_shapes(self.scene.structure, lattice, reach)
+        return make_shape_source(self.scene.structure, lattice, reach)
 
 
 def judge_on(lattice: Lattice, scene: Scene, config: BakeConfig) -> FloorLattice:
@@ -486,9 +486,11 @@ def occupancy_test(columns: ColumnSource, tiles: ShapeSource, config: BakeConfig
     point = config.agent.model_copy(update={"radius": 0.0})
     narrow = Footprint.of(point, columns.lattice.cell_size)
 
-    def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
+    def is_occupied(cells: Int, floors: Float, band: HeightRange | None = None, /) -> Bool:
         volume = narrow if band is None else narrow.between(band)
-        return check_occupancy(columns.at(cells), tiles.at(cells), volume, cells, floors).occupied
+        return check_occupancy(
+            columns.covering(cells), tiles.near_cells(cells), volume, cells, floors
+        ).occupied
 
     return is_occupied
 
@@ -566,7 +568,7 @@ def _cut_steps(links: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
         for level, cell in ((0, 1), (2, 3)):
             here = steps[:, level] == number
             # a linked cell has a floor, so that none drops out
-            steps[here, cell] = cut_cells(steps[here, cell], window, width)[0]
+            steps[here, cell] = crop_cells(steps[here, cell], window, width)[0]
     rows: list[list[int]] = steps.tolist()
     return rows
 

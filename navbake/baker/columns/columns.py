@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns.hit_kernels import DROPPED, RIM
 from navbake.baker.columns.ray_kernels import GROUP, Lines, cast_lines
-from navbake.baker.core.arrays import Band, ColumnHits, Facets, Tiles
-from navbake.baker.core.blocks import join_parts
-from navbake.baker.core.tiles import BAND, TILE, list_boxes
+from navbake.baker.core.arrays import ColumnHits, Facets, HeightRange, ShapeIndex
+from navbake.baker.core.blocks import join_arrays
+from navbake.baker.core.tiles import TILE, list_boxes_by_tile
 from navbake.baker.geometry.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_chunks
@@ -24,36 +24,36 @@ BLOCK_CELLS = 1 << 20
 LEAST_POINTS = 1024
 # Chunks for each thread, where there are more boxes than so many a tile
 CHUNKS = 2
-WORTH = 4
+MIN_BOXES_PER_TILE = 4
 WORLD_AXES = np.eye(3)  # the axes of a frame in which vertical lines are upright
 
 
-class Rows(NamedTuple):
+class RowChunk(NamedTuple):
     """A band of rows of cells: the first, and past the last."""
 
     first: int
     end: int
 
-    def cells(self, lattice: Lattice) -> tuple[int, int]:
+    def cell_range(self, lattice: Lattice) -> tuple[int, int]:
         """The first of their cells, and past the last."""
         return self.first * lattice.width, self.end * lattice.width
 
-    def grown(self, by: int, lattice: Lattice) -> "Rows":
+    def padded(self, by: int, lattice: Lattice) -> "RowChunk":
         """The rows with some more on both sides, as far as the lattice goes."""
-        return Rows(max(self.first - by, 0), min(self.end + by, lattice.height))
+        return RowChunk(max(self.first - by, 0), min(self.end + by, lattice.height))
 
 
-def split_rows(lattice: Lattice, alive: int = 1) -> list[Rows]:
-    """Split a lattice into blocks of rows, of whole `BAND`s, and about `BLOCK_CELLS` cells.
+def split_into_row_chunks(lattice: Lattice, alive: int = 1) -> list[RowChunk]:
+    """Split a lattice into blocks of rows, of whole `TILE`s, and about `BLOCK_CELLS` cells.
 
     Where several are `alive` at a time, they have so many cells together.
     """
-    count = max(BLOCK_CELLS // (alive * lattice.width * BAND), 1) * BAND
+    count = max(BLOCK_CELLS // (alive * lattice.width * TILE), 1) * TILE
     firsts = range(0, lattice.height, count)
-    return [Rows(first, min(first + count, lattice.height)) for first in firsts]
+    return [RowChunk(first, min(first + count, lattice.height)) for first in firsts]
 
 
-def tiles_of_rows(lattice: Lattice, rows: Rows) -> range:
+def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
     """The tiles that some rows of cells lie on, which begin and end with whole tiles."""
     num = -(-lattice.width // TILE)
     return range(rows.first // TILE * num, -(-rows.end // TILE) * num)
@@ -66,24 +66,24 @@ class TiledShapes:
     shapes: Shapes
     lattice: Lattice
     facets: Facets
-    tiles: Tiles
+    tile_index: ShapeIndex
 
-    def rows(self, rows: Rows) -> "TiledShapes":
+    def near_rows(self, rows: RowChunk) -> "TiledShapes":
         """The shapes near some rows, and others; see `ShapeSource`."""
         return self
 
-    def at(self, cells: Int) -> "TiledShapes":
+    def near_cells(self, cells: Int) -> "TiledShapes":
         """The shapes near some cells, and others."""
         return self
 
     @cached_property
-    def by_band(self) -> Tiles:
+    def tile_row_index(self) -> ShapeIndex:
         """Which of them lie over centres of which band of rows."""
-        solids = list_by_band(self.shapes.solids.bounds, RIM, self.lattice)
-        return Tiles(*solids, *list_by_band(self.facets.bounds, RIM, self.lattice))
+        solids = list_by_tile_row(self.shapes.solids.bounds, RIM, self.lattice)
+        return ShapeIndex(*solids, *list_by_tile_row(self.facets.bounds, RIM, self.lattice))
 
     @cached_property
-    def heights(self) -> Band:
+    def height_range(self) -> HeightRange:
         """Heights below and above everything over the lattice [m]."""
         return height_range(self.shapes, self.lattice)
 
@@ -99,7 +99,7 @@ class Columns:
         lattice: the cells.
         hits: the surfaces, as kernels take them, with the attributes below.
         rows: the rows of cells that are known, all if None.
-        near: the shapes near them, of a block of many.
+        nearby_shapes: the shapes near them, of a block of many.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -108,17 +108,17 @@ class Columns:
 
     lattice: Lattice
     hits: ColumnHits
-    rows: Rows | None = None
-    near: TiledShapes | None = None
+    rows: RowChunk | None = None
+    nearby_shapes: TiledShapes | None = None
 
     @property
-    def known_rows(self) -> Rows:
+    def valid_rows(self) -> RowChunk:
         """The first row that is known, and past the last."""
-        return self.rows or Rows(0, self.lattice.height)
+        return self.rows or RowChunk(0, self.lattice.height)
 
-    def only_rows(self, rows: Rows) -> "Columns":
+    def select_rows(self, rows: RowChunk) -> "Columns":
         """The columns of some of the rows that are known; arrays are parts of these ones."""
-        first, end = rows.cells(self.lattice)
+        first, end = rows.cell_range(self.lattice)
         begin = int(self.start[first])
         part = slice(begin, int(self.start[end]))
         start = np.zeros(len(self.start), dtype=np.int64)  # whose pages cost nothing until written
@@ -143,26 +143,26 @@ class Columns:
     def geom(self) -> Int32:
         return self.hits.geom
 
-    def cut(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
+    def crop(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
         """The columns of a window, of those of its rows that are known.
 
         `lattice` is the window's own, with cells in the same places.
         """
-        known = Rows(*np.clip(self.known_rows, rows.start, rows.stop).tolist())
+        known = RowChunk(*np.clip(self.valid_rows, rows.start, rows.stop).tolist())
         row, col = np.ogrid[known.first : known.end, cols]
-        found = take_columns(self.hits, (row * self.lattice.width + col).ravel())
+        found = select_columns(self.hits, (row * self.lattice.width + col).ravel())
         start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        shown = Rows(known.first - rows.start, known.end - rows.start)
-        place, end = shown.cells(lattice)
+        shown = RowChunk(known.first - rows.start, known.end - rows.start)
+        place, end = shown.cell_range(lattice)
         start[place : end + 1] = found.start
         parts = found._replace(start=start)
         return Columns(lattice, parts, None if shown == (0, lattice.height) else shown)
 
-    def blocks(self) -> Iterator["Columns"]:
+    def row_chunks(self) -> Iterator["Columns"]:
         """All columns, in one block."""
         yield self
 
-    def at(self, cells: Int | Int32) -> "Columns":
+    def covering(self, cells: Int | Int32) -> "Columns":
         """The columns of some cells, and others."""
         return self
 
@@ -174,10 +174,10 @@ class ColumnSource(Protocol):
     def lattice(self) -> Lattice:
         """The cells."""
 
-    def blocks(self) -> Iterator[Columns]:
+    def row_chunks(self) -> Iterator[Columns]:
         """The columns of all rows, by bands of them, in their order."""
 
-    def at(self, cells: Int | Int32) -> Columns:
+    def covering(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
 
 
@@ -188,10 +188,10 @@ class ShapeSource(Protocol):
     def lattice(self) -> Lattice:
         """The cells."""
 
-    def rows(self, rows: Rows) -> TiledShapes:
+    def near_rows(self, rows: RowChunk) -> TiledShapes:
         """Shapes with all that are near some rows of whole bands."""
 
-    def at(self, cells: Int) -> TiledShapes:
+    def near_cells(self, cells: Int) -> TiledShapes:
         """Shapes with all that are near some cells."""
 
 
@@ -204,9 +204,9 @@ class GatheredColumns:
         self._parts = list[list[NDArray[Any]]]()
         self._count = 0
 
-    def add(self, columns: Columns, rows: Rows) -> None:
+    def add(self, columns: Columns, rows: RowChunk) -> None:
         """Add the columns of the next rows."""
-        first, end = rows.cells(self._lattice)
+        first, end = rows.cell_range(self._lattice)
         begin = int(columns.start[first])
         stop = int(columns.start[end])
         ends = self._start[first + 1 : end + 1]
@@ -216,7 +216,7 @@ class GatheredColumns:
 
     def join(self) -> Columns:
         """The columns of all rows, once."""
-        return Columns(self._lattice, ColumnHits(self._start, *join_parts(self._parts)))
+        return Columns(self._lattice, ColumnHits(self._start, *join_arrays(self._parts)))
 
 
 def tile_shapes(
@@ -228,28 +228,30 @@ def tile_shapes(
     """
     facets = shapes.triangles if facets is None else facets
     solids = list_by_tile(shapes.solids.bounds, reach, lattice)
-    tiles = Tiles(*solids, *list_by_tile(facets.bounds, reach, lattice))
+    tiles = ShapeIndex(*solids, *list_by_tile(facets.bounds, reach, lattice))
     return TiledShapes(shapes, lattice, facets, tiles)
 
 
-def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
+def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
     """Cross the vertical line through every cell's centre with all geometry.
 
     Each solid is crossed from above and from below, planes from their front only. Lines within
     1e-7 m of a rim cross it, so that a seam between two geoms never leaks.
 
     Args:
-        rows: the rows of cells that are asked about, all if None. They become whole `BAND`s.
+        rows: the rows of cells that are asked about, all if None. They become whole `TILE`s.
     """
     lattice = tiled.lattice
-    asked = rows or Rows(0, lattice.height)
-    bands = range(asked.first // BAND, -(-asked.end // BAND))
-    asked = Rows(bands.start * BAND, min(bands.stop * BAND, lattice.height))
-    first, end = asked.cells(lattice)
+    asked = rows or RowChunk(0, lattice.height)
+    bands = range(asked.first // TILE, -(-asked.end // TILE))
+    asked = RowChunk(bands.start * TILE, min(bands.stop * TILE, lattice.height))
+    first, end = asked.cell_range(lattice)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     none = Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), WORLD_AXES)
     known = slice(first, end + 1)
-    return Columns(lattice, _cast(tiled, none, tiled.by_band, bands, start, known), rows and asked)
+    return Columns(
+        lattice, _cast(tiled, none, tiled.tile_row_index, bands, start, known), rows and asked
+    )
 
 
 def cast_points(
@@ -270,20 +272,20 @@ def cast_points(
     lines = Lines(np.ascontiguousarray(points), tiles, axes)
     groups = range(-(-len(points) // GROUP))
     start = np.zeros(len(points) + 1, dtype=np.int64)
-    return _cast(tiled, lines, tiled.tiles, groups, start, slice(None), LEAST_POINTS // GROUP)
+    return _cast(tiled, lines, tiled.tile_index, groups, start, slice(None), LEAST_POINTS // GROUP)
 
 
 def _cast(
     tiled: TiledShapes,
     lines: Lines,
-    items: Tiles,
+    items: ShapeIndex,
     groups: range,
     start: Int,
     known: slice,
     least: int = 1,
 ) -> ColumnHits:
     """Cross some groups of lines; columns start at the `known` part of `start`, of zeros."""
-    geometry = tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.heights
+    geometry = tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.height_range
     dropped = np.zeros(groups.stop, dtype=np.int64)
     crossed = np.empty(len(items.triangle_item), dtype=np.bool_)
 
@@ -298,7 +300,7 @@ def _cast(
     if len(hits.z):
         cast(hits)
     if dropped.any():
-        size = GROUP if len(lines.points) else BAND * tiled.lattice.width
+        size = GROUP if len(lines.points) else TILE * tiled.lattice.width
         hits = _without_dropped(hits, groups, size, dropped)
     return hits
 
@@ -329,7 +331,7 @@ def _without_dropped(every: ColumnHits, groups: range, size: int, dropped: Int) 
     return hits
 
 
-def take_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
+def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
     """The columns of some cells, numbered as these are."""
     first = hits.start[cells]
     return take_runs(hits[1:], first, hits.start[cells + 1] - first)
@@ -351,7 +353,7 @@ def no_hits(start: Int, count: int) -> ColumnHits:
     return ColumnHits(start, z, normal, geom, closed)
 
 
-def height_range(shapes: Shapes, lattice: Lattice) -> Band:
+def height_range(shapes: Shapes, lattice: Lattice) -> HeightRange:
     """Heights below and above everything over the lattice, infinite planes included [m]."""
     bounds = shapes.bounds
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
@@ -360,7 +362,7 @@ def height_range(shapes: Shapes, lattice: Lattice) -> Band:
     for pos, normal in zip(shapes.planes.pos, shapes.planes.normal, strict=True):
         if abs(normal[2]) > 1e-6:
             heights.extend(pos[2] - (corners - pos[:2]) @ normal[:2] / normal[2])
-    return Band(float(min(heights)) - 1.0, float(max(heights)) + 1.0)
+    return HeightRange(float(min(heights)) - 1.0, float(max(heights)) + 1.0)
 
 
 # ---------------------------------------------------------------- lists by tile and band
@@ -384,9 +386,9 @@ def list_by_tile(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int3
     return _list(boxes, grow, lattice, tiles, by_band=False)
 
 
-def list_by_band(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int32]:
+def list_by_tile_row(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each band of rows, the boxes that hold a cell's centre there, as `list_by_tile`."""
-    return _list(boxes, grow, lattice, -(-lattice.height // BAND), by_band=True)
+    return _list(boxes, grow, lattice, -(-lattice.height // TILE), by_band=True)
 
 
 def _list(
@@ -396,18 +398,18 @@ def _list(
         return np.zeros(count + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
     threads = num_threads()
     chunks = 1
-    if threads > 1 and len(boxes) > WORTH * count:
+    if threads > 1 and len(boxes) > MIN_BOXES_PER_TILE * count:
         # no more counts than boxes, however many threads there are
         chunks = min(CHUNKS * threads, len(boxes) // count)
     cursor = np.zeros((chunks, count), dtype=np.int64)
     under = np.empty((len(boxes), 4), dtype=np.int32)
     asked = boxes, grow, lattice, by_band, under, cursor
-    run_in_chunks(list_boxes, chunks, *asked, np.empty(0, dtype=np.int32))
+    run_in_chunks(list_boxes_by_tile, chunks, *asked, np.empty(0, dtype=np.int32))
     start = np.zeros(count + 1, dtype=np.int64)
     np.cumsum(cursor.sum(axis=0), out=start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
     cursor[:] = np.cumsum(cursor, axis=0) - cursor + start[:-1]
     item = np.empty(start[-1], dtype=np.int32)
     if len(item):
-        run_in_chunks(list_boxes, chunks, *asked, item)
+        run_in_chunks(list_boxes_by_tile, chunks, *asked, item)
     return start, item

@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER
-from navbake.baker.core.tiles import TILE, cells_near, center_of, tile_window
+from navbake.baker.core.tiles import TILE, cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 # A ray's surface is a piece's where it is this near to its height, and its radius more [m]
 SAME_PIECE = 1e-3
@@ -31,7 +31,7 @@ NUM_NOTES = 8
 MOST_HEIGHTS = 8  # at which all cells of a tile have a floor; more are not looked for
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _take(solids, facets, item, face, min_up, corners):
     """Write a piece's corners; returns how many there are, 0 for none, and its radius.
 
@@ -91,7 +91,7 @@ def _take(solids, facets, item, face, min_up, corners):
     return num, reach
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _distance(corners, num, radius, x, y, near):
     """How far a line is from a piece, <= 0 over it; `near` receives the piece's nearest point.
 
@@ -123,7 +123,7 @@ def _distance(corners, num, radius, x, y, near):
     return 0.0 if num > 2 and left != right else math.sqrt(best) - radius
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _has_floor(column_hits, cell, z, step, min_up):
     """Whether a line crosses what faces up within the slope, within a step of a height."""
     has_floor = False
@@ -133,7 +133,7 @@ def _has_floor(column_hits, cell, z, step, min_up):
     return has_floor
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _find_common(lattice, column_hits, window, asked, limits, heights):
     """Heights within half a step of which all asked cells have a floor; -1 if none is asked."""
     count = -1
@@ -166,7 +166,7 @@ def _is_common(heights, num, low, high, step):
     return is_common
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _is_side(seen, n, last, step):
     """Whether a note is the nearest of its direction and cell, and another is opposite to it."""
     m = last
@@ -182,7 +182,7 @@ def _is_side(seen, n, last, step):
     return has_opposite
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _list_in_tile(
     lattice, column_hits, geometry, tile, limits, crack, asked, scratch, found
 ):  # fmt: skip
@@ -241,7 +241,7 @@ def _list_in_tile(
             col0 = 0
             col1 = 0
             if corners_of != 0 and not _is_common(heights, num, box[0, 2], box[0, 5], limits.step):
-                row0, row1, col0, col1 = cells_near(lattice, window, box, 0, crack + radius)
+                row0, row1, col0, col1 = window_near_box(lattice, window, box, 0, crack + radius)
             for row in range(row0, row1):
                 for col in range(col0, col1):
                     cell = row * lattice.width + col
@@ -253,7 +253,7 @@ def _list_in_tile(
                         corners_of, _ = _take(solids, facets, item, face, limits.min_up, corners)
                     if corners_of == 0:
                         continue
-                    x, y = center_of(lattice, row, col)
+                    x, y = cell_center_at(lattice, row, col)
                     away = _distance(corners, corners_of, radius, x, y, near)
                     if not 0.0 < away < crack or _has_floor(
                         column_hits, cell, near[2], step, limits.min_up

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.constants import OPEN_SURFACE
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.geometry.triangle_kernels import unit_normal
-from navbake.compiled import UNCOUNTED, subkernel
+from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
@@ -183,7 +183,7 @@ def _balance_parts(hits, first, last, facets):
     return last
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _settle_edges(hits, first, last, facets):
     """Drop the hits at edges that make no crossing; returns where those that stay end."""
     return _balance_parts(hits, first, _drop_doubles(hits, first, last, facets), facets)

@@ -15,7 +15,7 @@ import numpy as np
 from navbake.baker.columns.hit_kernels import AT_EDGE, INSIDE, RIM
 from navbake.baker.core.tiles import cell_center, centers_between
 from navbake.baker.geometry.triangle_kernels import unit_normal
-from navbake.compiled import UNCOUNTED, subkernel
+from navbake.compiled import NO_REFCOUNT, subkernel
 
 # Lines are never surely far from edges shorter than this [m]
 SHORT = 1e-6
@@ -138,7 +138,7 @@ def _span_of_row(corners, t, left, right, y, far):
     return low, high
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that triangles cover cross them.
 

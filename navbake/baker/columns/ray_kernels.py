@@ -38,9 +38,9 @@ from navbake.baker.columns.raster_kernels import (
     raster_triangles,
 )
 from navbake.baker.core.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
-from navbake.baker.core.tiles import BAND, TILE, cell_center, centers_between
+from navbake.baker.core.tiles import TILE, cell_center, centers_between
 from navbake.baker.geometry.triangle_kernels import unit_normal
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
 # An eighth of a turn [rad]
@@ -102,7 +102,7 @@ class Ray(NamedTuple):
     grown: Float
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _cast(pos, mat, size, kind, point, ray):
     """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
@@ -158,7 +158,7 @@ def _hit(hits, at, z, normal, up, geom):
     hits.at_edge[at] = INSIDE
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _hit_solid(solids, s, x, y, ray, hits, at):
     """Note where a line enters and leaves a solid, from a place of the hits; returns how often."""
     box = solids.bounds[s]
@@ -186,7 +186,7 @@ def _is_upright(mat):
     return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     """Note where a line crosses an infinite plane, from its front only; returns how often."""
     count = np.int64(0)
@@ -240,7 +240,7 @@ def _has_level_ends(solids, s):
     return kind != SPHERE and is_wide
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross a solid, as `raster_triangles` does triangles.
 
@@ -279,7 +279,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
                 end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross an infinite plane, see `_cast_solid`."""
     is_level = _is_upright(planes.mat[p])
@@ -295,7 +295,7 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writi
         end[line] += count
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _settle_lines(hits, start, end, facets, spare):
     """`settle` the hits of lines, from `start`, of whole columns, to `end`; returns the dropped."""
     dropped = 0
@@ -315,7 +315,7 @@ def make_ray():
 def _cast_band(lattice, geometry, items, crossed, band, ray, middle, hits, end, writing):
     """Note what the lines of a band's cells cross; `end` is as in `raster_triangles`."""
     solids, facets, planes, heights = geometry
-    rows = band * BAND, min((band + 1) * BAND, lattice.height)
+    rows = band * TILE, min((band + 1) * TILE, lattice.height)
     for p in range(planes.geom.shape[0]):
         _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
     for i in range(items.solid_start[band], items.solid_start[band + 1]):
@@ -359,7 +359,7 @@ def _is_near(corners, t, x, y, axes, turned):
     return unit_normal(turned, 0)[2] != 0.0
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing):
     """Note what the n-th line crosses, from a place of the hits on; returns how often.
 
@@ -424,7 +424,7 @@ def cast_lines(lattice, lines, geometry, items, crossed, column_hits, dropped, f
     at_points = lines.points.shape[0] > 0
     if not at_points:
         num = lattice.height * lattice.width
-        size = BAND * lattice.width
+        size = TILE * lattice.width
     for group in range(first_group, end):
         first = group * size
         last = min((group + 1) * size, num)

@@ -26,11 +26,11 @@ from navbake.baker.columns.crack_kernels import (
 from navbake.baker.columns.hit_kernels import RIM
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.blocks import splice
-from navbake.baker.core.components import ranges
+from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.constants import BOX, OPEN_SURFACE
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.geometry.overlap_kernels import lines_blocked
+from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
@@ -40,7 +40,7 @@ HAIR = 1e-6  # rays are cast this far beyond an edge [m]
 ALL = np.empty(0, dtype=np.bool_)
 
 
-def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
+def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
     """Give the lines that run in two faces at once to the geoms on one side.
 
     On round coordinates the centres of cells often lie where one geom ends and the next one
@@ -54,11 +54,11 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     if cells is not None and not len(cells):
         return columns
     lattice = columns.lattice
-    known_rows = columns.known_rows
-    tiles = tiles_of_rows(lattice, known_rows) if cells is None else tile_of(lattice, cells)
+    valid_rows = columns.valid_rows
+    tiles = tiles_of_rows(lattice, valid_rows) if cells is None else tile_of(lattice, cells)
     tiles = np.unique(np.asarray(tiles, dtype=np.int64))
     solids = tiled.shapes.solids
-    over = tiled.tiles
+    over = tiled.tile_index
     is_over = _are_over(over.solid_start, over.solid_item, tiles, len(solids.geom))
     chosen = np.flatnonzero(is_over & (solids.kind == BOX))
     mat = abs(solids.mat[chosen])
@@ -74,7 +74,7 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     run_in_chunks(drop_thick, len(bounds), least=4096)
     corners = tiled.facets.corners[is_over]
     # only in the window round the cells
-    row = np.arange(*known_rows)
+    row = np.arange(*valid_rows)
     col = np.arange(lattice.width)
     known = np.ones((len(row), len(col)), dtype=np.bool_)
     if cells is not None:
@@ -101,7 +101,7 @@ def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
     """Mark the items that lie over some tiles, shape (num,); all, if these are all tiles."""
     mask = np.full(num, len(tiles) == len(start) - 1)
     if not mask.all():
-        mask[item[ranges(start[tiles], start[tiles + 1])[1]]] = True
+        mask[item[expand_ranges(start[tiles], start[tiles + 1])[1]]] = True
     return mask
 
 
@@ -143,7 +143,7 @@ def _mark_lines(
         return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
     first = np.searchsorted(centers[1 - axis], begin[hit] - 2 * RIM)
     last = np.searchsorted(centers[1 - axis], end[hit] + 2 * RIM, side="right")
-    which, place = ranges(first, last)
+    which, place = expand_ranges(first, last)
     marked[index[hit][which], place] = True
     return np.asarray((marked.T if axis == 0 else marked)[::-1])
 
@@ -155,7 +155,7 @@ def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Colu
     The cells ascend and may repeat.
     """
     old = columns.hits
-    begin, end = columns.known_rows.cells(columns.lattice)
+    begin, end = columns.valid_rows.cell_range(columns.lattice)
     more = np.zeros(end - begin + 1, dtype=np.int64)
     np.add.at(more, cell + 1 - begin, np.diff(new.start) - (last - first))
     start = np.zeros(len(old.start), dtype=np.int64)  # whose pages cost nothing until written
@@ -186,10 +186,10 @@ def close_cracks(
     shapes = tiled.shapes
     parts = dict[int, tuple[Float, int]]()
     limits = agent_limits(agent)
-    tiles = tiles_of_rows(columns.lattice, columns.known_rows)
+    tiles = tiles_of_rows(columns.lattice, columns.valid_rows)
 
     def find(first: int, end: int) -> None:
-        geometry = shapes.solids, tiled.facets, tiled.tiles
+        geometry = shapes.solids, tiled.facets, tiled.tile_index
         lines = columns.lattice, columns.hits
         parts[first] = list_sides(*lines, *geometry, limits, crack, asked, first, end)
 
@@ -250,7 +250,7 @@ def close_cracks(
 def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
     """Whether lines run within something just above a height."""
     buried = np.empty(len(cells), dtype=np.bool_)
-    lines_blocked(cells, z + SAME_HEIGHT, z + 2.0 * SAME_HEIGHT, hits, buried, 0, len(cells))
+    find_blocked_lines(cells, z + SAME_HEIGHT, z + 2.0 * SAME_HEIGHT, hits, buried, 0, len(cells))
     return buried
 
 

@@ -21,13 +21,13 @@ class AreaTest(NamedTuple):
             side, -1 for a row that need not be looked at, int64.
     """
 
-    needed: int
-    reach: int
-    half: Int
+    min_cells: int
+    radius: int
+    half_widths: Int
 
 
 @lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
-def disc_rows(limit: float, shorter: int) -> Int:
+def disc_half_widths(limit: float, shorter: int) -> Int:
     """`AreaTest.half` of the cells nearer than a limit [cells]; don't change it.
 
     Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, the
@@ -49,16 +49,16 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     """The test of `min_area` after shrinking, which leaves centres `shrink` from the set's edge."""
     needed = int(np.ceil(max((settings.min_area - LIMIT_SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - LIMIT_SLACK) / lattice.cell_size + 0.5
-    half = disc_rows(limit, min(lattice.width, lattice.height))
+    half = disc_half_widths(limit, min(lattice.width, lattice.height))
     return AreaTest(needed, len(half) // 2, half)
 
 
-def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
+def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
     """Whether the marked cells of a lattice are enough for a floor, see `area_test`."""
     test = area_test(lattice, settings)
-    padded = np.pad(marked.reshape(lattice.shape), test.reach)
+    padded = np.pad(marked.reshape(lattice.shape), test.radius)
     remaining = np.flatnonzero(padded)
-    for row, half in enumerate(test.half.tolist(), start=-test.reach):
+    for row, half in enumerate(test.half_widths.tolist(), start=-test.radius):
         for col in range(-half, half + 1):
             remaining = remaining[padded.ravel()[remaining + row * padded.shape[1] + col]]
-    return len(remaining) >= test.needed
+    return len(remaining) >= test.min_cells

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.types import Float, Int, Int32
 
-SQUARE: Any = np.bool_(False)
+NOT_ROUND: Any = np.bool_(False)
 """`Prism.is_round` of a square; a plain False would be compiled for once more."""
 
 
@@ -53,11 +53,19 @@ class Facets(NamedTuple):
     facing: NDArray[np.int8]
 
 
-class Tiles(NamedTuple):
-    """Which solids and triangles lie over which tile of cells, ascending, see `list_boxes`.
+class ShapeIndex(NamedTuple):
+    """The solids and triangles over each bin of a lattice, see `list_boxes_by_tile`.
 
-    Tile t holds ``solid_item[solid_start[t] : solid_start[t + 1]]``; so with the triangles. Or so
-    with bands of rows, of what lies over centres of their cells.
+    The bins are either tiles or rows of tiles. Over a tile is what reaches into it, over a row of
+    tiles what covers a cell's centre there. Bin b holds the solids
+    ``solid_item[solid_start[b] : solid_start[b + 1]]``, ascending, and the triangles
+    ``triangle_item[triangle_start[b] : triangle_start[b + 1]]``, ascending.
+
+    Attributes:
+        solid_start: (bins + 1,) int64.
+        solid_item: indices into `Solids`, (n,) int32.
+        triangle_start: (bins + 1,) int64.
+        triangle_item: indices into `Facets`, (m,) int32.
     """
 
     solid_start: Int
@@ -66,8 +74,8 @@ class Tiles(NamedTuple):
     triangle_item: Int32
 
 
-class Band(NamedTuple):
-    """Two heights [m]."""
+class HeightRange(NamedTuple):
+    """A range of heights [m]."""
 
     low: float
     high: float

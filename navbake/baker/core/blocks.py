@@ -1,6 +1,6 @@
 """Blocks of cells: what stages run on all threads, and what their results are merged from.
 
-A lattice is cut into blocks of SIZE x SIZE cells, numbered row by row. What is global, such as
+A lattice is cut into blocks of BLOCK x BLOCK cells, numbered row by row. What is global, such as
 regions, is merged from the rows of numbers that a kernel lists for each block.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.tiles import SIZE
+from navbake.baker.core.tiles import BLOCK
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Int
@@ -31,17 +31,17 @@ class Blocks:
 
     def __init__(self, lattice: Lattice) -> None:
         self.lattice = lattice
-        self.rows = -(-lattice.height // SIZE)
-        self.cols = -(-lattice.width // SIZE)
+        self.rows = -(-lattice.height // BLOCK)
+        self.cols = -(-lattice.width // BLOCK)
         self.num = self.rows * self.cols
 
     def cells(self, blocks: Int) -> Int:
         """The cells of some blocks."""
         height, width = self.lattice.shape
-        along = np.arange(SIZE)
+        along = np.arange(BLOCK)
         block_row, block_col = np.divmod(blocks, self.cols)
-        row = SIZE * block_row[:, None] + along
-        col = SIZE * block_col[:, None] + along
+        row = BLOCK * block_row[:, None] + along
+        col = BLOCK * block_col[:, None] + along
         inside = (row < height)[:, :, None] & (col < width)[:, None, :]
         cells: Int = (row[:, :, None] * width + col[:, None, :])[inside]
         return cells
@@ -55,7 +55,7 @@ class Blocks:
         return np.repeat(every_block, counts), columns
 
 
-def join_parts(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
+def join_arrays(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     """Concatenate the arrays of parts, one at least, and free each one's memory on the way."""
     if len(parts) == 1:
         return parts[0]

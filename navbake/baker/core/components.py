@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.union_find import number_parts
+from navbake.baker.core.union_find import number_components
 from navbake.types import Int, Int32
 
 
-def connect(pairs: Int, count: int) -> Int32:
+def label_components(pairs: Int, count: int) -> Int32:
     """Number the connected parts of a graph from 0, in the order of their first of `count` nodes.
 
     `pairs` are the nodes that hang together, shape (2, n).
     """
-    part: Int32 = number_parts(np.ascontiguousarray(pairs, dtype=np.int64), count)
+    part: Int32 = number_components(np.ascontiguousarray(pairs, dtype=np.int64), count)
     return part
 
 
-def touching(cells: Int, width: int) -> Int:
+def adjacent_pairs(cells: Int, width: int) -> Int:
     """The pairs of cells that meet at an edge or a corner, as places in `cells`, shape (2, n).
 
     `cells` are ascending ids, shape (m,), of a lattice of a `width`.
@@ -37,14 +37,14 @@ def touching(cells: Int, width: int) -> Int:
     return np.concatenate(pairs, axis=1)
 
 
-def ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
+def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
     """Concatenate ranges begin[i]:end[i]; returns the range index and the value of each entry."""
     count = np.maximum(end - begin, 0)
     which = np.repeat(np.arange(len(count)), count)
     return which, np.arange(len(which)) + np.repeat(begin - np.cumsum(count) + count, count)
 
 
-def list_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
+def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
     """The runs of values other than 0 in the rows of an array, bool or integer, by rows.
 
     Returns for each its row, its first column and the one past its last, and the value of its
@@ -61,27 +61,27 @@ def list_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
     return row, first, bounds[inside + 1] - row * width, value[inside]
 
 
-def count_cells(labels: Int32, count: int) -> Int:
+def count_cells_by_label(labels: Int32, count: int) -> Int:
     """How many cells have each label from 1 to below `count`; by label, 0 for 0."""
-    _, first, end, label = list_runs(labels)
+    _, first, end, label = find_row_runs(labels)
     return np.bincount(label, end - first, count).astype(np.int64)
 
 
-def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
+def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
     """Label the 4-connected parts of cells with one value (Rosenfeld and Pfaltz, 1966).
 
     Takes shape (rows, cols), bool or integer; cells with 0 are in no part. Returns the label of
     each cell, int32, 0 for none, by first cells from 1; and the number of labels.
     """
     rows, cols = values.shape
-    row, first, end, value = list_runs(values)
+    row, first, end, value = find_row_runs(values)
     place = row * (cols + 1) + first
     past = row * (cols + 1) + end
     # the runs of the next row that begin before a run's end and end behind its beginning
     begin = np.searchsorted(past, place + cols + 1, "right")
-    one, other = ranges(begin, np.searchsorted(place, past + cols + 1, "left"))
+    one, other = expand_ranges(begin, np.searchsorted(place, past + cols + 1, "left"))
     same = value[one] == value[other]
-    part = connect(np.stack([one[same], other[same]]), len(row))
+    part = label_components(np.stack([one[same], other[same]]), len(row))
     # the cells before each run, those of the run, and so on; those behind the last one
     lengths = np.diff(np.stack([row * cols + first, row * cols + end], axis=1).ravel(), prepend=0)
     number = np.zeros(len(lengths) + 1, dtype=np.int32)

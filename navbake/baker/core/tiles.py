@@ -3,19 +3,18 @@
 A uniform grid as in collision detection's broad phase (Ericson, Real-Time Collision Detection,
 2005, 7.1), of tiles of TILE x TILE cells. The lists are made by a counting sort over chunks of the
 items, each with its own counts: several threads do it, and the order is the same for any number.
-Where items visit the cells under them, a thread takes bands of BAND rows. Stages keep what they
-found by blocks of SIZE x SIZE cells.
+Where items visit the cells under them, a thread takes bands of TILE rows. Stages keep what they
+found by blocks of BLOCK x BLOCK cells.
 """
 
 import math
 
 import numpy as np
 
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
-BAND = 8  # rows of cells in a band
-SIZE = 32  # cells along a block's edge
+BLOCK = 32  # cells along a block's edge
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
 CENTER_MARGIN = 1e-3
 # The first column of a tile, all rows of it, as bits
@@ -34,16 +33,16 @@ def tile_window(lattice, tile):
 @subkernel(inline="always")
 def block_window(lattice, block):
     """The rows and columns of a block: the first row, past the last, and so with the columns."""
-    cols = (lattice.width + SIZE - 1) // SIZE
-    row = block // cols * SIZE
-    col = block % cols * SIZE
-    return row, min(row + SIZE, lattice.height), col, min(col + SIZE, lattice.width)
+    cols = (lattice.width + BLOCK - 1) // BLOCK
+    row = block // cols * BLOCK
+    col = block % cols * BLOCK
+    return row, min(row + BLOCK, lattice.height), col, min(col + BLOCK, lattice.width)
 
 
 @subkernel(inline="always")
 def block_of(lattice, row, col):
     """The block that holds a cell."""
-    return row // SIZE * ((lattice.width + SIZE - 1) // SIZE) + col // SIZE
+    return row // BLOCK * ((lattice.width + BLOCK - 1) // BLOCK) + col // BLOCK
 
 
 @subkernel(inline="always")
@@ -53,7 +52,7 @@ def cell_bit(row, col):
 
 
 @subkernel(inline="always")
-def cell_bits(window, near):
+def window_bits(window, near):
     """The bits, in a tile with a window, of the cells in a smaller one; see `tile_window`."""
     row0, row1, col0, col1 = near
     if row0 >= row1 or col0 >= col1:
@@ -68,7 +67,7 @@ def cell_bits(window, near):
 
 
 @subkernel(inline="always")
-def center_of(lattice, row, col):
+def cell_center_at(lattice, row, col):
     """World x and y of a cell's centre by its row and column [m]."""
     x = lattice.x_min + (col + 0.5) * lattice.cell_size
     return x, lattice.y_max - (row + 0.5) * lattice.cell_size
@@ -77,11 +76,11 @@ def center_of(lattice, row, col):
 @subkernel(inline="always")
 def cell_center(lattice, cell):
     """World x and y of a cell's centre [m]."""
-    return center_of(lattice, cell // lattice.width, cell % lattice.width)
+    return cell_center_at(lattice, cell // lattice.width, cell % lattice.width)
 
 
 @subkernel(inline="always")
-def cells_near(lattice, window, boxes, i, reach):
+def window_near_box(lattice, window, boxes, i, reach):
     """The cells of a window whose centres are within `reach` of a box along both axes [m].
 
     Rounding may add a cell, and never loses one. Takes and returns what `tile_window` does.
@@ -148,11 +147,11 @@ def _bands_under(boxes, n, grow, lattice):
     first, last = centers_between(y0, y1, lattice.cell_size, lattice.height)
     if right < left or last < first:
         return 0, -1, 0, -1
-    return first // BAND, last // BAND, 0, 0
+    return first // TILE, last // TILE, 0, 0
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
+@kernel(nogil=True, **NO_REFCOUNT)
+def list_boxes_by_tile(boxes, grow, lattice, by_band, under, cursor, item, first, end):
     """Count, or list, the (n, 6) boxes of chunks ``range(first, end)`` that reach into each tile.
 
     Args:

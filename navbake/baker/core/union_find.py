@@ -10,10 +10,10 @@ with a shift that mixes the high bits down; lists with equal hashes are compared
 
 import numpy as np
 
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def find_root(parent, item):
     """The root of an item's set, its lowest member, which is its own parent."""
     while parent[item] != item:
@@ -22,7 +22,7 @@ def find_root(parent, item):
     return item
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def unite(parent, one, other):
     """Join the sets of two items."""
     one = find_root(parent, one)
@@ -32,7 +32,7 @@ def unite(parent, one, other):
 
 
 @kernel
-def number_parts(pairs, count):
+def number_components(pairs, count):
     """The connected part of each of `count` nodes, by first nodes from 0, int32.
 
     `pairs` are the edges, (2, n) int64.
@@ -53,7 +53,7 @@ def number_parts(pairs, count):
 
 
 @kernel
-def number_lists(start, value, number):
+def number_distinct_lists(start, value, number):
     """Number ragged lists so that equal ones share a number, by first appearance.
 
     List i is ``value[start[i] : start[i + 1]]``, of integers >= 0; `number` receives the numbers.

@@ -12,11 +12,13 @@ Window = tuple[slice, slice]
 """Rows and columns of the whole lattice, with a start and a stop each."""
 
 
-# Where the two cells of each edge are in an array: left and right, upper and lower
-EDGES: tuple[tuple[Any, Any], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+NEIGHBOR_SLICES: tuple[tuple[Any, Any], ...] = (
+    (np.s_[:, :-1], np.s_[:, 1:]),
+    (np.s_[:-1], np.s_[1:]),
+)
 
 
-def list_differing(values: NDArray[Any]) -> Int:
+def differing_pairs(values: NDArray[Any]) -> Int:
     """The ids of cells beside each other whose values differ, (height, width); shape (2, n)."""
     width = values.shape[1]
     flat = values.ravel()
@@ -36,7 +38,7 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
     return clipped
 
 
-def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
+def cells_near_boxes(lattice: Lattice, boxes: Float, reach: float) -> Int:
     """The cells within `reach` [m] and one cell of boxes, (n, 6) [m]; ascending."""
     # boxes may be endless
     near_boxes = clip_boxes(lattice, boxes, reach + 4 * lattice.cell_size)
@@ -62,7 +64,7 @@ def bounding_window(mask: Bool) -> Window:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
-def cut_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
+def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
     """Turn cells of a lattice of a width into cells of a window; also which of them are in it."""
     rows, cols = window
     row, col = np.divmod(cells, width)

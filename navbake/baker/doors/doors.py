@@ -22,12 +22,12 @@ from navbake.baker.columns.columns import (
 )
 from navbake.baker.core.constants import HINGE
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.core.windows import EDGES, Window, cut_cells
+from navbake.baker.core.windows import NEIGHBOR_SLICES, Window, crop_cells
 from navbake.baker.doors.poses import pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.surfaces import find_standable_tops
-from navbake.baker.geometry.extents import Extents, measure_geoms
-from navbake.baker.geometry.overlap_kernels import lines_blocked
+from navbake.baker.geometry.extents import Extents, measure_extents
+from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, mark_visible
@@ -170,7 +170,7 @@ def cut_door(
     def cut(by_level: Sequence[Int]) -> dict[int, Runs]:
         runs = dict[int, Runs]()
         for number, (cells, window) in enumerate(zip(by_level, windows, strict=True)):
-            inside, _ = cut_cells(cells, window, width)
+            inside, _ = crop_cells(cells, window, width)
             if len(inside):
                 runs[number] = to_runs(inside)
         return runs
@@ -224,7 +224,7 @@ def pose_leaves(
     if not candidates:
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
-    extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
+    extents = {state: measure_extents(shapes, scene.model.ngeom) for state, shapes in posed.items()}
     with limit_threads(1):  # a door is too small to be worth more
         return [
             _pose_leaf(candidate, scene, posed, extents, lattice=lattice, reach=reach)
@@ -485,18 +485,18 @@ def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
     cells = (places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start
     heights = top[tuple(places.T)]
     is_under = np.zeros(len(cells), dtype=np.bool_)  # something an agent would not fit below
-    lines_blocked(
+    find_blocked_lines(
         cells,
         heights + LIMIT_SLACK,
         heights + agent.height - LIMIT_SLACK,
-        context.columns.at(cells).hits,
+        context.columns.covering(cells).hits,
         is_under,
         0,
         len(cells),
     )
     top[tuple(places[is_under].T)] = np.nan
     for floor in floors:
-        for side, other_side in EDGES:
+        for side, other_side in NEIGHBOR_SLICES:
             rises = [top[side] - floor[other_side], top[other_side] - floor[side]]
             rise = np.abs(np.stack(rises))
             if (rise <= step).any():

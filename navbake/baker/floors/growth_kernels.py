@@ -13,7 +13,7 @@ from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.floors.member_kernels import region_of
 from navbake.baker.floors.surface_kernels import Surfaces, slope_joins
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int, Int32
 
 NO_OPTION = 0
@@ -64,7 +64,7 @@ def _is_option(labelled, growing, last, j, lowest, highest):
     return True
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def stand(labelled, growing, blocks, counts, columns, begin, end):
     """Write the floors that one can stand on in ``blocks[begin:end]``; list where they may grow.
 
@@ -136,7 +136,7 @@ def _around(lattice, cell):
     return east, south, west, cell - width
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _grow_into(growing, cell, now):
     """Write the floor that grows into a cell in a ring, if any does; returns whether one does.
 
@@ -177,7 +177,7 @@ def _grow_into(growing, cell, now):
     return True
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _list_beside(growing, cell, cells, num):
     """List the next cells into which a floor may still grow; returns how many are listed then."""
     for other in _around(growing.surfaces.lattice, cell):
@@ -187,7 +187,7 @@ def _list_beside(growing, cell, cells, num):
     return num
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def grow_ring(growing, now, asked, counts, columns, begin, end):
     """Grow the floor by the ring `now` into ``asked[begin:end]``, and list the cells beside these.
 
@@ -220,7 +220,7 @@ def grow(growing, now, cells):
         now += 1
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin, end):
     """List where levels meet: steps between two, and pairs that slopes join but no step does.
 

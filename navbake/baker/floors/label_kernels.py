@@ -13,7 +13,7 @@ import numpy as np
 from navbake.baker.core.tiles import block_of, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.surface_kernels import STANDS, TOP, slope_joins
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Int, Int32
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other; one lies next over
@@ -55,7 +55,7 @@ class Numbering(NamedTuple):
     number: Int32
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def note_row(rows, begin, num, a, b, c):
     """Count three numbers in ``rows[begin:num]``; returns their row, -1 for no room."""
     for at in range(num - 1, max(begin, num - FEW) - 1, -1):
@@ -111,7 +111,7 @@ def _find_root(part, j):
     return j
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, end):
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``; measure them.
 
@@ -197,7 +197,7 @@ def label_blocks(surfaces, key, joining, part, blocks, counts, columns, begin, e
     return end
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def list_pairs(surfaces, key, joining, numbering, blocks, counts, columns, begin, end):
     """Number parts over all blocks, and list the pairs of parts in and beside blocks that meet.
 
@@ -272,7 +272,7 @@ def list_pairs(surfaces, key, joining, numbering, blocks, counts, columns, begin
     return end
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def tally(surfaces, own, other, level, blocks, counts, columns, begin, end):
     """Count the surfaces of ``blocks[begin:end]`` whose `own` number is >= 0.
 

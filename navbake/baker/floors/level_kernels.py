@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.tiles import SIZE, block_window
+from navbake.baker.core.tiles import BLOCK, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.label_kernels import bin_of, note_row
 from navbake.baker.floors.member_kernels import region_of, shrink
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Int32
 
 # What it costs to move a stair's tread, or a floor, by one level, and to take it out of the order:
@@ -70,7 +70,7 @@ def _is_stair(candidates, j):
     return candidates.is_stair[candidates.plateau[j]]
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def mark_candidates(labelled, spans, key, stacked, begin, end):
     """Mark the labelled surfaces in the blocks from `begin` to `end` that lie in a span of heights.
 
@@ -114,11 +114,11 @@ def _window_of(surfaces, candidates, j, window, is_lowest):
     return number if is_in and not _is_stair(candidates, j) else NO_WINDOW
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
     """`list_heights` of one block; returns how many rows there are then, -1 for no room."""
     rows, low = columns
-    reach = test.reach
+    reach = test.radius
     before = num
     lattice = surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
@@ -172,9 +172,9 @@ def list_heights(surfaces, candidates, window, test, blocks, counts, columns, be
     0, and how many; with the lowest of these heights [m].
     """
     num = np.int64(0)
-    size = SIZE + 2 * test.reach
+    size = BLOCK + 2 * test.radius
     for k in range(begin, end):
-        masks = np.zeros((size, size), np.int32), np.empty((SIZE, SIZE), np.bool_)
+        masks = np.zeros((size, size), np.int32), np.empty((BLOCK, BLOCK), np.bool_)
         after = _list_block(surfaces, candidates, window, test, blocks[k], masks, columns, num)
         if after < 0:
             return k
@@ -183,7 +183,7 @@ def list_heights(surfaces, candidates, window, test, blocks, counts, columns, be
     return end
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _place_bases(surfaces, candidates, grounds, tolerance, cell, level):
     """Give a cell's candidates their bases; returns their number if two share one, else 0."""
     count = 0

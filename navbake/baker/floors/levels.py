@@ -10,7 +10,7 @@ import numpy as np
 
 from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.core.windows import Window, cut_cells
+from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.floors.growth import GrownFloor, find_links, grow_floors
 from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped, look_at_site
 from navbake.baker.floors.reach import (
@@ -284,16 +284,16 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     width = floors.levels[0].floor.shape[1]
 
     def is_shown(patch: Patch) -> bool:
-        return bool(cut_cells(patch.cells.astype(np.int64), window, width)[1].any())
+        return bool(crop_cells(patch.cells.astype(np.int64), window, width)[1].any())
 
     links = floors.links
     kept = (number[links[:, 0]] >= 0) & (number[links[:, 2]] >= 0)
     for cell in (1, 3):
-        kept &= cut_cells(links[:, cell], window, width)[1]
+        kept &= crop_cells(links[:, cell], window, width)[1]
     links = links[kept]
     for on, cell in ((0, 1), (2, 3)):
         links[:, on] = number[links[:, on]]
-        links[:, cell] = cut_cells(links[:, cell], window, width)[0]
+        links[:, cell] = crop_cells(links[:, cell], window, width)[0]
     unreached = [
         replace(part, level=int(number[part.level]))
         for part in floors.unreached
@@ -309,7 +309,7 @@ def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSou
     name = f"level {level.name!r}" if level.name else f"level {number}"
     above = given[number + 1].ground if given[number + 1 :] else np.inf
     top = above if level.top is None else min(above, level.top)
-    spans = [(block.z.min(), block.z.max()) for block in columns.blocks() if len(block.z)]
+    spans = [(block.z.min(), block.z.max()) for block in columns.row_chunks() if len(block.z)]
     low = float(np.min(spans))
     high = float(np.max(spans))
     return (
@@ -319,7 +319,7 @@ def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSou
 
 
 def _no_floor(columns: ColumnSource, surfaces: Surfaces, agent: AgentSettings) -> str:
-    num_surfaces = sum(len(block.z) for block in columns.blocks())
+    num_surfaces = sum(len(block.z) for block in columns.row_chunks())
     if not num_surfaces:
         return "no floor at all: no vertical line through a cell's centre meets a geom"
     if not len(surfaces.z):

@@ -15,7 +15,7 @@ from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.union_find import find_root, unite
 from navbake.baker.floors.surface_kernels import Surfaces
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
 # In place of a surface beside an edge: there is none, or the region itself goes on
@@ -78,7 +78,7 @@ class Edges(NamedTuple):
         return Edges._make(array[kept] for array in self)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def shrink(mask, test, left):
     """Mark the cells that are left of a mask, which has a margin of `reach` around them.
 
@@ -91,9 +91,9 @@ def shrink(mask, test, left):
     for r in range(left.shape[0]):
         for c in range(left.shape[1]):
             left[r, c] = True
-            for k in range(test.half.shape[0]):
-                half = test.half[k]
-                if mask[r + k, c + test.reach + half] <= 2 * half:
+            for k in range(test.half_widths.shape[0]):
+                half = test.half_widths[k]
+                if mask[r + k, c + test.radius + half] <= 2 * half:
                     left[r, c] = False
                     break
 
@@ -120,7 +120,7 @@ def _surface_below(labelled, row, col, region, limit):
     return highest
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _mark_region(labelled, region, window, reach, mask):
     """Mark a region's cells in a window and within reach of it, in a mask that is all 0."""
     row0, row1, col0, col1 = window
@@ -133,18 +133,18 @@ def _mark_region(labelled, region, window, reach, mask):
 
 @kernel(nogil=True)
 def find_large(labelled, boxes, regions, start, blocks, test, result, begin, end):
-    """Set `result[region]` where the shrunk region keeps at least `test.needed` cells.
+    """Set `result[region]` where the shrunk region keeps at least `test.min_cells` cells.
 
     Looks at ``regions[begin:end]``; ``blocks[start[n] : start[n + 1]]`` hold the n-th of `regions`.
     `boxes` are the rows and columns of every region.
     """
-    reach = test.reach
+    reach = test.radius
     for n in range(begin, end):
         region = regions[n]
         found = 0
         size = min(boxes[region, 2] - boxes[region, 0], boxes[region, 3] - boxes[region, 1])
         for b in range(start[n], start[n + 1]):
-            if found >= test.needed or size <= 2 * reach:
+            if found >= test.min_cells or size <= 2 * reach:
                 break
             row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
             row0 = max(row0, boxes[region, 0])
@@ -157,7 +157,7 @@ def find_large(labelled, boxes, regions, start, blocks, test, result, begin, end
                 left = np.empty((row1 - row0, col1 - col0), np.bool_)
                 shrink(mask, test, left)
                 found += int(left.sum())
-        result[region] = found >= test.needed
+        result[region] = found >= test.min_cells
 
 
 @subkernel(inline="always")
@@ -170,7 +170,7 @@ def _next(lattice, row, col, way):
     return row, col
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _drop_at(labelled, row, col, way, region, limit, reach):
     """Whether another region's surface lies below the limit within reach of an edge."""
     for _ in range(reach):
@@ -181,7 +181,7 @@ def _drop_at(labelled, row, col, way, region, limit, reach):
     return False
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
     """List the edges of regions in ``blocks[begin:end]``, see
     `navbake.baker.core.blocks.list_rows`.
@@ -222,7 +222,7 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
     return end
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def look_below(labelled, cells, regions, limits, places, below, begin, end):
     """Find the highest surfaces of other regions below limits, for ``cells[begin:end]``.
 

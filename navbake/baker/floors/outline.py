@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource
-from navbake.baker.core.arrays import Band
+from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.member_kernels import (
     ITSELF,
@@ -33,7 +33,7 @@ PROBE = 0.01
 # An empty array of rows of `list_edges`
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
 
-OccupancyTest = Callable[[Int, Float, Band | None], Bool]
+OccupancyTest = Callable[[Int, Float, HeightRange | None], Bool]
 """Whether a geom meets a band of heights above the floor, over each cell's square.
 
 Called with cell ids, the floor's height in each [m], and the band [m]; None is the one between a
@@ -161,7 +161,7 @@ class Site(NamedTuple):
         agent = self.agent
         at_feet, _ = probe_bands(agent)
         # of all these cells at once
-        columns = self.columns.at(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
+        columns = self.columns.covering(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
         kind = self.barriers(edges, agent)
         landing = np.full(len(kind), np.nan)
         floor = np.full(len(kind), -1, dtype=np.int32)
@@ -286,9 +286,9 @@ def beside(lattice: Lattice, cell: Int, way: Int | int, steps: int = 1) -> Int:
     return np.where(inside, row * lattice.width + col, -1)
 
 
-def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:
+def probe_bands(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
     """The bands above a floor at an agent's feet and at its head, see `Site.endings` [m]."""
     low = agent.traversable_floor_height
     high = agent.height
     thickness = min(PROBE, (high - low) / 2)
-    return Band(low, low + thickness), Band(high - thickness, high)
+    return HeightRange(low, low + thickness), HeightRange(high - thickness, high)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.components import ranges
+from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.floors.outline import DROP, Site, beside, look_at_site
 from navbake.baker.floors.regions import (
@@ -22,7 +22,7 @@ from navbake.baker.floors.rejected import LARGE_TOP, Rejected
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surface_kernels import HELD, Surfaces
 from navbake.baker.floors.surfaces import find_near
-from navbake.baker.geometry.overlap_kernels import lines_blocked
+from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
 from navbake.threads import run_in_chunks
@@ -146,19 +146,19 @@ def count_low(site: Site) -> Int:
     regions = site.regions
     surfaces = regions.surfaces
     cells = regions.blocks.cells(np.arange(regions.blocks.num))
-    which, place = ranges(surfaces.first[cells], surfaces.end[cells])
+    which, place = expand_ranges(surfaces.first[cells], surfaces.end[cells])
     region = regions.region_of(place)
     stands = region >= 0
     cell = cells[which[stands]]
     place = place[stands]
     is_low = np.zeros(len(cell), dtype=np.bool_)
     run_in_chunks(
-        lines_blocked,
+        find_blocked_lines,
         len(cell),
         cell,
         surfaces.z[place] + site.agent.height - TOUCH_DEPTH,
         surfaces.z[place] + UPRIGHT,
-        site.columns.at(cell).hits,
+        site.columns.covering(cell).hits,
         is_low,
         least=1000,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from navbake.baker.core.area_test import area_test
 from navbake.baker.core.blocks import Blocks
-from navbake.baker.core.components import connect, ranges
+from navbake.baker.core.components import expand_ranges, label_components
 from navbake.baker.floors import label_kernels as kernels
 from navbake.baker.floors.label_kernels import JOINS, LIES, LINKS, Joining, Numbering
 from navbake.baker.floors.member_kernels import Labelled, Members, find_large
@@ -58,7 +58,7 @@ class Labels(NamedTuple):
 
     def wholes(self) -> Int32:
         """The whole that each part belongs to, across blocks, numbered by their first parts."""
-        return connect(self.pairs_of(JOINS)[:, :2].T, self.num)
+        return label_components(self.pairs_of(JOINS)[:, :2].T, self.num)
 
     def links(self, whole_of_part: Int32) -> tuple[Int, Int]:
         """The pairs of linked wholes, each once, and the lower number first."""
@@ -147,7 +147,7 @@ class Regions:
         row0, col0, row1, col1 = self.box[region].tolist()
         in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
         cells = in_box.ravel()
-        which, place = ranges(surfaces.first[cells], surfaces.end[cells])
+        which, place = expand_ranges(surfaces.first[cells], surfaces.end[cells])
         is_member = self.region_of(place) == region
         place = place[is_member]
         return Members(cells[which[is_member]], surfaces.z[place], surfaces.geom[place], place)
@@ -198,7 +198,7 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
     """
     test = area_test(regions.lattice, settings)
     result = np.zeros(regions.num, dtype=np.bool_)
-    candidates = np.flatnonzero(mask & (regions.size >= test.needed))
+    candidates = np.flatnonzero(mask & (regions.size >= test.min_cells))
     # the blocks of each candidate, one candidate after the other
     is_candidate = np.isin(regions.of_part, candidates)
     region_of_part = regions.of_part[is_candidate].astype(np.int64)

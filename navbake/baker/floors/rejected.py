@@ -20,7 +20,7 @@ from navbake.baker.floors.outline import (
     probe_bands,
 )
 from navbake.baker.floors.regions import find_large_regions
-from navbake.baker.geometry.overlap_kernels import lines_blocked
+from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float
 
@@ -210,12 +210,12 @@ def _count_over_room(site: Site, region: int, floor: float) -> int:
     has_floor = (place >= 0) & (labelled.surfaces.z[place] >= floor - step - LIMIT_SLACK)
     blocked = np.zeros(len(cells), dtype=np.bool_)
     run_in_chunks(
-        lines_blocked,
+        find_blocked_lines,
         len(cells),
         cells,
         np.full(len(cells), floor + step + TOUCH_DEPTH),
         np.full(len(cells), floor + site.agent.height - TOUCH_DEPTH),
-        site.columns.at(cells).hits,
+        site.columns.covering(cells).hits,
         blocked,
         least=1000,
     )
@@ -247,7 +247,7 @@ def _have_no_walls(site: Site, candidates: Bool) -> Bool:
     cells_near = [beside(lattice, edges.cell, edges.way, k) for k in range(farthest_in, 2)]
     all_near = np.concatenate(cells_near)
     # of all cells at once, as parts of them are asked for below
-    site.columns.at(all_near[all_near >= 0])
+    site.columns.covering(all_near[all_near >= 0])
     kind = site.barriers(edges, agent)
     is_known = site.is_known(kind, edges.way)
     for cells in cells_near[-3::-1]:
@@ -305,7 +305,7 @@ def _lie_over_walls(site: Site, candidates: Bool) -> Bool:
 def over_wall_tops(site: Site, members: Members) -> Bool:
     """Which surfaces lie over the top of a wall that carries the roof, or ends within it."""
     cell = members.cell
-    columns = site.columns.at(cell)
+    columns = site.columns.covering(cell)
     first = columns.start[cell]
     end = columns.start[cell + 1]
     is_over = np.zeros(len(cell), dtype=np.bool_)

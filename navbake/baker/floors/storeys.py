@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.area_test import AreaTest, area_test, is_large
+from navbake.baker.core.area_test import AreaTest, area_test, is_large_enough
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
 from navbake.baker.floors.label_kernels import PLATEAU, Joining, tally
@@ -258,12 +258,12 @@ def _lowest_plateau(
         count_in = dict(zip(numbers.tolist(), sums.tolist(), strict=True))
         for number in sorted({k for n in count_in for k in (n - 1, n) if k >= numbers[0]}):
             end = (number + 2) * half_step
-            if count_in.get(number, 0) + count_in.get(number + 1, 0) < test.needed or end > top:
+            if count_in.get(number, 0) + count_in.get(number + 1, 0) < test.min_cells or end > top:
                 continue
             window = HeightWindow(ground, number, half_step, end)
             # of the cells that shrinking leaves, so without stairs or thresholds
             heights = _list_heights(placeable, window, test)
-            if heights.num_surfaces.sum() >= test.needed:
+            if heights.num_surfaces.sum() >= test.min_cells:
                 if not len(heights.num_surfaces):
                     heights = every.only(np.isin(every.window, [number, number + 1]))
                 return heights.most_common()
@@ -433,11 +433,11 @@ def _are_spare(
     for members in lost_regions:
         is_lost = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         is_lost[members.cell[placing.level[members.place] <= LOST]] = True
-        if is_large(lattice, limits, is_lost):
+        if is_large_enough(lattice, limits, is_lost):
             return False
     remaining_key = np.where(placing.level <= LOST, np.int8(-1), placeable.candidates.key)
     remaining = _label_walks(placeable, remaining_key)
-    needed = area_test(lattice, settings).needed
+    needed = area_test(lattice, settings).min_cells
     num_remaining = _count_walks(remaining, lost_regions, needed)
     return num_remaining <= _count_walks(walks, lost_regions, needed)
 

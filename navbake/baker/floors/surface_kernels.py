@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.core.tiles import cell_center
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int32
 
 # Marks: a floor may go on at it, an agent can stand on it, nothing lies above it; an agent could
@@ -49,7 +49,7 @@ class Surfaces(NamedTuple):
     normal: NDArray[np.float32]
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def planes_over(planes, lattice, cell, z):
     """How many infinite planes are over a height in a cell, and the geom of the last, or -1."""
     count = 0
@@ -76,7 +76,7 @@ def _next_above(hits, i, last):
     return math.inf
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _count_around(hits, i, last):
     """How many closed surfaces hold the i-th surface, and how many other solids.
 
@@ -118,7 +118,7 @@ def _find_holder(hits, i, last):
     return np.int32(-1)
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, end):
     """List the surfaces that floors may go on at in the columns of ``cells[begin:end]``.
 
@@ -184,7 +184,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
     return end
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def slope_joins(surfaces, a, b, way, step):
     """Whether slopes join two surfaces of neighbouring cells that no step joins.
 

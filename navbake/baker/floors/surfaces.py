@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns.columns import ColumnSource, Rows, cast_columns, tile_shapes
-from navbake.baker.core.blocks import Blocks, join_parts, list_rows
+from navbake.baker.columns.columns import ColumnSource, RowChunk, cast_columns, tile_shapes
+from navbake.baker.core.blocks import Blocks, join_arrays, list_rows
 from navbake.baker.core.limits import agent_limits
-from navbake.baker.core.tiles import SIZE
+from navbake.baker.core.tiles import BLOCK
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.surface_kernels import Surfaces, list_surfaces
 from navbake.baker.geometry.shapes import Planes, Shapes
@@ -57,8 +57,8 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
     end = np.zeros(lattice.width * lattice.height, dtype=np.int32)
     num_surfaces = 0
     parts: list[list[NDArray[Any]]] = []
-    for band in columns.blocks():
-        cells = _cells_by_block(lattice, band.known_rows)
+    for band in columns.row_chunks():
+        cells = _cells_by_block(lattice, band.valid_rows)
         counts, arrays = list_rows(
             list_surfaces,
             cells,
@@ -73,17 +73,17 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         first[cells] = end[cells] - counts
         num_surfaces += int(counts.sum())
         parts.append(arrays)
-    z, geom, marks, normal = join_parts(parts)
+    z, geom, marks, normal = join_arrays(parts)
     return Surfaces(lattice, first, end, z, geom, marks, normal)
 
 
-def _cells_by_block(lattice: Lattice, rows: Rows) -> Int:
+def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
     """The cells of some rows, one block after the other."""
     blocks = Blocks(lattice)
-    first_block = rows.first // SIZE * blocks.cols
-    end_block = -(-rows.end // SIZE) * blocks.cols
+    first_block = rows.first // BLOCK * blocks.cols
+    end_block = -(-rows.end // BLOCK) * blocks.cols
     cells = blocks.cells(np.arange(first_block, end_block))
-    first, end = rows.cells(lattice)
+    first, end = rows.cell_range(lattice)
     return cells[(first <= cells) & (cells < end)]
 
 

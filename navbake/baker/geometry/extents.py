@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.geometry.shapes import Shapes, Solids, find_reach
-from navbake.baker.geometry.triangle_kernels import RIGHT, find_ways, measure_spans
+from navbake.baker.geometry.shapes import Shapes, Solids, support_distances
+from navbake.baker.geometry.triangle_kernels import RIGHT, find_facing_directions, measure_spans
 from navbake.threads import run_in_chunks
 from navbake.types import Float, Int, Int32
 
@@ -36,7 +36,7 @@ class Extents(NamedTuple):
         return np.asarray((on_thin * self.thin[geoms] + on_long * self.long[geoms]) / 2)
 
 
-def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
+def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
     """Measure the counted geoms.
 
     A solid's box follows whichever of its own axes makes it smallest, that of triangles the
@@ -60,7 +60,7 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         way = np.where(length[:, None] > 1e-6, way / np.maximum(length, 1e-6)[:, None], [1.0, 0.0])
         turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
         ways = (np.einsum("nij,ni->nj", axes[:, :2], along) for along in (way, turned))
-        one, other = (find_reach(solids.kind, along, solids.size) for along in ways)
+        one, other = (support_distances(solids.kind, along, solids.size) for along in ways)
         area = one * other
         smaller = area < best * (1 - 1e-9)  # rounding alone never picks another axis
         best[smaller] = area[smaller]
@@ -78,7 +78,7 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
     which = geom[first]
     group = np.repeat(np.arange(len(first), dtype=np.int32), np.diff(first, append=len(geom)))
-    angle = find_facing(corners, group, len(first))
+    angle = facing_angles(corners, group, len(first))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
     low = np.full((len(first), 3), np.inf)
@@ -94,7 +94,7 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     out.high[which] = high[:, 2]
 
 
-def find_facing(corners: Float, group: Int32, num: int) -> Float:
+def facing_angles(corners: Float, group: Int32, num: int) -> Float:
     """The angle, modulo a right one, that most upright faces of each group look at, (num,) [rad].
 
     Takes corners of triangles, (m, 3, 3) [m], and the group of each, below `num`, (m,).
@@ -105,7 +105,9 @@ def find_facing(corners: Float, group: Int32, num: int) -> Float:
     off = np.empty(CHUNK)
     for first in range(0, len(group), CHUNK):
         some = corners[first : first + CHUNK]
-        run_in_chunks(find_ways, len(some), some, DIRECTIONS, way, weight, off, least=4096)
+        run_in_chunks(
+            find_facing_directions, len(some), some, DIRECTIONS, way, weight, off, least=4096
+        )
         at = group[first : first + CHUNK] * np.int64(DIRECTIONS) + way[: len(some)]
         np.add.at(votes, at, weight[: len(some)])
         np.add.at(sums, at, off[: len(some)])

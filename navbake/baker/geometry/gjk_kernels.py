@@ -28,7 +28,7 @@ from navbake.baker.core.constants import (
     MEETS,
     UNDECIDED,
 )
-from navbake.compiled import UNCOUNTED, subkernel
+from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float
 
 MOST_STEPS = 128
@@ -154,7 +154,7 @@ def _nearest_on_segment(a, b, keep, v):
         keep[1] = True
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _nearest_on_triangle(a, b, c, keep, v):
     """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
     keep[0] = False
@@ -314,8 +314,8 @@ def _reduce(simplex, num):
     return kept
 
 
-@subkernel(**UNCOUNTED)
-def solid_meets_prism(solids, s, prism, simplex):
+@subkernel(**NO_REFCOUNT)
+def gjk_meets_prism(solids, s, prism, simplex):
     """Does a solid meet a prism? UNDECIDED without a proof."""
     kind = solids.kind[s]
     pos = solids.pos[s]

@@ -6,9 +6,9 @@ import numpy as np
 
 from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.geometry.mesh_part_kernels import COPY, find_parts
-from navbake.baker.geometry.shapes import LEAST, GeomTriangles, count_shares, find_areas
-from navbake.baker.geometry.shell_kernels import OPEN, chain_edges, find_shells, weld_points
-from navbake.baker.geometry.triangle_kernels import bound_parts, measure_parts
+from navbake.baker.geometry.shapes import LEAST, GeomTriangles, count_shares, triangle_areas
+from navbake.baker.geometry.shell_kernels import NOT_SHELL, chain_edges, find_shells, weld_points
+from navbake.baker.geometry.triangle_kernels import bound_parts, measure_part_volumes
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
@@ -32,11 +32,11 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     """
     triangles, point, part = _find_shells(vertices, np.ascontiguousarray(faces, dtype=np.int32))
     turned = np.zeros(len(triangles), dtype=np.bool_)
-    is_open = part == OPEN
+    is_open = part == NOT_SHELL
     if is_open.any():
         rest = np.flatnonzero(is_open)  # these hang together with no shell
         found, turned[rest] = find_parts(
-            point[rest], find_areas(vertices, triangles[rest]), len(vertices)
+            point[rest], triangle_areas(vertices, triangles[rest]), len(vertices)
         )
         part[rest] = np.where(found >= 0, rest[found], found)
     del point, is_open
@@ -77,7 +77,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
 
 
 def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
-    """The triangles with three different points, these, and the shell that each belongs to or OPEN.
+    """The triangles with three different points, these, and each one's shell or NOT_SHELL.
 
     Points are numbered by the first one at their place, shells by their lowest triangle.
     """
@@ -110,7 +110,7 @@ def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, nu
     mesh = vertices, faces, turned, part
     volume, area = np.zeros((2, num + 1))
     share = -(-num // count_shares(len(faces)))  # each looks at all triangles
-    run_in_chunks(measure_parts, num, *mesh, volume, area, least=share, begin=1)
+    run_in_chunks(measure_part_volumes, num, *mesh, volume, area, least=share, begin=1)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     inner = np.flatnonzero(volume < -THICKNESS * area)
     if not len(inner) or not encloses.any():

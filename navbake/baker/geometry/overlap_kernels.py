@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.arrays import Band, Prism
+from navbake.baker.core.arrays import HeightRange, Prism
 from navbake.baker.core.constants import OPEN_SURFACE
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -40,7 +40,7 @@ def make_polygons():
 
 
 @subkernel(inline="always")
-def outside(boxes, i, prism):
+def is_beside_prism(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
     reach = prism.half
     return (
@@ -61,12 +61,12 @@ def facet_meets_prism(facets, t, prism, polygons):
     """
     edge = 2.0 * TOUCH_DEPTH if facets.closed[t] == OPEN_SURFACE else 0.0
     asked = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + edge, prism.is_round)
-    if outside(facets.bounds, t, asked):  # most are
+    if is_beside_prism(facets.bounds, t, asked):  # most are
         return False
     return triangle_meets_prism(facets.corners[t], asked, polygons)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
@@ -92,7 +92,7 @@ def clip(points, num, out, axis, limit, sign):
     return kept
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def clip_between(points, num, spare, axis, band, out):
     """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
     num = clip(points, num, spare, axis, band[0], 1.0)
@@ -125,7 +125,7 @@ def _disc_meets_polygon(points, num, prism):
     return (left or right) and not (left and right)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def triangle_meets_prism(corners, prism, polygons):
     """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
     one = polygons.one
@@ -142,7 +142,7 @@ def triangle_meets_prism(corners, prism, polygons):
     return clip_between(one, num, other, Y, (y - half, y + half), one) > 0
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def plane_meets_prism(planes, p, prism):
     """Does the half-space behind an infinite plane meet a prism?"""
     pos = planes.pos[p]
@@ -159,9 +159,9 @@ def plane_meets_prism(planes, p, prism):
     return depth - prism.half * across < 0.0
 
 
-@subkernel(**UNCOUNTED)
-def line_is_blocked(hits, cell, band, only):
-    """Whether a cell's line crosses a geom in a `Band`, or runs inside of one there.
+@subkernel(**NO_REFCOUNT)
+def is_line_blocked(hits, cell, band, only):
+    """Whether a cell's line crosses a geom in a `HeightRange`, or runs inside of one there.
 
     It runs inside where the winding number of its ray up is positive. `only` is the geom, or
     ANY_GEOM.
@@ -180,7 +180,7 @@ def line_is_blocked(hits, cell, band, only):
 
 
 @kernel(nogil=True)
-def lines_blocked(cells, low, high, hits, out, first, end):
+def find_blocked_lines(cells, low, high, hits, out, first, end):
     """Whether each cell's line alone proves that something is between two heights [m], into out."""
     for n in range(first, end):
-        out[n] = line_is_blocked(hits, cells[n], Band(low[n], high[n]), ANY_GEOM)
+        out[n] = is_line_blocked(hits, cells[n], HeightRange(low[n], high[n]), ANY_GEOM)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import Facets
-from navbake.baker.core.blocks import join_parts
+from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from navbake.baker.geometry.triangle_kernels import expand_mesh, measure_areas
 from navbake.lazy import lazy
@@ -22,8 +22,8 @@ from navbake.types import Bool, Float, Int, Int32
 spatial = lazy("scipy.spatial")
 
 # Half-size in place of the infinite side of a plane with a finite one; heights on a tilted one are
-# off by about 1e-16 FAR^2 [m]
-FAR = 1e4
+# off by about 1e-16 ENDLESS_HALF_SIZE^2 [m]
+ENDLESS_HALF_SIZE = 1e4
 # points or triangles of a share; shares, each with arrays of its own
 LEAST = 4096
 MOST_SHARES = 8
@@ -130,11 +130,11 @@ class Meshes:
         run_in_chunks(write, int(ends[-1]), least=4096)
         parts: list[list[NDArray[Any]]] = [[one.part, one.closed] for one in self.triangles]
         parts = parts or [[np.empty(0, np.int32), np.empty(0, np.uint8)]]
-        part, closed = join_parts(parts)
+        part, closed = join_arrays(parts)
         return Facets(np.repeat(self.geom, self.counts), part, closed, corners, bounds, facing)
 
 
-Items = TypeVar("Items", Solids, Planes)
+Primitives = TypeVar("Primitives", Solids, Planes)
 # So many triangles are expanded together
 TOGETHER = 1 << 20
 
@@ -146,7 +146,8 @@ class Shapes:
     solids: Solids
     planes: Planes
     meshes: Meshes
-    # By geom id, planes with one infinite side: triangles of FAR, which don't count for the box
+    # By geom id, planes with one infinite side: their triangles reach ENDLESS_HALF_SIZE, and do not
+    # count for the box
     endless: Bool
 
     @cached_property
@@ -192,7 +193,7 @@ class Shapes:
         if geoms.all():
             return self
 
-        def marked(items: Items) -> Items:
+        def marked(items: Primitives) -> Primitives:
             kept = geoms[items.geom]
             return items if kept.all() else type(items)._make(array[kept] for array in items)
 
@@ -202,7 +203,7 @@ class Shapes:
     def replaced(self, new: Shapes, geoms: Bool) -> Shapes:
         """The shapes with new ones, of the same kinds, in place of those of the marked geoms."""
 
-        def put(old: Items, now: Items) -> Items:
+        def put(old: Primitives, now: Primitives) -> Primitives:
             at = np.flatnonzero(geoms[old.geom])
             if not len(at):
                 return old
@@ -241,20 +242,20 @@ def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
     known = dict[int, Bool]()
     for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
         if id(faces) not in known:  # geoms of one mesh share it
-            known[id(faces)] = find_used(len(vertices), faces)
+            known[id(faces)] = mark_used_vertices(len(vertices), faces)
         is_used = known[id(faces)]
-        box[:] = find_box(vertices if is_used.all() else vertices[is_used])
+        box[:] = bounding_box(vertices if is_used.all() else vertices[is_used])
     return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""
     axes = mat.reshape(-1, 3, 3)
-    half = np.stack([find_reach(kind, axes[:, k], size) for k in range(3)], axis=1)
+    half = np.stack([support_distances(kind, axes[:, k], size) for k in range(3)], axis=1)
     return np.concatenate([pos - half, pos + half], axis=1)
 
 
-def find_reach(kind: Int32, way: Float, size: Float) -> Float:
+def support_distances(kind: Int32, way: Float, size: Float) -> Float:
     """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
     along = np.abs(way)
     reach = np.empty(len(kind))
@@ -324,14 +325,14 @@ def count_shares(count: int) -> int:
     return max(1, min(num_threads(), MOST_SHARES, count // LEAST))
 
 
-def find_areas(vertices: Float, faces: Int32) -> Float:
+def triangle_areas(vertices: Float, faces: Int32) -> Float:
     """The areas of triangles, (m,) float64 [m²]."""
     area = np.empty(len(faces))
     run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=4096)
     return area
 
 
-def find_box(points: Float) -> Float:
+def bounding_box(points: Float) -> Float:
     """The box round points, (n, 3): lower and upper corner, (6,) [m]; NaN if one has a NaN."""
     box = np.empty(6)
 
@@ -344,7 +345,7 @@ def find_box(points: Float) -> Float:
     return box
 
 
-def find_used(num: int, faces: Int32) -> Bool:
+def mark_used_vertices(num: int, faces: Int32) -> Bool:
     """Mark which of so many vertices some faces use, shape (num,)."""
     marks = np.zeros((count_shares(len(faces)), num), dtype=np.bool_)
 
@@ -358,9 +359,9 @@ def find_used(num: int, faces: Int32) -> Bool:
     return marks[0] if len(marks) == 1 else np.asarray(marks.any(axis=0))
 
 
-def only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
+def drop_unused_vertices(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
     """The vertices that faces use, and the faces counted in them."""
-    is_used = find_used(len(vertices), faces)
+    is_used = mark_used_vertices(len(vertices), faces)
     if is_used.all():
         return vertices, faces
     return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]

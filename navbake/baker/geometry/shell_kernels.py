@@ -10,13 +10,13 @@ what it encloses.
 import numpy as np
 
 from navbake.baker.core.union_find import find_root, unite
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
-OPEN = np.int32(-1)  # in place of the number of a shell
+NOT_SHELL = np.int32(-1)  # in place of the number of a shell
 # Edges at a point that are compared, each with all; the triangles of others are no part of a shell
 # here, and `find_parts` decides about them, as it does about those
-MOST_EDGES = 256
+MAX_EDGES = 256
 
 
 @subkernel(inline="always")
@@ -101,7 +101,7 @@ def _next(half):
     return half - 2 if half % 3 == 2 else half + 1
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def chain_edges(number, faces, point, kept, last, before, first, end):
     """Chain the half-edges 3 f + k, from corner k of triangle f to the next, by their lower point.
 
@@ -132,18 +132,18 @@ def find_shells(corners, last, mate, shell, first, end):
     """Find the half-edge that each one is alone with at its edge, and then the shells.
 
     The first are of the points ``range(first, end)``: `mate`, the `before` of `chain_edges`,
-    becomes the other half-edge; OPEN if there is none or several, if the two run in one direction
-    or belong to triangles back to back, or for edges beyond `MOST_EDGES` of a point. The shells are
-    found for the point behind the last one.
+    becomes the other half-edge; NOT_SHELL if there is none or several, if the two run in one
+    direction or belong to triangles back to back, or for edges beyond `MAX_EDGES` of a point. The
+    shells are found for the point behind the last one.
 
     Args:
         corners: points of the triangles, (3 m,) int32.
         last: the chains of `chain_edges`.
-        shell: (m,) int32; receives the lowest triangle of each one's shell, or OPEN.
+        shell: (m,) int32; receives the lowest triangle of each one's shell, or NOT_SHELL.
     """
-    upper = np.empty(MOST_EDGES, np.int32)
-    half = np.empty(MOST_EDGES, np.int64)
-    num = np.empty(MOST_EDGES, np.int64)
+    upper = np.empty(MAX_EDGES, np.int32)
+    half = np.empty(MAX_EDGES, np.int64)
+    num = np.empty(MAX_EDGES, np.int64)
     for low in range(first, min(end, last.shape[1])):
         edges = 0
         for share in range(last.shape[0]):
@@ -151,12 +151,12 @@ def find_shells(corners, last, mate, shell, first, end):
             while following >= 0:
                 h = following
                 following = np.int64(mate[h])
-                mate[h] = OPEN
+                mate[h] = NOT_SHELL
                 high = max(corners[h], corners[_next(h)])
                 e = 0
                 while e < edges and upper[e] != high:
                     e += 1
-                if e == MOST_EDGES:
+                if e == MAX_EDGES:
                     continue
                 if e == edges:
                     upper[e] = high
@@ -170,9 +170,9 @@ def find_shells(corners, last, mate, shell, first, end):
                     if is_opposite and corners[_next(_next(one))] != corners[_next(_next(h))]:
                         mate[one] = h
                         mate[h] = one
-                elif num[e] == 3 and mate[one] != OPEN:
-                    mate[mate[one]] = OPEN
-                    mate[one] = OPEN
+                elif num[e] == 3 and mate[one] != NOT_SHELL:
+                    mate[mate[one]] = NOT_SHELL
+                    mate[one] = NOT_SHELL
     if end <= last.shape[1]:
         return
     is_shell = np.ones(shell.shape[0], np.bool_)
@@ -180,7 +180,7 @@ def find_shells(corners, last, mate, shell, first, end):
         shell[f] = f
         for k in range(3):
             h = np.int64(mate[3 * f + k])
-            if h == OPEN:
+            if h == NOT_SHELL:
                 is_shell[f] = False
             elif h // 3 < f:
                 unite(shell, np.int64(f), h // 3)
@@ -190,4 +190,4 @@ def find_shells(corners, last, mate, shell, first, end):
             is_shell[shell[f]] = False
     for f in range(shell.shape[0]):
         if not is_shell[shell[f]]:
-            shell[f] = OPEN
+            shell[f] = NOT_SHELL

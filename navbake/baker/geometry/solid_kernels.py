@@ -8,10 +8,10 @@ all other leaning solids.
 
 import math
 
-from navbake.baker.core.arrays import SQUARE
+from navbake.baker.core.arrays import NOT_ROUND
 from navbake.baker.core.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
-from navbake.baker.geometry.gjk_kernels import solid_meets_prism
-from navbake.compiled import UNCOUNTED, subkernel
+from navbake.baker.geometry.gjk_kernels import gjk_meets_prism
+from navbake.compiled import NO_REFCOUNT, subkernel
 
 SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
 
@@ -35,7 +35,7 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     if solids.kind[s] == CYLINDER:
         if is_round:
             return math.hypot(dx, dy) - size[0] - half
-        return _point_gap(dx, dy, half, SQUARE) - size[0]
+        return _point_gap(dx, dy, half, NOT_ROUND) - size[0]
     a = (upright + 1) % 3
     b = (upright + 2) % 3
     ax = mat[a]
@@ -99,10 +99,10 @@ def _gap(solids, s, prism, half, is_round):
     return 0.0
 
 
-@subkernel(**UNCOUNTED)
-def solid_meets(solids, s, prism, simplex):
+@subkernel(**NO_REFCOUNT)
+def solid_meets_prism(solids, s, prism, simplex):
     """Whether a solid meets a prism: APART, MEETS or UNDECIDED."""
     gap = _gap(solids, s, prism, prism.half, prism.is_round)
     if abs(gap) > SURE:
         return APART if gap > 0.0 else MEETS
-    return solid_meets_prism(solids, s, prism, simplex)
+    return gjk_meets_prism(solids, s, prism, simplex)

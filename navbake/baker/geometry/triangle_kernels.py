@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 RIGHT = math.pi / 2
 UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
@@ -30,7 +30,7 @@ def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def unit_normal(corners, t):
     """The unit normal of a triangle: x, y and z; z is 0 for an upright one, or one without area."""
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
@@ -41,7 +41,7 @@ def unit_normal(corners, t):
     return x / length, y / length, 0.0 if abs(up) < UPRIGHT else up
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
     """Write triangles ``range(first, end)``, the boxes round them, and their facing, see `Facets`.
 
@@ -65,7 +65,7 @@ def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
             facing[t] = 1 if up > 0.0 else -1
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def measure_areas(vertices, faces, area, first, end):
     """Write the areas of triangles ``range(first, end)``, (m,) float64 [m²]."""
     for f in range(first, end):
@@ -92,8 +92,8 @@ def describe_triangles(vertices, faces):
     return center, normal, area
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def measure_parts(vertices, faces, turned, part, volume, area, first, end):
+@kernel(nogil=True, **NO_REFCOUNT)
+def measure_part_volumes(vertices, faces, turned, part, volume, area, first, end):
     """Add up the volume, positive where it faces out, and the area of parts ``range(first, end)``.
 
     `part` and `turned` are by triangle; the sums (num,) of 0. Triangles are added in their order.
@@ -127,7 +127,7 @@ def measure_parts(vertices, faces, turned, part, volume, area, first, end):
     area[current] = squares
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def bound_parts(vertices, faces, turned, part, box, best, largest):
     """Find the box and the largest triangle, the last one of several, of each part of a mesh.
 
@@ -151,8 +151,8 @@ def bound_parts(vertices, faces, turned, part, box, best, largest):
             box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def find_nearest(normal, axes, reach, nearest, first, end):
+@kernel(nogil=True, **NO_REFCOUNT)
+def find_nearest_axes(normal, axes, reach, nearest, first, end):
     """Find which of some axes, of unit length and ascending z, each unit normal is nearest to.
 
     An axis counts both ways. No normal is farther than `reach` from the nearest one. Writes the
@@ -173,8 +173,8 @@ def find_nearest(normal, axes, reach, nearest, first, end):
                 nearest[n] = k
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def find_ways(corners, directions, way, weight, off, first, end):
+@kernel(nogil=True, **NO_REFCOUNT)
+def find_facing_directions(corners, directions, way, weight, off, first, end):
     """Find the horizontal direction that triangles face, modulo a right angle.
 
     Writes the nearest of `directions`, (m,) int32; twice the area as seen from the side [m²], 0 for
@@ -194,7 +194,7 @@ def find_ways(corners, directions, way, weight, off, first, end):
             way[t] = direction
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def measure_spans(corners, group, way, low, high):
     """How far groups of triangles reach along the group's `way`, left of it, and up.
 

@@ -13,8 +13,8 @@ from navbake.baker.columns.columns import cast_columns, tile_shapes
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.core.windows import Window
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.geometry.extents import measure_geoms
-from navbake.baker.geometry.overlap_kernels import lines_blocked
+from navbake.baker.geometry.extents import measure_extents
+from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.collect import Choice, collect_shapes
@@ -158,9 +158,9 @@ def _mark_geoms(
             inside = check_occupancy(columns, tiled, touching, cells, floors).occupied
         else:
             band: tuple[Float, Float] = (floors - BELOW, floors + high)
-            lines_blocked(cells, *band, columns.hits, inside, 0, len(cells))
+            find_blocked_lines(cells, *band, columns.hits, inside, 0, len(cells))
         part = np.zeros(len(floor), dtype=np.bool_)
         part[cells[inside]] = True
         mask[window] = part.reshape(mask[window].shape)
-    thin = measure_geoms(shapes, len(names)).thin[geoms]
+    thin = measure_extents(shapes, len(names)).thin[geoms]
     return masks, float(np.nanmin(thin, initial=np.inf)), warnings

@@ -12,7 +12,7 @@ from navbake.baker.columns.columns import cast_columns, tile_shapes
 from navbake.baker.core.constants import BOX
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window
-from navbake.baker.geometry.extents import measure_geoms
+from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.links.search import (
     DIRECTIONS,
     CollisionGeometry,
@@ -162,7 +162,7 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], gap: float) -> Itera
         for mask, cells in ((floor, car_floor.cells), (outline, car_floor.outline)):
             mask[window][np.divmod(cells, part.width)] = True
         carrier = car_floor.carrier
-        width = float(measure_geoms(shapes, model.ngeom).thin[carrier])
+        width = float(measure_extents(shapes, model.ngeom).thin[carrier])
         axis = float(scene.data.xaxis[joint, 2])
         now = float(scene.data.qpos[model.jnt_qposadr[joint]])
         reach = model.jnt_range[joint].tolist()

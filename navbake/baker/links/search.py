@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, ShapeSource, cast_columns, tile_shapes
-from navbake.baker.core.components import connect, touching
+from navbake.baker.core.components import adjacent_pairs, label_components
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.core.windows import Window, cut_cells
+from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.scene.scene import Scene
@@ -166,11 +166,11 @@ class LinkSearch(NamedTuple):
             low = low + stride
         cells, floors, whose = (np.concatenate(arrays) for arrays in zip(*asked, strict=True))
         if geometry.window is not None:
-            cells = cut_cells(cells, geometry.window, width)[0]
+            cells = crop_cells(cells, geometry.window, width)[0]
         clear = np.ones(len(found), dtype=np.bool_)
         for obstacles in geometry.obstacles:
-            columns = obstacles.columns.at(np.unique(cells))
-            tiled = obstacles.tiles.at(cells)
+            columns = obstacles.columns.covering(np.unique(cells))
+            tiled = obstacles.tiles.near_cells(cells)
             met = check_occupancy(columns, tiled, geometry.footprint, cells, floors).occupied
             clear[whose[met]] = False
         return clear
@@ -186,9 +186,9 @@ class LinkSearch(NamedTuple):
         for key in np.unique(found[["level", "other_level", "way"]]):
             own = found[found[["level", "other_level", "way"]] == key]
             own = own[np.argsort(own["cell"], kind="stable")]
-            pairs = touching(own["cell"], cols)
+            pairs = adjacent_pairs(own["cell"], cols)
             rises = np.abs([np.diff(own[name][pairs], axis=0)[0] for name in ("z", "other_z")])
-            part = connect(pairs[:, (rises <= self.step).all(axis=0)], len(own))
+            part = label_components(pairs[:, (rises <= self.step).all(axis=0)], len(own))
             for number in range(int(part.max(initial=-1)) + 1):
                 some = own[part == number]
                 at = np.stack(np.divmod(some["cell"], cols)).astype(np.float64)

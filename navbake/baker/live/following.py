@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.core.constants import FREE, HINGE, MESH, SLIDE
-from navbake.baker.geometry.shapes import Items, Shapes
+from navbake.baker.geometry.shapes import Primitives, Shapes
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.divide import CARRIER, LEAF, LEFT_OUT, give_roles
@@ -334,7 +334,7 @@ def find_differing(was: Shapes, now: Shapes) -> Bool:
     num = len(was.endless)
     differs = np.array(was.endless != now.endless)
 
-    def compare(old: Items, new: Items) -> None:
+    def compare(old: Primitives, new: Primitives) -> None:
         arrays: Iterable[tuple[NDArray[Any], NDArray[Any]]] = zip(old, new, strict=True)
         same: Bool = np.bincount(old.geom, minlength=num) == np.bincount(new.geom, minlength=num)
         differs[~same] = True

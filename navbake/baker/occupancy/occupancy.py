@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import Columns, TiledShapes, tile_of
-from navbake.baker.core.arrays import Band
+from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.core.tiles import TILE
 from navbake.baker.core.tolerances import TOUCH_DEPTH
@@ -79,7 +79,7 @@ class Footprint(NamedTuple):
             high=agent.height - TOUCH_DEPTH,
         )
 
-    def between(self, band: Band) -> Footprint:
+    def between(self, band: HeightRange) -> Footprint:
         """The same over another band above the floor [m]."""
         return self._replace(low=band.low + TOUCH_DEPTH, high=band.high - TOUCH_DEPTH)
 
@@ -145,7 +145,7 @@ def check_occupancy(
 
     def look(first: int, end: int) -> None:
         geometry = shapes.solids, tiled.facets, shapes.planes
-        asked = lattice, columns.hits, geometry, tiled.tiles, footprint, queries, listing
+        asked = lattice, columns.hits, geometry, tiled.tile_index, footprint, queries, listing
         geom, flags, used = occupy_tiles(*asked, first, end)
         parts[first] = geom[:used], flags[:used]
 
@@ -188,7 +188,7 @@ def check_occupancy(
 def ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
     """FCL's answer for one cell, over all solids of its tile."""
     lattice = tiled.lattice
-    tiles = tiled.tiles
+    tiles = tiled.tile_index
     solids = tiled.shapes.solids
     tile = tile_of(lattice, cell)
     half_z = (footprint.high - footprint.low) / 2

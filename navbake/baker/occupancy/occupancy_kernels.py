@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.arrays import SQUARE, Band, ColumnHits, Facets, Prism
+from navbake.baker.core.arrays import NOT_ROUND, ColumnHits, Facets, HeightRange, Prism
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import (
     TILE,
     cell_bit,
-    cell_bits,
-    cells_near,
-    center_of,
+    cell_center_at,
     tile_window,
+    window_bits,
+    window_near_box,
 )
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.gjk_kernels import Simplex, make_simplex
@@ -29,13 +29,13 @@ from navbake.baker.geometry.overlap_kernels import (
     ANY_GEOM,
     Polygons,
     facet_meets_prism,
-    line_is_blocked,
+    is_beside_prism,
+    is_line_blocked,
     make_polygons,
-    outside,
     plane_meets_prism,
 )
-from navbake.baker.geometry.solid_kernels import solid_meets
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.baker.geometry.solid_kernels import solid_meets_prism
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
 # What a geom does in a cell: it stands there, meets the occupancy's volume, meets the square in the
@@ -213,7 +213,7 @@ def _make_entries(size):
     return Entries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _find_queries(lattice, window, cells, run):
     """Find the queries of each row of a tile's cells; returns how many there are."""
     count = 0
@@ -240,7 +240,7 @@ def _find_queries(lattice, window, cells, run):
     return count
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _write_lists(run, entries, count, first, geom, flags, used):
     """Write a tile's entries as lists behind the `used` part; returns the end of the lists."""
     for e in range(count):
@@ -266,14 +266,14 @@ def _column(walk, n, row, col):
     lattice = walk.lattice
     footprint = walk.footprint
     floor = walk.queries.floor[n]
-    x, y = center_of(lattice, row, col)
+    x, y = cell_center_at(lattice, row, col)
     reach = max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH_DEPTH
     low = floor + footprint.low
     high = floor + footprint.high
     if walk.listing.ceiling.shape[0] > 0:
         low = floor
         high = walk.listing.ceiling[n]
-    return Prism(x, y, low, high, reach, SQUARE)
+    return Prism(x, y, low, high, reach, NOT_ROUND)
 
 
 @subkernel(inline="always")
@@ -282,21 +282,21 @@ def _volumes(walk, n, row, col):
     footprint = walk.footprint
     listing = walk.listing
     floor = walk.queries.floor[n]
-    x, y = center_of(walk.lattice, row, col)
+    x, y = cell_center_at(walk.lattice, row, col)
     low = floor + footprint.low
     high = floor + footprint.high
     half = walk.lattice.cell_size / 2 - TOUCH_DEPTH
     is_round = footprint.radius > 0.0
     ceiling = listing.ceiling[n] if listing.ceiling.shape[0] > 0 else high
     return (
-        Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, SQUARE),
+        Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, NOT_ROUND),
         Prism(x, y, low, high, footprint.radius if is_round else half, is_round),
-        Prism(x, y, floor + listing.low, floor + listing.high, half, SQUARE),
-        Prism(x, y, low, high, half, SQUARE),
+        Prism(x, y, floor + listing.low, floor + listing.high, half, NOT_ROUND),
+        Prism(x, y, low, high, half, NOT_ROUND),
     )
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _ask_lines(walk):
     """Test the lines of a tile's cells, and note the cells that these leave undecided."""
     queries = walk.queries
@@ -320,8 +320,8 @@ def _ask_lines(walk):
             if here.end[r, c] == 0:
                 here.first[r, c] = n
             here.end[r, c] = n + 1
-            band = Band(floor + footprint.low, floor + footprint.high)
-            is_blocked = line_is_blocked(hits, cell, band, ANY_GEOM)
+            band = HeightRange(floor + footprint.low, floor + footprint.high)
+            is_blocked = is_line_blocked(hits, cell, band, ANY_GEOM)
             queries.state[n] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if lists:
                 listing.first[n] = 0
@@ -351,7 +351,7 @@ def _describe_floor(hits, cell, floor, min_up):
     return carrier, gap
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _look_at_tile(walk, tiles, tile, entries):
     """Test the geoms over a tile, by geom id; returns the number of entries, -1 for no room."""
     solids = walk.solids
@@ -434,7 +434,7 @@ def _ask_geom(walk, kind, items, geom, entries, count):
     facets = walk.facets
     half = lattice.cell_size / 2 + 2.0 * TOUCH_DEPTH
     reach = max(half, max(footprint.square, footprint.radius) + 2.0 * TOUCH_DEPTH)
-    all_near = cells_near(lattice, window, here.box, 0, reach)
+    all_near = window_near_box(lattice, window, here.box, 0, reach)
     still = here.still
     bands = here.bands
     still[:] = 0
@@ -447,7 +447,7 @@ def _ask_geom(walk, kind, items, geom, entries, count):
             for n in range(here.first[r, c], here.end[r, c]):
                 queries.wanted[n] = 0
                 column = _column(walk, n, row, col)
-                if outside(here.box, 0, column):
+                if is_beside_prism(here.box, 0, column):
                     continue
                 if kind == PLANE and not plane_meets_prism(walk.planes, items[0], column):
                     continue
@@ -473,11 +473,13 @@ def _ask_geom(walk, kind, items, geom, entries, count):
             wide |= still[k] if is_level and 1 << k == BLOCKING else 0
             narrow |= still[k] if is_level and 1 << k != BLOCKING else 0
         if kind == TRIANGLES and wide | narrow != 0:
-            near = cells_near(lattice, all_near, facets.bounds, i, reach if wide != 0 else half)
-            wide &= cell_bits(window, near)
+            near = window_near_box(
+                lattice, all_near, facets.bounds, i, reach if wide != 0 else half
+            )
+            wide &= window_bits(window, near)
             if narrow != 0:
-                square = cells_near(lattice, near, facets.bounds, i, half)
-                narrow &= cell_bits(window, square)
+                square = window_near_box(lattice, near, facets.bounds, i, half)
+                narrow &= window_bits(window, square)
         if wide | narrow == 0:  # so it is for most triangles of a fine mesh
             continue
         for row in range(near[0], near[1]):
@@ -522,9 +524,9 @@ def _begin(walk, kind, geom, n, volumes):
     queries.flags[n] = flags
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _ask_line(hits, cell, geom, volumes):
-    """The flags that a cell's line proves of a geom: `line_is_blocked` for each volume."""
+    """The flags that a cell's line proves of a geom: `is_line_blocked` for each volume."""
     stands, blocks, probed, _ = volumes
     lowest = min(stands.low, blocks.low, probed.low)
     flags = 0
@@ -558,7 +560,7 @@ def _ask_line(hits, cell, geom, volumes):
     return flags | (AT_WALL_HEIGHT if in_probed > 0 else 0)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _ask_shape(walk, kind, i, n, volumes):
     """Add the wanted flags of a plane, a solid or a triangle over a query."""
     queries = walk.queries
@@ -574,13 +576,13 @@ def _ask_shape(walk, kind, i, n, volumes):
         elif kind == TRIANGLES:
             meets = facet_meets_prism(walk.facets, i, volume, walk.here.polygons)
             answer = MEETS if meets else APART
-        elif outside(walk.solids.bounds, i, volume):
+        elif is_beside_prism(walk.solids.bounds, i, volume):
             answer = APART
         else:
             # GJK is exact to a share of the prism's height: no more of it than the solid may meet
             high = min(volume.high, walk.solids.bounds[i, 5] + 1.0)
             part_of = Prism(volume.x, volume.y, volume.low, high, volume.half, volume.is_round)
-            answer = solid_meets(walk.solids, i, part_of, walk.here.simplex)
+            answer = solid_meets_prism(walk.solids, i, part_of, walk.here.simplex)
         if answer == APART:
             # what misses a volume misses the square that is a part of it
             if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
@@ -594,7 +596,7 @@ def _ask_shape(walk, kind, i, n, volumes):
     queries.flags[n] = flags
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _note_entries(walk, near, geom, entries, count):
     """Note what a geom does over the queries near; the number of entries, -1 for no room."""
     here = walk.here

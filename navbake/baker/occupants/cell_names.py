@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.union_find import number_lists
-from navbake.baker.core.windows import Window, cut_cells
+from navbake.baker.core.union_find import number_distinct_lists
+from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
@@ -64,12 +64,12 @@ def name_cells(
     cell, name, bits = _merge(cell, number_of[geom], bits, len(names))
     token = name * ALL_BITS + bits
     if window != (slice(0, lattice.height), slice(0, lattice.width)):
-        cell, inside = cut_cells(cell, window, lattice.width)
+        cell, inside = crop_cells(cell, window, lattice.width)
         token = token[inside]
     first = np.flatnonzero(np.diff(cell, prepend=-1))
     start = np.append(first, len(cell))
     number = np.empty(len(first), dtype=np.int64)
-    lists = number_lists(start, token, number)
+    lists = number_distinct_lists(start, token, number)
     return cell[first], number, _describe(token, start[lists], start[lists + 1], names)
 
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.components import connect
+from navbake.baker.core.components import label_components
 from navbake.baker.core.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.core.windows import list_differing
+from navbake.baker.core.windows import differing_pairs
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.extents import Extents
 from navbake.baker.scene.divide import STANDING
@@ -345,7 +345,7 @@ def classify_floor_geoms(
     covering = near >= MOSTLY * cells
     low, high, rise = steps
     is_level = rise <= SAME_HEIGHT
-    plateau = connect(np.stack([low[is_level], high[is_level]]), len(cells))
+    plateau = label_components(np.stack([low[is_level], high[is_level]]), len(cells))
     area = np.bincount(plateau, cells)[plateau] * cell_size**2
     things = carries & (area <= THING_AREA + LIMIT_SLACK) & is_over
     is_step = (rise > SAME_HEIGHT) & (rise <= step + LIMIT_SLACK) & ~covering[low]
@@ -376,7 +376,7 @@ def find_steps(floors: Floors, carrier: Int32, lattice: Lattice) -> Steps:
     floor = np.concatenate([level.floor.ravel() for level in floors.levels])
     pairs = [floors.links[:, [0, 2]] * carrier.shape[1] + floors.links[:, [1, 3]]]
     for number, geom in enumerate(carrier.reshape(-1, *lattice.shape)):
-        cells = list_differing(geom).T
+        cells = differing_pairs(geom).T
         meet = (carrier[number][cells] >= 0).all(axis=1)
         pairs.append(cells[meet] + number * geom.size)  # cells of all levels are numbered on
     cells = np.concatenate(pairs)

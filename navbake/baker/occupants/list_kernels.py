@@ -10,7 +10,7 @@ from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int32
 
 # Flags of `flag_columns`: nothing in the column; no floor, and nothing at the height of an agent's
@@ -43,7 +43,7 @@ class LevelOccupants(NamedTuple):
     gap: Float
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _open_row(columns, row_of, before, num, geom):
     """The row of a geom in the block whose rows begin at `before`, -1 for no room."""
     rows, over = columns
@@ -121,7 +121,7 @@ def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, beg
     return end
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **NO_REFCOUNT)
 def mark_walls(listed, kinds, cells, walls, lows, begin, end):
     """Mark which of ``cells[begin:end]`` a wall stands in and blocks; and those blocked only low.
 

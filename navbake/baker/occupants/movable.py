@@ -13,11 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns.column_blocks import place_columns
-from navbake.baker.columns.columns import Rows, cast_columns, cast_points, split_rows, tile_shapes
+from navbake.baker.columns.column_sources import index_by_cell
+from navbake.baker.columns.columns import (
+    RowChunk,
+    cast_columns,
+    cast_points,
+    split_into_row_chunks,
+    tile_shapes,
+)
 from navbake.baker.core.constants import BUILDING, OBJECT, WALL
 from navbake.baker.core.tolerances import TOUCH_DEPTH
-from navbake.baker.core.windows import Window, cells_near
+from navbake.baker.core.windows import Window, cells_near_boxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy
@@ -136,7 +142,7 @@ def update_movable_occupants(
 ) -> MovableOccupants:
     """Find again what can move in the cells near some boxes, (n, 6) [m]."""
     lattice = over.lattice
-    cells = cells_near(lattice, boxes, over.footprint.reach + 2 * TOUCH_DEPTH)
+    cells = cells_near_boxes(lattice, boxes, over.footprint.reach + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
     entries = [list(bands) for bands in occupants.entries]
@@ -147,8 +153,8 @@ def update_movable_occupants(
         else [layer.copy() for layer in occupants.blocked_squares]
     )
     taken = occupants.num_blocked_alone.copy()
-    for rows in split_rows(lattice):
-        first, end = np.searchsorted(cells, rows.cells(lattice))
+    for rows in split_into_row_chunks(lattice):
+        first, end = np.searchsorted(cells, rows.cell_range(lattice))
         some = cells[first:end]
         if not len(some):
             continue
@@ -217,17 +223,17 @@ def _count_taken(entries: Entries, standing: Bool, mover_of: Int, num_bodies: in
 
 
 def _look_at_cells(
-    over: MovableContext, shapes: Shapes, rows: Rows, cells: Int
+    over: MovableContext, shapes: Shapes, rows: RowChunk, cells: Int
 ) -> list[LevelMovables]:
     """Find what can move over some cells, ascending, of a block of rows, by level."""
     lattice = over.lattice
     tiled = tile_shapes(shapes, lattice, over.footprint.reach)
-    first, end = rows.cells(lattice)
+    first, end = rows.cell_range(lattice)
     if len(cells) > MOST_POINTS * (end - first):
         columns = cast_columns(tiled, rows)
     else:
         centers = lattice.positions(*np.divmod(cells, lattice.width))
-        columns = place_columns(lattice, cells, cast_points(tiled, cells, centers))
+        columns = index_by_cell(lattice, cells, cast_points(tiled, cells, centers))
     probed = np.zeros(len(shapes.endless), dtype=np.bool_)
     found = []
     for level, top in zip(over.floors.levels, find_tops(over.floors), strict=True):

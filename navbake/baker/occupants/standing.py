@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from navbake.baker.columns.columns import Columns, ColumnSource, ShapeSource, TiledShapes
 from navbake.baker.core.blocks import Blocks, list_rows
 from navbake.baker.core.clock import StageClock
-from navbake.baker.core.components import ranges
+from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.floors.levels import Floors, LevelFloor
@@ -191,9 +191,9 @@ def find_standing_cells(
     solid = [mask.copy() for mask in taken] if footprint.radius > 0.0 else None
     flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
     lists = [GrowingLists(lattice) for _ in floors.levels if probed is not None]
-    for block in columns.blocks():
-        tiled = block.near or tiles.rows(block.known_rows)
-        first, end = block.known_rows.cells(lattice)
+    for block in columns.row_chunks():
+        tiled = block.nearby_shapes or tiles.near_rows(block.valid_rows)
+        first, end = block.valid_rows.cell_range(lattice)
         cells = np.arange(first, end)
         for k, level in enumerate(floors.levels):
             look = check_level_occupancy(
@@ -329,5 +329,5 @@ def entries_of_cells(
     while len(left):  # cells whose lists go on
         counts[left] += 1
         left = left[geom[begin[left] + counts[left]] >= 0]
-    cell, place = ranges(begin, begin + counts)
+    cell, place = expand_ranges(begin, begin + counts)
     return cell, geom[place], flags[place]

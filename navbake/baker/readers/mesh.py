@@ -22,7 +22,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.geometry.shapes import find_areas, find_box, only_used
+from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, triangle_areas
 from navbake.config.settings import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
@@ -107,7 +107,7 @@ def take_mesh_parts(
 
 def box_of(parts: Collection[MeshPart]) -> Float:
     """The lower and the upper corner of the box round parts, shape (2, 3) [m]."""
-    boxes = np.array([find_box(part.vertices) for part in parts])
+    boxes = np.array([bounding_box(part.vertices) for part in parts])
     return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
@@ -234,7 +234,7 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
         if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
             name = stem_of(path)
         name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
-        vertices, faces = only_used(part.vertices, part.faces)
+        vertices, faces = drop_unused_vertices(part.vertices, part.faces)
         with np.errstate(all="ignore"):
             vertices = _turn(vertices, turn)
         part = check_part(MeshPart(name, vertices, faces), path)
@@ -248,14 +248,14 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
 def check_part(part: MeshPart, path: Path) -> MeshPart:
     """Refuse coordinates that are no places; leave out triangles without area."""
     name, vertices, faces, mode = part
-    box = find_box(vertices) if len(vertices) else np.zeros(6)
+    box = bounding_box(vertices) if len(vertices) else np.zeros(6)
     if not np.isfinite(box).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
     if np.abs(box).max() > MAX_COORDINATE:
         beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         raise SceneError(f"mesh {name!r} in {path} {beyond}")
-    has_area = find_areas(vertices, faces) > NO_AREA
-    used = (vertices, faces) if has_area.all() else only_used(vertices, faces[has_area])
+    has_area = triangle_areas(vertices, faces) > NO_AREA
+    used = (vertices, faces) if has_area.all() else drop_unused_vertices(vertices, faces[has_area])
     return MeshPart(name, *used, mode)
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.geometry.shapes import find_areas, only_used
-from navbake.baker.geometry.triangle_kernels import describe_triangles, find_nearest
+from navbake.baker.geometry.shapes import drop_unused_vertices, triangle_areas
+from navbake.baker.geometry.triangle_kernels import describe_triangles, find_nearest_axes
 from navbake.baker.readers.mesh import (
     AXES,
     Direction,
@@ -124,11 +124,11 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
         size = int(corners.max()) + 1
         edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
         piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-        area = np.bincount(piece, find_areas(part.vertices, part.faces))
+        area = np.bincount(piece, triangle_areas(part.vertices, part.faces))
         small = (area > 0.0) & (area < SPECK)
         dropped = dropped + int(small.sum())
         lost = lost + float(area[small].sum())
-        vertices, faces = only_used(part.vertices, part.faces[~small[piece]])
+        vertices, faces = drop_unused_vertices(part.vertices, part.faces[~small[piece]])
         if len(faces):
             kept.append(MeshPart(part.name, vertices, faces))
     if not kept or not dropped:
@@ -219,7 +219,7 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
     """Up to four directions in which most of the surface faces, either way."""
     axes = list_axes()
     nearest = np.zeros(len(normal), dtype=np.int64)
-    run_in_chunks(find_nearest, len(normal), normal, axes, NEAR, nearest, least=1024)
+    run_in_chunks(find_nearest_axes, len(normal), normal, axes, NEAR, nearest, least=1024)
     count = (np.abs(axes @ axes.T) >= FACING) @ np.bincount(nearest, area, NUM_AXES)
     found: list[Float] = []
     for _ in range(4):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, cast_columns, tile_shapes
-from navbake.baker.core.components import label_parts
+from navbake.baker.core.components import label_components_2d
 from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
@@ -142,7 +142,7 @@ def edge_cells(is_open: Bool, sides: Bool) -> Bool:
     empty = np.pad(is_open, 1)
     empty[[0, -1]] |= sides[0][:, None]
     empty[:, [0, -1]] |= sides[1]
-    part, _ = label_parts(empty)
+    part, _ = label_components_2d(empty)
     outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
     beyond = np.isin(part, outer[outer > 0])
     edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
@@ -337,8 +337,8 @@ def _upward_surfaces(
     found = []
     for surfaces, geoms in parts:
         is_meant = np.isin(np.arange(num), list(geoms))
-        for block in surfaces.blocks() if geoms else ():
-            first, end = block.known_rows.cells(block.lattice)
+        for block in surfaces.row_chunks() if geoms else ():
+            first, end = block.valid_rows.cell_range(block.lattice)
             at = np.flatnonzero(is_meant[block.geom] & (block.normal[:, 2] > 0))
             cell = first + np.searchsorted(block.start[first : end + 1], at, side="right") - 1
             found.append((cell, block.z[at], block.geom[at]))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Int, Int32
 
 # Walls farther from the centres of lines' end cells are ignored [columns]
@@ -176,7 +176,7 @@ def mark_bridges(low, wall, shift, bridge):
                 bridge[row, col] = True
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _hold(low, wall, to_next, next_wall, held, found):
     """Which cells above, on and below a line (bits 0 to 2) are low and held by a wall; or `EXACT`.
 

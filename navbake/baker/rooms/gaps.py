@@ -6,7 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.components import connect, count_cells, label_parts, list_runs
+from navbake.baker.core.components import (
+    count_cells_by_label,
+    find_row_runs,
+    label_components,
+    label_components_2d,
+)
 from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gap_kernels import BOTH, FAR, NARROWER, WIDER, Gaps, Scan
 from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
@@ -92,8 +97,8 @@ def find_gaps(
             wait()
         for direction, own in zip(directions, marks, strict=True):
             marked |= (own.T if direction.swapped else own) > 0
-    label, count = label_parts(open_cells & ~marked)
-    cells = count_cells(label, count + 1)
+    label, count = label_components_2d(open_cells & ~marked)
+    cells = count_cells_by_label(label, count + 1)
     keeps = cells * cell_size**2 >= ISLAND
     keeps[0] = True
     if not keeps.all():  # those that are left keep their order
@@ -119,7 +124,7 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
     """
     label = scan.label
     shift = scan.shift
-    col, top, end, _ = list_runs(marked.T)
+    col, top, end, _ = find_row_runs(marked.T)
     bottom = end - 1
     starts = np.cumsum(end - top) - (end - top)
     mark = np.maximum.reduceat(own.T[marked.T], starts)
@@ -146,7 +151,7 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
         near = (begin + k < end) & (np.abs(line[other] - line) <= DRIFT)
         before = np.where((before < 0) & near, other, before)
     goes_on = np.flatnonzero(before >= 0)
-    number = connect(np.stack([before[goes_on], goes_on]), len(col))
+    number = label_components(np.stack([before[goes_on], goes_on]), len(col))
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(np.diff(number[order], prepend=-1))
     a = order[first]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.components import count_cells, label_parts
+from navbake.baker.core.components import count_cells_by_label, label_components_2d
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.types import Bool, Float, Int, Int32
 
@@ -127,9 +127,9 @@ class _Spaces:
     def __init__(self, level: LevelFlags, barrier: Bool, cell_size: float) -> None:
         self.barrier = barrier
         self._level = level
-        self._label, count = label_parts(level.open & ~barrier)
+        self._label, count = label_components_2d(level.open & ~barrier)
         least = LEAST_SPACE / cell_size**2
-        area = count_cells(self._label, count + 1)
+        area = count_cells_by_label(self._label, count + 1)
         free_area = np.bincount(self._label[~level.occupied], minlength=count + 1)
         at_edge = np.zeros(count + 1, dtype=np.bool_)
         at_edge[self._label[level.edge]] = True
@@ -176,7 +176,7 @@ class _Spaces:
             row, col = np.divmod(beyond[leaf], width)
             is_near = (row >= rows.start) & (row < rows.stop)
             is_near &= (col >= cols.start) & (col < cols.stop) & (beyond[leaf] >= 0)
-            part, _ = label_parts(self._label[rows, cols] > 0)
+            part, _ = label_components_2d(self._label[rows, cols] > 0)
             row = np.where(is_near, row - rows.start, 0)
             col = np.where(is_near, col - cols.start, 0)
             near_sides = _commonest(np.where(is_near, part[row, col], 0)[None])[0]

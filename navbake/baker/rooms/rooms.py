@@ -12,9 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.components import connect, count_cells, list_runs, touching
+from navbake.baker.core.components import (
+    adjacent_pairs,
+    count_cells_by_label,
+    find_row_runs,
+    label_components,
+)
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.core.windows import list_differing
+from navbake.baker.core.windows import differing_pairs
 from navbake.baker.rooms.flags import MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafMarks, mark_leaves
@@ -196,7 +201,7 @@ class _Assignment:
         for flags, owner, under, label, cover in zip(*of_levels, strict=True):
             fresh = np.where(flags.open & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
-            used = count_cells(fresh, len(number))
+            used = count_cells_by_label(fresh, len(number))
             for k in np.flatnonzero(used[1:]).tolist():
                 self.rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self.rooms)
@@ -280,7 +285,7 @@ def describe_rooms(
     names = Counter(room.name for level in rooms for room in level)
     table = []
     for level, (label, floor) in enumerate(zip(index, floors, strict=True)):
-        row, first, end, room = list_runs(label)
+        row, first, end, room = find_row_runs(label)
         cells = end - first
         height = np.rint(floor[label > 0] * MICRO)
         heights = np.add.reduceat(height, np.cumsum(cells) - cells)
@@ -314,7 +319,7 @@ def find_openings(
     openings = []
     for number, (rooms, floor, taken) in enumerate(zip(index, floors, occupied, strict=True)):
         on_level = (links[:, [0, 2]] == number).all(axis=1)
-        beside = list_differing(rooms).T  # few: only their heights are compared
+        beside = differing_pairs(rooms).T  # few: only their heights are compared
         is_step = np.abs(np.subtract(*floor.ravel()[beside.T])) <= max_step + LIMIT_SLACK
         cells = np.concatenate([links[on_level][:, [1, 3]], beside[is_step]])
         ends = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
@@ -326,7 +331,7 @@ def find_openings(
         own = (rooms.shape[0] + 1) * rooms.shape[1]
         cell_keys = pair[:, None] * own + cells[meet]
         both, place = np.unique(cell_keys, return_inverse=True)
-        part = connect(touching(both, rooms.shape[1]), len(both))
+        part = label_components(adjacent_pairs(both, rooms.shape[1]), len(both))
         is_free = ~taken.ravel()[cells[meet]].any(axis=1)
         is_passable = np.zeros(int(part.max()) + 1, dtype=np.bool_)
         is_passable[part[place.reshape(-1, 2)[is_free]]] = True

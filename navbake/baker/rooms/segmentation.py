@@ -4,8 +4,14 @@ import heapq
 
 import numpy as np
 
-from navbake.baker.core.components import connect, count_cells, label_parts, list_runs, touching
-from navbake.baker.core.windows import bounding_window, list_differing
+from navbake.baker.core.components import (
+    adjacent_pairs,
+    count_cells_by_label,
+    find_row_runs,
+    label_components,
+    label_components_2d,
+)
+from navbake.baker.core.windows import bounding_window, differing_pairs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
@@ -105,7 +111,7 @@ def segment_by_gaps(
     _label_cavities(label, open_cells, beyond)
     least = min_area / cell_size**2 - ROUNDING
     count = int(label.max(initial=0)) + 1
-    cells = count_cells(label, count)
+    cells = count_cells_by_label(label, count)
     steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
     is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
     joins = is_stair | (cells > 0) & (cells < least)
@@ -131,7 +137,7 @@ def _label_cavities(label: Int32, open_cells: Bool, beyond: Int) -> None:
     row, col = beyond[:, label[tuple(beyond)] == 0]
     if not len(row):
         return
-    part, count = label_parts(open_cells & (label == 0))
+    part, count = label_components_2d(open_cells & (label == 0))
     number = np.zeros(count + 1, dtype=np.int32)
     parts = np.unique(part[row, col])
     number[parts] = label.max() + 1 + np.arange(len(parts))
@@ -207,7 +213,7 @@ class _Regions:
         self._cells = cells.copy()  # of each region from 1
         self._whole = np.arange(len(cells), dtype=np.int32)  # what each one is part of now
         # the edges between cells of two regions: these, and the distance at the widest node of each
-        beside = list_differing(label)
+        beside = differing_pairs(label)
         ends = np.sort(label.ravel()[beside].astype(np.int64), axis=0)
         meet = (ends[0] > 0) & joins[ends].any(axis=0)
         ends = ends[:, meet]
@@ -326,7 +332,7 @@ def share_rest(
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
     has_marks[segment[owner > 0]] = True
     rest = np.where(owner == 0, segment, 0)
-    part, _ = label_parts(np.where(has_marks[rest], rest, 0))
+    part, _ = label_components_2d(np.where(has_marks[rest], rest, 0))
     cells, wide = _measure_parts(part, cell_size)
     is_room = (cells >= least) & wide
     if not (is_room | (cells < least)).all():  # the rest of a ledge is as narrow as the ledge was
@@ -351,7 +357,7 @@ def share_leaves(owner: Int32, leaf_cells: Bool) -> None:
     Which of two rooms is the smaller turns with the map, unlike their numbers.
     """
     waiting = leaf_cells & (owner == 0)
-    cells = count_cells(owner, int(owner.max(initial=0)) + 1)
+    cells = count_cells_by_label(owner, int(owner.max(initial=0)) + 1)
     by_size = np.append(0, np.argsort(cells[1:], kind="stable") + 1).astype(np.int32)
     rank = np.empty_like(by_size)
     rank[by_size] = np.arange(len(by_size))
@@ -368,7 +374,7 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     for k in range(3):  # the nodes on each edge between two parts
         around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
         around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
-    cells = count_cells(label, int(label.max(initial=0)) + 1)
+    cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
     peaks = widest_nodes(label, squared_distances(around, reach), len(cells))
     # twice the distance to what is around, in half cells: the widest disc that fits
     return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
@@ -377,7 +383,7 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
 def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
     """The owner that each part has most edges in common with, 0 for none; of several the first."""
     node = np.where(owner > 0, owner + np.int32(count), part)  # parts have no owner
-    low, high = np.sort(node.ravel()[list_differing(node)], axis=0)
+    low, high = np.sort(node.ravel()[differing_pairs(node)], axis=0)
     base = int(node.max(initial=0)) + 1
     meet = (low > 0) & (low < count) & (high >= count)
     keys = low[meet].astype(np.int64) * base + high[meet]
@@ -390,7 +396,7 @@ def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
 
 def renumber(label: Int32) -> tuple[Int32, Int]:
     """Renumber labels from 1 by the first cell of each in reading order; also those so ordered."""
-    *_, value = list_runs(label)
+    *_, value = find_row_runs(label)
     used, first = np.unique(value, return_index=True)
     order = used[np.argsort(first)]
     number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
@@ -408,9 +414,9 @@ def find_cavities(
     """
     cell_size = flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
-    area = count_cells(segment, count) * cell_size**2
+    area = count_cells_by_label(segment, count) * cell_size**2
     space = np.where(owner > 0, owner + count, segment)
-    pairs = space.ravel()[list_differing(space)]
+    pairs = space.ravel()[differing_pairs(space)]
     is_open = np.zeros(count, dtype=np.bool_)
     is_open[0] = True
     is_open[pairs[(pairs > 0).all(axis=0) & (pairs < count)]] = True
@@ -463,12 +469,12 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
 def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
     """By segment, the least chosen one that it touches, maybe over steep ground, or itself."""
-    part, count = label_parts(steep)
+    part, count = label_components_2d(steep)
     node = np.where(steep, part + len(chosen) - 1, segment)
     joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
-    pairs = node.ravel()[list_differing(node)]
+    pairs = node.ravel()[differing_pairs(node)]
     # the first node of a part is its least
-    number = connect(pairs[:, joins[pairs].all(axis=0)], len(joins))
+    number = label_components(pairs[:, joins[pairs].all(axis=0)], len(joins))
     least = np.unique(number, return_index=True)[1].astype(np.int32)
     return least[number][: len(chosen)]
 
@@ -478,8 +484,8 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     cell = np.flatnonzero(edge)
     rows, cols = np.divmod(cell, segment.shape[1])
     number = segment[rows, cols]
-    pairs = touching(cell, segment.shape[1])
-    run = connect(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
+    pairs = adjacent_pairs(cell, segment.shape[1])
+    run = label_components(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
     reach = np.zeros(len(cell))
     for place in (rows, cols):
         low = np.full(len(cell), np.inf)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.core.arrays import Facets
-from navbake.baker.core.components import list_runs
+from navbake.baker.core.components import find_row_runs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gap_kernels import FAR
@@ -436,7 +436,7 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
     for direction, bridge, wait in waiting:
         wait()
         most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
-        col, top, end, _ = list_runs(bridge.T)
+        col, top, end, _ = find_row_runs(bridge.T)
         for k in np.flatnonzero(end - top > most).tolist():
             bridge[top[k] : end[k], col[k]] = False
         found |= bridge.T if direction.swapped else bridge

@@ -14,7 +14,7 @@ import numpy as np
 from navbake.baker.core import constants
 from navbake.baker.geometry.mesh_parts import split_mesh
 from navbake.baker.geometry.shapes import (
-    FAR,
+    ENDLESS_HALF_SIZE,
     GeomTriangles,
     Planes,
     Shapes,
@@ -264,7 +264,7 @@ def collect_shapes(
                 continue
             endless[geom] = (half <= 0).any()
             what = "strip" if endless[geom] else "rectangle"
-            sides = tessellate("plane", np.where(half > 0, half, FAR).tolist())
+            sides = tessellate("plane", np.where(half > 0, half, ENDLESS_HALF_SIZE).tolist())
             found = _one_part(*sides, constants.OPEN_SURFACE, what)
         elif kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from navbake.baker.columns.columns import Columns, cast_columns, tile_shapes
-from navbake.baker.core.area_test import is_large
+from navbake.baker.core.area_test import is_large_enough
 from navbake.baker.core.constants import OPEN_SURFACE
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.scene.collect import Choice, MeshTriangles, collect_shapes
@@ -76,7 +76,7 @@ class HiddenRoom:
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
         in_mesh, in_hull = (cast_columns(tile_shapes(one, lattice, spacing / 2)) for one in shapes)
         has_room = _find_room(in_mesh, in_hull, self.agent.height)
-        return is_large(lattice, self.floors, has_room)
+        return is_large_enough(lattice, self.floors, has_room)
 
 
 def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:

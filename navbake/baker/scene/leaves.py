@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from navbake.baker.core.constants import HINGE, SLIDE
-from navbake.baker.geometry.extents import Extents, measure_geoms
+from navbake.baker.geometry.extents import Extents, measure_extents
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.names import (
     all_names,
@@ -110,7 +110,7 @@ def find_candidates(
     fixed_leaves = {body: leaf for body, leaf in leaves.items() if body not in joints}
     if fixed_leaves:
         # what can move is no jamb
-        extents = measure_geoms(shapes.only(stands[model.geom_bodyid]), model.ngeom)
+        extents = measure_extents(shapes.only(stands[model.geom_bodyid]), model.ngeom)
         for body, leaf in fixed_leaves.items():
             if not _stands_between_jambs(leaf, geoms[body], extents):
                 del leaves[body]
@@ -145,7 +145,7 @@ def find_candidates(
 def _find_leaves(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> dict[int, int]:
     """Bodies whose largest geom, in the modelled pose, is as tall, thin and wide as a door."""
     mask = np.isin(np.arange(num_geoms), [k for own in geoms.values() for k in own])
-    extents = measure_geoms(shapes.only(mask), num_geoms)
+    extents = measure_extents(shapes.only(mask), num_geoms)
     sides = {body: largest_side(extents, own) for body, own in geoms.items() if len(own)}
     return {
         body: leaf

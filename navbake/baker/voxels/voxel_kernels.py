@@ -16,21 +16,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.arrays import SQUARE, Prism
+from navbake.baker.core.arrays import NOT_ROUND, Prism
 from navbake.baker.core.constants import APART, OPEN_SURFACE
-from navbake.baker.core.tiles import cells_near, center_of, tile_window
+from navbake.baker.core.tiles import cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.geometry.gjk_kernels import make_simplex
 from navbake.baker.geometry.overlap_kernels import (
     X,
     Y,
     clip_between,
+    is_beside_prism,
     make_polygons,
-    outside,
     plane_meets_prism,
 )
-from navbake.baker.geometry.solid_kernels import solid_meets
-from navbake.compiled import UNCOUNTED, kernel, subkernel
+from navbake.baker.geometry.solid_kernels import solid_meets_prism
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 
 class Voxels(NamedTuple):
@@ -47,7 +47,7 @@ class Voxels(NamedTuple):
     res: float
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _label(column, first, end, label):
     """Label voxels of a column; the least label stays."""
     for k in range(first, end):
@@ -55,7 +55,7 @@ def _label(column, first, end, label):
             column[k] = label
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _fill_between(voxels, column, low, high, label):
     """Label the voxels of a column that a span of heights meets."""
     num = column.shape[0]
@@ -66,21 +66,21 @@ def _fill_between(voxels, column, low, high, label):
         _label(column, first, math.ceil(end) if end < num else num, label)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
     """Whether a solid or, numbered after these, a plane meets voxels ``[first, end)`` at (x, y)."""
     low = voxels.bottom + first * voxels.res + TOUCH_DEPTH
     high = voxels.bottom + end * voxels.res - TOUCH_DEPTH
-    prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH_DEPTH, SQUARE)
+    prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH_DEPTH, NOT_ROUND)
     num = solids.geom.shape[0]
     if item >= num:
         return plane_meets_prism(planes, item - num, prism)
-    if outside(solids.bounds, item, prism):
+    if is_beside_prism(solids.bounds, item, prism):
         return False
-    return solid_meets(solids, item, prism, simplex) != APART
+    return solid_meets_prism(solids, item, prism, simplex) != APART
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
     """Label the voxels of a column that a solid or a half-space meets, see `_meets`."""
     first = np.int64(0)
@@ -111,7 +111,7 @@ def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
     _label(column, first, low + 1, label)
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _fill_inside(voxels, column, hits, cell, labels):
     """Label the voxels of a column whose middles closed surfaces enclose."""
     first = hits.start[cell]
@@ -135,20 +135,20 @@ def _fill_inside(voxels, column, hits, cell, labels):
             _label(column, low, math.ceil(min(max(end - 0.5, 0.0), num)), labels[geom])
 
 
-@subkernel(**UNCOUNTED)
+@subkernel(**NO_REFCOUNT)
 def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
     """Label the voxels that a triangle meets; it is clipped to each strip of columns first."""
     half = voxels.res / 2.0
     num_rows = lattice.height
-    row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, half)
+    row0, row1, col0, col1 = window_near_box(lattice, window, facets.bounds, t, half)
     for col in range(col0, col1):
-        x, _ = center_of(lattice, row0, col)
+        x, _ = cell_center_at(lattice, row0, col)
         between = x - half + TOUCH_DEPTH, x + half - TOUCH_DEPTH
         num = clip_between(facets.corners[t], np.int64(3), polygons.other, X, between, strip)
         if num == 0:
             continue
         for row in range(row0, row1):
-            _, y = center_of(lattice, row, col)
+            _, y = cell_center_at(lattice, row, col)
             between = y - half + TOUCH_DEPTH, y + half - TOUCH_DEPTH
             left = clip_between(strip, num, polygons.other, Y, between, polygons.one)
             if left > 0:
@@ -181,7 +181,7 @@ def fill_voxels(
         window = tile_window(lattice, tile)
         for row in range(window[0], window[1]):
             for col in range(window[2], window[3]):
-                x, y = center_of(lattice, row, col)
+                x, y = cell_center_at(lattice, row, col)
                 column = voxels.values[col, lattice.height - 1 - row]
                 for n in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
                     s = np.int64(tiles.solid_item[n])

@@ -13,7 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.bake.arguments import take_input
-from navbake.baker.columns.columns import cast_columns, split_rows, tile_shapes, tiles_of_rows
+from navbake.baker.columns.columns import (
+    cast_columns,
+    split_into_row_chunks,
+    tile_shapes,
+    tiles_of_rows,
+)
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import all_names, body_name, warn_unmatched
 from navbake.baker.scene.pose import data_of_qpos, pose_model
@@ -198,8 +203,8 @@ class Voxelizer:
         tiled = tile_shapes(self.shapes, lattice, 0.0)
         nothing = np.zeros(len(self.scene.geoms), dtype=np.bool_)
         meshes = replace(shapes.only(nothing), meshes=shapes.meshes)
-        geometry = lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles
-        for rows in split_rows(lattice):
+        geometry = lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tile_index
+        for rows in split_into_row_chunks(lattice):
             hits = cast_columns(replace(tiled, shapes=meshes), rows).hits
             tiles = tiles_of_rows(lattice, rows)
             work = voxels, *geometry, hits, labels.ids.astype(worked)

@@ -15,7 +15,7 @@ from door_scenes import world as door_world
 from navbake.baker.bake.boxes import written_ground
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import bake_stages
-from navbake.baker.columns import column_blocks
+from navbake.baker.columns import column_sources
 from navbake.baker.columns.columns import Columns
 from navbake.baker.floors.levels import Floors
 from navbake.baker.occupancy.occupancy import Occupancy
@@ -215,9 +215,9 @@ def test_threads_are_given_back(tmp_path):
 def test_columns_are_cast_once(tmp_path, monkeypatch):
     """What gives the geometry back must not be followed by a stage that asks for it again."""
     casts = []
-    cast = column_blocks.cast_columns
+    cast = column_sources.cast_columns
     monkeypatch.setattr(
-        column_blocks, "cast_columns", lambda *given: casts.append(0) or cast(*given)
+        column_sources, "cast_columns", lambda *given: casts.append(0) or cast(*given)
     )
     (tmp_path / "scene.xml").write_text(world(FLOOR))
     navbake.bake({"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"bounds": [0, 0, 1, 1]}})

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from floor_scenes import boards
 from navbake.baker.bake.stages import bake_stages
 from navbake.baker.columns.columns import Columns, cast_columns
-from navbake.baker.columns.seams import close_cracks, settle_seams
+from navbake.baker.columns.seams import close_cracks, resolve_seams
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'
 HEIGHT = 3.0  # of the slabs' upper sides
@@ -194,7 +194,7 @@ def test_inner_corner_is_no_crack(folder, near):
         <geom type="box" size="1 .1 1" pos="{low + 1} {low - 0.1} 1"/>
         <geom type="box" size=".1 1 1" pos="{low - 0.1} {low + 0.8} 1"/>"""
     stages = stages_of(folder, GROUND + walls)
-    lines = settle_seams(cast_columns(stages.tile_index), stages.tile_index)
+    lines = resolve_seams(cast_columns(stages.tile_index), stages.tile_index)
     assert stages.columns.z.size == lines.z.size
 
 

@@ -18,9 +18,9 @@ from numpy.random import Generator
 
 from navbake.baker.bake.stages import Stages, bake_stages
 from navbake.baker.core.constants import MEETS, UNDECIDED
-from navbake.baker.core.tiles import TILE, cell_bits, cells_near
+from navbake.baker.core.tiles import TILE, window_bits, window_near_box
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
-from navbake.baker.geometry.extents import measure_geoms
+from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.kinds import WALL_HEIGHTS, mark_wall_candidates
@@ -104,7 +104,7 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
     columns, contents = stages.columns, stages.contents
     footprint, height = stages.footprint, stages.config.agent.height
     half = stages.lattice.cell_size / 2 - TOUCH_DEPTH
-    extents = measure_geoms(stages.scene.shapes, len(stages.scene.geoms))
+    extents = measure_extents(stages.scene.shapes, len(stages.scene.geoms))
     candidates = mark_wall_candidates(stages.scene, extents)
     tops = [*(level.ground for level in stages.floors.levels[1:]), np.inf]
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
@@ -174,8 +174,8 @@ def test_any_number_of_threads_finds_the_same():
 
 @numba.njit
 def look_near(lattice, window, box, reach):
-    near = cells_near(lattice, window, box, 0, reach)
-    return near, cell_bits(window, near)
+    near = window_near_box(lattice, window, box, 0, reach)
+    return near, window_bits(window, near)
 
 
 @settings(max_examples=MORE or 200, derandomize=not MORE, database=None, deadline=None)

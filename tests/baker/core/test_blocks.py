@@ -5,10 +5,10 @@ import pytest
 
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import bake_stages, open_stages
-from navbake.baker.columns import column_blocks
+from navbake.baker.columns import column_sources
 from navbake.baker.columns import columns as columns_module
-from navbake.baker.columns.column_blocks import ColumnBlocks, ShapeBlocks, join_columns
-from navbake.baker.columns.columns import Columns, ShapeSource, split_rows
+from navbake.baker.columns.column_sources import ChunkedShapes, ColumnCaster, join_columns
+from navbake.baker.columns.columns import Columns, ShapeSource, split_into_row_chunks
 from navbake.baker.core.clock import StageClock
 from navbake.config.settings import load_config, parse_config
 from navbake.formats.navgrid import dumps_navgrid
@@ -37,8 +37,8 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
     tiles = open_stages(config, StageClock()).tile_index
 
-    def find(shapes: ShapeSource = tiles) -> ColumnBlocks:
-        return ColumnBlocks(shapes, config.agent, config.floors.crack, StageClock())
+    def find(shapes: ShapeSource = tiles) -> ColumnCaster:
+        return ColumnCaster(shapes, config.agent, config.floors.crack, StageClock())
 
     def join(shapes: ShapeSource = tiles) -> Columns:
         window = slice(0, tiles.lattice.height), slice(0, tiles.lattice.width)
@@ -49,27 +49,27 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     cells = np.unique(np.random.default_rng(0).integers(0, width * tiles.lattice.height, 500))
     for rows in (8, 16, 40):
         monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * width)
-        assert len(split_rows(tiles.lattice)) == -(-tiles.lattice.height // rows)
+        assert len(split_into_row_chunks(tiles.lattice)) == -(-tiles.lattice.height // rows)
         for one, other in zip(join().hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
-    monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
-    monkeypatch.setattr(column_blocks, "KEPT_TRIANGLES", 0)
-    monkeypatch.setattr(column_blocks, "TIMES", np.inf)
+    monkeypatch.setattr(column_sources, "KEPT_CELLS", 0)
+    monkeypatch.setattr(column_sources, "KEPT_TRIANGLES", 0)
+    monkeypatch.setattr(column_sources, "TIMES", np.inf)
     for shapes in (tiles, open_stages(config, StageClock()).tile_index):
         for one, other in zip(join(shapes).hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
-        some = find(shapes).at(cells)
+        some = find(shapes).covering(cells)
         for cell in cells.tolist():
             one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
             for a, b in zip(some.hits[1:], whole.hits[1:], strict=True):
                 np.testing.assert_array_equal(a[one], b[other])
-    assert isinstance(shapes, ShapeBlocks)
+    assert isinstance(shapes, ChunkedShapes)
 
 
 def in_blocks(monkeypatch, cells):
     """Bake in blocks of about so many cells, and keep none of their columns."""
     monkeypatch.setattr(columns_module, "BLOCK_CELLS", cells)
-    monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
+    monkeypatch.setattr(column_sources, "KEPT_CELLS", 0)
 
 
 def bake_bytes(config) -> bytes:

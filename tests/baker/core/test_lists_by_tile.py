@@ -7,14 +7,14 @@ import itertools
 import numpy as np
 import pytest
 
-from navbake.baker.columns.columns import WORTH, list_by_band, list_by_tile
-from navbake.baker.core.tiles import BAND, TILE
+from navbake.baker.columns.columns import MIN_BOXES_PER_TILE, list_by_tile, list_by_tile_row
+from navbake.baker.core.tiles import TILE
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 
 LATTICE = Lattice(x_min=-1.0, y_max=2.0, width=21, height=13, cell_size=0.1)
 GROW = 0.07
-NUM = 9 * WORTH  # more than are worth counts of their own
+NUM = 9 * MIN_BOXES_PER_TILE  # more than are worth counts of their own
 
 
 @pytest.fixture(params=range(8))
@@ -65,9 +65,9 @@ def test_boxes_that_hold_a_centre_in_each_band(boxes, threads):
     holds_col = (left[:, None] <= cols) & (right[:, None] >= cols)
     holds_row = (top[:, None] <= rows) & (bottom[:, None] >= rows)
     with limit_threads(threads):
-        found = as_lists(*list_by_band(boxes, GROW, LATTICE))
+        found = as_lists(*list_by_tile_row(boxes, GROW, LATTICE))
     for band, listed in enumerate(found):
-        in_band = holds_row[:, band * BAND : (band + 1) * BAND].any(axis=1) & holds_col.any(axis=1)
+        in_band = holds_row[:, band * TILE : (band + 1) * TILE].any(axis=1) & holds_col.any(axis=1)
         assert listed == np.flatnonzero(in_band).tolist()
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from navbake.baker.bake.stages import bake_stages
-from navbake.baker.columns.columns import Columns, Rows
-from navbake.baker.core.components import connect
+from navbake.baker.columns.columns import Columns, RowChunk
+from navbake.baker.core.components import label_components
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.core.windows import EDGES
+from navbake.baker.core.windows import NEIGHBOR_SLICES
 from navbake.baker.floors.regions import find_regions
 from navbake.baker.floors.surface_kernels import STANDS, TOP
 from navbake.baker.floors.surfaces import find_surfaces
@@ -69,14 +69,14 @@ class InBands(NamedTuple):
     """Columns that come in bands of rows; a `ColumnSource`."""
 
     columns: Columns
-    bands: list[Rows]
+    bands: list[RowChunk]
 
     @property
     def lattice(self):
         return self.columns.lattice
 
-    def blocks(self):
-        return map(self.columns.only_rows, self.bands)
+    def row_chunks(self):
+        return map(self.columns.select_rows, self.bands)
 
     def at(self, cells):
         return self.columns
@@ -92,9 +92,9 @@ def test_surfaces_are_those_of_a_plain_loop(tmp_path, threads):
     stages = bake(tmp_path)
     expected = list_plainly(stages.columns, stages.config.agent)
     assert sum(stands for _, _, stands, _ in expected) > 4000
-    whole, middle = stages.columns.known_rows, Rows(0, 32)
+    whole, middle = stages.columns.valid_rows, RowChunk(0, 32)
     with limit_threads(threads):
-        for blocks in ([whole], [middle, Rows(middle.end, whole.end)]):
+        for blocks in ([whole], [middle, RowChunk(middle.end, whole.end)]):
             assert listed(surfaces_in(stages, blocks)) == expected
 
 
@@ -105,12 +105,12 @@ def check_regions(regions, step):
     cell, z = (np.array(part) for part in list(zip(*rows, strict=True))[:2])
     at = [np.flatnonzero(cell == k) for k in range(lattice.width * lattice.height)]
     ids, pairs = np.arange(len(at)).reshape(lattice.shape), [(0, 0)]
-    for one, other in EDGES:
+    for one, other in NEIGHBOR_SLICES:
         for a, b in zip(ids[one].ravel(), ids[other].ravel(), strict=True):
             pairs += [
                 (i, j) for i in at[a] for j in at[b] if abs(z[i] - z[j]) <= step + LIMIT_SLACK
             ]
-    number = connect(np.array(pairs).T, len(cell))
+    number = label_components(np.array(pairs).T, len(cell))
     assert np.array_equal(regions.size, np.bincount(number))
     top = np.array([row[3] for row in rows])
     assert np.array_equal(regions.tops, np.bincount(number, top).astype(int))
@@ -131,6 +131,6 @@ def check_regions(regions, step):
 @pytest.mark.parametrize("seed", [5, 6])
 def test_regions_are_the_parts_of_one_graph(tmp_path, seed):
     stages = bake(tmp_path, seed)
-    surfaces = surfaces_in(stages, [stages.columns.known_rows])
+    surfaces = surfaces_in(stages, [stages.columns.valid_rows])
     regions = find_regions(surfaces, stages.config.agent)
     check_regions(regions, stages.config.agent.traversable_floor_height)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.bake.stages import bake_stages
-from navbake.baker.core.arrays import Band
+from navbake.baker.core.arrays import HeightRange
 from navbake.baker.floors.outline import (
     BARRIER,
     BORDER,
@@ -46,7 +46,7 @@ def endings_at(tmp_path: Path):
         point = agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, stages.lattice.cell_size)
 
-        def is_occupied(cells, floors, band: Band | None = None, /):
+        def is_occupied(cells, floors, band: HeightRange | None = None, /):
             volume = narrow if band is None else narrow.between(band)
             return check_occupancy(columns, tiles, volume, cells, floors).occupied
 

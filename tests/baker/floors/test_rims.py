@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from navbake.baker.core.components import connect, touching
+from navbake.baker.core.components import adjacent_pairs, label_components
 from navbake.baker.floors.member_kernels import Edges
 from navbake.baker.floors.outline import beside, find_holes
 from navbake.navgrid.lattice import Lattice
@@ -31,11 +31,11 @@ def slow_holes(mask: np.ndarray, cell: np.ndarray, way: np.ndarray) -> np.ndarra
     row, col = np.divmod(cell, mask.shape[1])
     outer = (row + 2) * width + col + 2 + np.array([1, width, -1, -width])[way]
     cells, where = np.unique(outer, return_inverse=True)
-    one, other = pairs = touching(cells, width)
+    one, other = pairs = adjacent_pairs(cells, width)
     low, high = cells[one], cells[other]
     at_corner = ~np.isin(high - low, (1, width))
     pinched = at_corner & inside[high - width] & inside[low + width]
-    return connect(pairs[:, ~pinched], len(cells))[where] > 0
+    return label_components(pairs[:, ~pinched], len(cells))[where] > 0
 
 
 @given(mask=MASKS, twice=st.booleans())

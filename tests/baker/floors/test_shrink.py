@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.core.area_test import AreaTest, disc_rows, is_large
+from navbake.baker.core.area_test import AreaTest, disc_half_widths, is_large_enough
 from navbake.baker.floors import member_kernels as members
 from navbake.config.settings import FloorSettings
 from navbake.navgrid.lattice import Lattice
@@ -16,7 +16,7 @@ shrink = numba.njit(members.shrink.py_func)
 
 
 def count(mask, limit):
-    half = disc_rows(limit, int(min(mask.shape)))
+    half = disc_half_widths(limit, int(min(mask.shape)))
     left, reach = np.empty_like(mask), len(half) // 2
     shrink(np.pad(mask, reach).astype(np.int32), AreaTest(0, reach, half), left)
     return left.sum()
@@ -34,19 +34,19 @@ def test_counts_what_a_distance_transform_leaves(seed, limit):
     lattice = Lattice.cover((0.0, 0.0, width, height), 1.0)
     for needed in (expected, expected + 1):
         settings = FloorSettings(min_area=needed, shrink=limit - 0.5)
-        assert is_large(lattice, settings, mask) == (needed <= expected)
+        assert is_large_enough(lattice, settings, mask) == (needed <= expected)
 
 
 def test_a_disc_is_as_wide_as_its_limit():
-    assert disc_rows(3.0, 10).tolist() == [2, 2, 2, 2, 2]
-    assert disc_rows(3.2, 10).tolist() == [1, 2, 3, 3, 3, 2, 1]
-    assert disc_rows(1.0, 10).tolist() == [0]
+    assert disc_half_widths(3.0, 10).tolist() == [2, 2, 2, 2, 2]
+    assert disc_half_widths(3.2, 10).tolist() == [1, 2, 3, 3, 3, 2, 1]
+    assert disc_half_widths(1.0, 10).tolist() == [0]
 
 
 def test_a_limit_beyond_the_lattice_needs_few_steps():
     """`floors.shrink` in centimetres is a slip, and no reason to take all memory."""
     mask = np.ones((12, 7), dtype=bool)
     for limit in (3.9, 4.0, 4.1, 1e7):
-        assert len(disc_rows(limit, 7)) < 100
+        assert len(disc_half_widths(limit, 7)) < 100
         # the middle of the middle row
         assert count(mask, limit) == (6 if limit <= 4.0 else 0)

@@ -25,7 +25,7 @@ from navbake.baker.core.constants import (
     SPHERE,
     UNDECIDED,
 )
-from navbake.baker.geometry.gjk_kernels import make_simplex, solid_meets_prism
+from navbake.baker.geometry.gjk_kernels import gjk_meets_prism, make_simplex
 from navbake.baker.geometry.overlap_kernels import (
     make_polygons,
     plane_meets_prism,
@@ -37,7 +37,7 @@ from oracles.surfaces import disc_meets, square_meets
 
 # parts of kernels as functions that Python can call
 make_simplex = numba.njit(make_simplex.py_func)
-solid_meets_prism = numba.njit(solid_meets_prism.py_func)
+gjk_meets_prism = numba.njit(gjk_meets_prism.py_func)
 make_polygons = numba.njit(make_polygons.py_func)
 plane_meets_prism = numba.njit(plane_meets_prism.py_func)
 triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
@@ -69,7 +69,7 @@ def meets(kind: int, pos: NDArray, mat: NDArray, size: NDArray, prism: tuple) ->
     kinds, mats = np.array([kind], np.int32), np.ascontiguousarray(mat).reshape(1, 9)
     bounds = solid_bounds(kinds, pos[None], mats, size[None])
     solids = Solids(np.zeros(1, np.int32), kinds, pos[None], mats, size[None], bounds)
-    return solid_meets_prism(solids, 0, prism_at(*prism), SIMPLEX)
+    return gjk_meets_prism(solids, 0, prism_at(*prism), SIMPLEX)
 
 
 def random_turn(rng: Generator) -> NDArray:

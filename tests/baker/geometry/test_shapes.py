@@ -61,7 +61,9 @@ def test_solid_bounds_touch_the_solid_on_all_sides(kind):
 
 def of_plane(half):
     """The triangles of a plane; half-sizes of 0 are infinite."""
-    vertices, faces = shapes.tessellate("plane", [size or shapes.FAR for size in half])
+    vertices, faces = shapes.tessellate(
+        "plane", [size or shapes.ENDLESS_HALF_SIZE for size in half]
+    )
     return vertices[faces]
 
 

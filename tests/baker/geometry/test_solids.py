@@ -17,14 +17,14 @@ from navbake.baker.core.constants import (
     MEETS,
     SPHERE,
 )
-from navbake.baker.geometry.gjk_kernels import make_simplex, solid_meets_prism
+from navbake.baker.geometry.gjk_kernels import gjk_meets_prism, make_simplex
 from navbake.baker.geometry.shapes import Solids
-from navbake.baker.geometry.solid_kernels import solid_meets
+from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
 make_simplex = numba.njit(make_simplex.py_func)
+gjk_meets_prism = numba.njit(gjk_meets_prism.py_func)
 solid_meets_prism = numba.njit(solid_meets_prism.py_func)
-solid_meets = numba.njit(solid_meets.py_func)
 
 SIMPLEX = make_simplex()
 KINDS = {"sphere": SPHERE, "capsule": CAPSULE, "cylinder": CYLINDER, "box": BOX}
@@ -68,8 +68,8 @@ def test_agrees_with_the_iteration(name, is_round):
             size[None], bounds_of(kind, pos, mat, size)[None],
         )  # fmt: skip
         prism = Prism(0.0, 0.0, -half_z, half_z, half, is_round)
-        found = solid_meets(solids, 0, prism, SIMPLEX)
-        expected = solid_meets_prism(solids, 0, prism, SIMPLEX)
+        found = solid_meets_prism(solids, 0, prism, SIMPLEX)
+        expected = gjk_meets_prism(solids, 0, prism, SIMPLEX)
         assert found == expected, (pos, mat, size, half, half_z)
         seen.add(expected)
     assert seen == {APART, MEETS}

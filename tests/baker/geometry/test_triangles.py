@@ -6,11 +6,11 @@ import numba
 import numpy as np
 import pytest
 
-from navbake.baker.geometry.extents import DIRECTIONS, find_facing
-from navbake.baker.geometry.shapes import find_areas, find_box, only_used
+from navbake.baker.geometry.extents import DIRECTIONS, facing_angles
+from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, triangle_areas
 from navbake.baker.geometry.triangle_kernels import (
     describe_triangles,
-    find_nearest,
+    find_nearest_axes,
     measure_spans,
     unit_normal,
 )
@@ -44,12 +44,14 @@ def test_normals(mesh):
 
 
 def test_areas(mesh):
-    np.testing.assert_array_equal(find_areas(*mesh), np.linalg.norm(cross_of(*mesh), axis=1) / 2)
+    np.testing.assert_array_equal(
+        triangle_areas(*mesh), np.linalg.norm(cross_of(*mesh), axis=1) / 2
+    )
 
 
 def test_descriptions(mesh):
     center, normal, area = describe_triangles(*mesh)
-    cross, size = cross_of(*mesh), 2 * find_areas(*mesh)
+    cross, size = cross_of(*mesh), 2 * triangle_areas(*mesh)
     np.testing.assert_array_equal(center, mesh[0][mesh[1]].mean(axis=1))
     np.testing.assert_array_equal(normal, cross / np.maximum(size, 1e-300)[:, None])
     np.testing.assert_array_equal(area, size / 2)
@@ -57,15 +59,15 @@ def test_descriptions(mesh):
 
 def test_boxes(mesh):
     own = np.tile(mesh[0], (1000, 1))
-    np.testing.assert_array_equal(find_box(own), [*own.min(axis=0), *own.max(axis=0)])
+    np.testing.assert_array_equal(bounding_box(own), [*own.min(axis=0), *own.max(axis=0)])
     for value in (np.inf, -np.inf, np.nan):
         own[7, 1] = value
-        assert not np.isfinite(find_box(own)).all()
+        assert not np.isfinite(bounding_box(own)).all()
 
 
 def test_used_vertices(mesh):
     vertices, faces = mesh[0], np.tile(mesh[1], (1000, 1))
-    used, index = only_used(vertices, faces)
+    used, index = drop_unused_vertices(vertices, faces)
     assert len(used) == len(np.unique(faces)) < len(vertices)
     np.testing.assert_array_equal(used[index], vertices[faces])
 
@@ -76,7 +78,7 @@ def test_nearest_directions():
     normal[:5000, 2] *= 0.01  # of walls
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     nearest = np.empty(len(normal), dtype=np.int64)
-    find_nearest(normal, axes, NEAR, nearest, 0, len(normal))
+    find_nearest_axes(normal, axes, NEAR, nearest, 0, len(normal))
     np.testing.assert_array_equal(nearest, np.abs(normal @ axes.T).argmax(axis=1))
 
 
@@ -84,7 +86,7 @@ def test_facing_and_spans(mesh):
     corners = mesh[0][mesh[1]]
     group = np.repeat(np.arange(4, dtype=np.int32), 25)
     step = np.pi / 2 / DIRECTIONS
-    angles = find_facing(corners, group, 4)
+    angles = facing_angles(corners, group, 4)
     low, high = np.full((4, 3), np.inf), np.full((4, 3), -np.inf)
     way = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     measure_spans(corners, group, way, low, high)

@@ -12,7 +12,7 @@ import pytest
 from box_worlds import stages_of_xml
 from navbake.baker.bake.stages import Stages, bake_stages
 from navbake.baker.core.constants import BUILDING, OBJECT, STRUCTURE, WALL
-from navbake.baker.geometry.extents import measure_geoms
+from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.occupants.movable import name_occupants
 from navbake.config.settings import load_config
 from project_paths import CONFIGS, SHARED_DATA
@@ -106,7 +106,7 @@ def test_meshes_are_measured_as_they_lie(tmp_path):
             f'<mesh name="m" vertex="{vertices}"/>',
             scene={"meshes": "hull" if thing else "surface"},
         )
-        extents = measure_geoms(stages.scene.shapes, 2)
+        extents = measure_extents(stages.scene.shapes, 2)
         assert extents.thin[1] == pytest.approx(0.08, abs=1e-4)
         assert extents.long[1] == pytest.approx(3.0, abs=1e-4)
         assert (extents.low[1], extents.high[1]) == pytest.approx((0.0, 2.2), abs=1e-4)
@@ -121,7 +121,7 @@ def test_extents_follow_each_solids_own_axes(tmp_path):
         + '<geom type="sphere" size="0.3" pos="1 2 3"/>'
         + '<geom type="cylinder" size="0.2 0.7" pos="0 0 2" euler="90 0 0"/>'
     )
-    extents = measure_geoms(stages_of(tmp_path, things).scene.shapes, 6)
+    extents = measure_extents(stages_of(tmp_path, things).scene.shapes, 6)
     np.testing.assert_allclose(extents.thin[1:], [0.2, 0.2, 0.4, 0.6, 0.4], atol=1e-9)
     np.testing.assert_allclose(extents.long[1:], [2.0, 1.2, 0.6, 0.6, 1.4], atol=1e-9)
     across = np.radians(30 + 90)

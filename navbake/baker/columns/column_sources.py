@@ -12,21 +12,21 @@ from navbake.baker.columns.columns import (
     Columns,
     ColumnSource,
     GatheredColumns,
-    Rows,
+    RowChunk,
     ShapeSource,
     TiledShapes,
     cast_columns,
     cast_points,
     list_by_tile,
-    split_rows,
-    take_columns,
+    select_columns,
+    split_into_row_chunks,
     tile_of,
     tile_shapes,
 )
-from navbake.baker.columns.seams import close_cracks, settle_seams
+from navbake.baker.columns.seams import close_cracks, resolve_seams
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.clock import StageClock
-from navbake.baker.core.tiles import BAND
+from navbake.baker.core.tiles import TILE
 from navbake.baker.core.windows import Window
 from navbake.baker.geometry.shapes import Shapes
 from navbake.config.settings import AgentSettings
@@ -45,7 +45,7 @@ KEPT_TRIANGLES = 1 << 20
 TIMES = 2.0
 
 
-class ShapeBlocks:
+class ChunkedShapes:
     """The shapes on a large lattice: triangles are expanded near what is asked for, each time.
 
     Args:
@@ -59,7 +59,7 @@ class ShapeBlocks:
         nothing = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
         self._solids = tile_shapes(shapes, lattice, reach, nothing.expand())
 
-    def rows(self, rows: Rows) -> TiledShapes:
+    def near_rows(self, rows: RowChunk) -> TiledShapes:
         """Shapes with all that are near some rows of whole bands."""
         y = self.lattice.y_max
         size = self.lattice.cell_size
@@ -68,7 +68,7 @@ class ShapeBlocks:
         is_near = boxes[:, 4] >= y - rows.end * size - far
         return self._expand(is_near & (boxes[:, 1] <= y - rows.first * size + far))
 
-    def at(self, cells: Int) -> TiledShapes:
+    def near_cells(self, cells: Int) -> TiledShapes:
         """Shapes with all that are near some cells."""
         lattice = self.lattice
         boxes = self._shapes.meshes.boxes
@@ -82,11 +82,11 @@ class ShapeBlocks:
     def _expand(self, chosen: Bool) -> TiledShapes:
         facets = self._shapes.meshes.only(chosen).expand()
         start, item = list_by_tile(facets.bounds, self._reach, self.lattice)
-        tiles = self._solids.tiles._replace(triangle_start=start, triangle_item=item)
+        tiles = self._solids.tile_index._replace(triangle_start=start, triangle_item=item)
         return TiledShapes(self._shapes, self.lattice, facets, tiles)
 
 
-def list_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
+def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
     """List the shapes on a lattice: all, or if they are many, those near what is asked for later.
 
     All are expanded, too, where the columns of all cells are kept, or if most of them are near
@@ -97,15 +97,15 @@ def list_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
     """
     counts = shapes.meshes.counts
     boxes = shapes.meshes.boxes
-    height = split_rows(lattice, ALIVE)[0].end * lattice.cell_size
+    height = split_into_row_chunks(lattice, ALIVE)[0].end * lattice.cell_size
     near = counts * (1.0 + (boxes[:, 4] - boxes[:, 1] + 2 * reach) / height)
     is_large = lattice.width * lattice.height > KEPT_CELLS and counts.sum() > KEPT_TRIANGLES
     if is_large and near.sum() <= TIMES * counts.sum():
-        return ShapeBlocks(shapes, lattice, reach)
+        return ChunkedShapes(shapes, lattice, reach)
     return tile_shapes(shapes, lattice, reach)
 
 
-class ColumnBlocks:
+class ColumnCaster:
     """The columns of a lattice: kept where they are few, else cast again for whoever asks.
 
     It is all the same to who asks.
@@ -128,7 +128,7 @@ class ColumnBlocks:
             if self.lattice.width * self.lattice.height <= KEPT_CELLS:
                 self._kept = self._find_all()
 
-    def blocks(self) -> Iterator[Columns]:
+    def row_chunks(self) -> Iterator[Columns]:
         """The columns of all rows, by bands of them, in their order.
 
         The next ones are found on another thread while the caller looks at those before them.
@@ -146,33 +146,33 @@ class ColumnBlocks:
             yield found.pop()  # nothing here holds it while the caller waits for the next one
         give_back_memory()  # of pieces between what lasts
 
-    def _bands(self) -> list[Rows]:
-        return split_rows(self.lattice, ALIVE)
+    def _bands(self) -> list[RowChunk]:
+        return split_into_row_chunks(self.lattice, ALIVE)
 
     def _wait(self, found: Callable[[], Columns]) -> Columns:
         with self._clock.part("columns"):
             return found()
 
-    def at(self, cells: Int | Int32) -> Columns:
+    def covering(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
         if self._kept is not None:
             return self._kept
         if self._some is None or not np.isin(cells, self._some[0]).all():
-            asked = list_once(self.lattice, cells)
+            asked = unique_cells(self.lattice, cells)
             with self._clock.part("columns"):
-                self._some = asked, cast_at(self._shapes, self._agent, self._crack, asked)
+                self._some = asked, cast_cells(self._shapes, self._agent, self._crack, asked)
         return self._some[1]
 
-    def _find(self, rows: Rows) -> Columns:
-        tiled = self._shapes.rows(rows)
-        columns = self._close(cast_columns(tiled, rows).only_rows(rows), tiled)
-        return replace(columns, near=tiled)
+    def _find(self, rows: RowChunk) -> Columns:
+        tiled = self._shapes.near_rows(rows)
+        columns = self._close(cast_columns(tiled, rows).select_rows(rows), tiled)
+        return replace(columns, nearby_shapes=tiled)
 
     def _find_all(self) -> Columns:
         """The columns of all cells, found band by band for the memory that it takes."""
-        bands = split_rows(self.lattice)
+        bands = split_into_row_chunks(self.lattice)
         if len(bands) == 1:
-            tiled = self._shapes.rows(bands[0])
+            tiled = self._shapes.near_rows(bands[0])
             return self._close(cast_columns(tiled), tiled)
         gathered = GatheredColumns(self.lattice)
         for rows in bands:
@@ -180,7 +180,7 @@ class ColumnBlocks:
         return gathered.join()
 
     def _close(self, columns: Columns, tiled: TiledShapes) -> Columns:
-        columns = settle_seams(columns, tiled)
+        columns = resolve_seams(columns, tiled)
         return close_cracks(columns, tiled, self._agent, self._crack)
 
 
@@ -188,11 +188,11 @@ def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Colu
     """The columns of a window of a lattice together, whose own lattice is given."""
     gathered = GatheredColumns(lattice)
     is_whole = lattice == source.lattice
-    for columns in source.blocks():
+    for columns in source.row_chunks():
         if is_whole and columns.rows is None:
             return columns
-        part = columns if is_whole else columns.cut(*window, lattice)
-        gathered.add(part, part.known_rows)
+        part = columns if is_whole else columns.crop(*window, lattice)
+        gathered.add(part, part.valid_rows)
     return gathered.join()
 
 
@@ -203,15 +203,17 @@ class WindowColumns(NamedTuple):
     window: Window
     lattice: Lattice
 
-    def blocks(self) -> Iterator[Columns]:
+    def row_chunks(self) -> Iterator[Columns]:
         """All columns, in one block."""
         yield join_columns(self.source, self.window, self.lattice)
 
-    def at(self, cells: Int | Int32) -> Columns:
+    def covering(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
-        asked = list_once(self.lattice, cells)
+        asked = unique_cells(self.lattice, cells)
         whole = self.outer(asked)
-        return place_columns(self.lattice, asked, take_columns(self.source.at(whole).hits, whole))
+        return index_by_cell(
+            self.lattice, asked, select_columns(self.source.covering(whole).hits, whole)
+        )
 
     def outer(self, cells: Int) -> Int:
         """The ids that cells of the window have on the lattice that it is cut from."""
@@ -221,30 +223,30 @@ class WindowColumns(NamedTuple):
         return found
 
 
-def list_once(lattice: Lattice, cells: Int | Int32) -> Int:
+def unique_cells(lattice: Lattice, cells: Int | Int32) -> Int:
     """The ids of some cells, ascending, each once."""
     mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
     mask[cells] = True
     return np.flatnonzero(mask)
 
 
-def cast_at(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int) -> Columns:
+def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int) -> Columns:
     """Cast the columns of some cells, ascending; others mean nothing."""
-    tiled = shapes.at(cells)
+    tiled = shapes.near_cells(cells)
     lattice = shapes.lattice
     found = cast_points(tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
-    columns = place_columns(lattice, cells, found)
-    columns = settle_seams(columns, tiled, cells)
+    columns = index_by_cell(lattice, cells, found)
+    columns = resolve_seams(columns, tiled, cells)
     is_asked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
     is_asked[cells] = True
     return close_cracks(columns, tiled, agent, crack, is_asked)
 
 
-def place_columns(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
+def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
     """Turn hits listed per cell in `cells` (ascending ids) into columns indexed by cell id."""
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     start[cells] = hits.start[:-1]
     start[cells + 1] = hits.start[1:]
     rows = (0, 0) if not len(cells) else (cells[[0, -1]] // lattice.width).tolist()
-    asked = Rows(rows[0] // BAND * BAND, min(rows[1] // BAND * BAND + BAND, lattice.height))
+    asked = RowChunk(rows[0] // TILE * TILE, min(rows[1] // TILE * TILE + TILE, lattice.height))
     return Columns(lattice, hits._replace(start=start), asked)
