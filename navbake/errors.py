@@ -1,68 +1,107 @@
-"""Exceptions that navbake raises on purpose, and words of messages; it imports nothing."""
+"""Exceptions that navbake raises on purpose, and helpers for their messages; it imports nothing."""
 
 
 class NavbakeError(Exception):
     """Base of every error that navbake raises on purpose.
 
-    The message is one line: what is wrong, where, what was expected, what was found and
-    what to do about it. The command line prints it and exits with status 1.
+    The message is one line: what is wrong, where, what was expected, what was given and what to do
+    about it. The command line prints it and exits with status 1.
+
+    The parts of the message that a program may need are attributes as well, None where the message
+    has no such part. Where a message reports several faults, they are those of the first.
+
+    Attributes:
+        path: The file at fault, or what it was read from, as a message names it.
+        key: The setting, argument or field at fault, dotted below sections, as ``agent.radius``.
+        value: What was given.
+        expected: What was expected, as the message says it.
+        place: The place in the file, as ``line 3`` or ``levels[0].weights``.
+        hint: What to do, or the nearest known name.
+
+    Example:
+        >>> try:
+        ...     navbake.bake("house.yaml", grid={"cell_size": "5cm"})
+        ... except navbake.ConfigError as error:
+        ...     print(error.key, repr(error.value), error.expected)
+        grid.cell_size '5cm' a number > 0
     """
 
-    def __str__(self) -> str:
-        """The message, in which names of files stand that may be anything.
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        path: str | None = None,
+        key: str | None = None,
+        value: object = None,
+        expected: str | None = None,
+        place: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.path = path
+        self.key = key
+        self.value = value
+        self.expected = expected
+        self.place = place
+        self.hint = hint
 
-        What no terminal shows is escaped, and the middle of what nobody would read is left out.
+    def __str__(self) -> str:
+        """Return the message on one line that any terminal can show.
+
+        Characters that are not printable, which names of files may have, are escaped. Of a very
+        long message the middle is left out.
         """
         text = printable(super().__str__())
-        return text if len(text) <= BEGINNING + END else f"{text[:BEGINNING]} … {text[-END:]}"
+        is_short = len(text) <= MAX_BEGINNING + MAX_END
+        return text if is_short else f"{text[:MAX_BEGINNING]} … {text[-MAX_END:]}"
 
 
 class ConfigError(NavbakeError):
-    """A setting is missing, unknown, of the wrong type or out of its range."""
+    """Raised for a setting that is missing, unknown, of the wrong type or out of its range."""
 
 
 class SceneError(NavbakeError):
-    """A scene cannot be read, or holds nothing that can be baked."""
+    """Raised for a scene that cannot be read, or that holds nothing to bake."""
 
 
 class FormatError(NavbakeError):
-    """A file does not follow the format that it claims to be in."""
+    """Raised for a file that does not follow the format that it claims to be in."""
 
 
 class QueryError(NavbakeError):
-    """A question to a grid that has no answer because the question is wrong."""
+    """Raised for a query to a grid with wrong arguments, as a position that is not finite."""
 
 
 class MissingDependencyError(NavbakeError):
-    """An optional package is not installed; the message names the command that installs it."""
+    """Raised where an optional package is not installed; the message has the command for it."""
 
 
 class BakeWarning(UserWarning):
-    """What a user should know about a bake that went through, one line: what, where, remedy.
+    """A warning about a bake that succeeded, one line: what, where, and what to do.
 
-    `navbake.bake` warns of it. ``warnings.simplefilter("error", navbake.BakeWarning)`` makes it
-    an error, ``"ignore"`` keeps it quiet. The grid keeps the texts as `grid.warnings`.
+    `navbake.bake` warns of it. ``warnings.simplefilter("error", navbake.BakeWarning)`` makes it an
+    error, ``"ignore"`` silences it. The grid keeps the texts as `grid.warnings`.
     """
 
 
-LONGEST = 200  # characters of a name in a message
-# characters that stay of a message that is longer than both
-BEGINNING = 700
-END = 400
+MAX_NAME = 200  # characters of a name in a message
+# characters of a message that is longer than both together
+MAX_BEGINNING = 700
+MAX_END = 400
 
 
 def shorten(text: str) -> str:
-    """A name as far as a message shows it: a message is a line of a terminal, not a page."""
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+    """Cut a name after `MAX_NAME` characters, so that a message stays readable in a terminal."""
+    return text if len(text) <= MAX_NAME else f"{text[:MAX_NAME]}…"
 
 
 def printable(message: str) -> str:
-    """The message with all that no terminal shows escaped, as a name of a file may have it."""
+    """Escape all characters of a message that are not printable, as line ends."""
     if message.isprintable():
         return message
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
 
 
-def count_of(count: int, what: str) -> str:
-    """How many of something, in words."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def count_of(count: int, noun: str) -> str:
+    """Write a count with its noun, in the plural unless it is 1: ``1 door``, ``3 doors``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"

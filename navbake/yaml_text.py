@@ -10,9 +10,9 @@ import yaml
 from navbake.errors import ConfigError
 
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
-MOST_SHOWN = 200  # characters of a message of PyYAML, which repeats long tags and names
-# raised by PyYAML for a value that doesn't fit its explicit tag, as in ``!!bool maybe``
-UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
+MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
+# PyYAML raises these for a value that doesn't fit its explicit tag, as in ``!!bool maybe``
+TAG_ERRORS = (AttributeError, IndexError, KeyError, TypeError, ValueError)
 _TAG = "tag:yaml.org,2002:"
 
 
@@ -24,16 +24,18 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Don't merge keys ``<<``, which can grow without bound."""
+        """Do nothing: merging the keys ``<<`` of YAML 1.1 can grow without bound."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
+        keys = set()
         for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             key = self.construct_object(key_node, deep=True)
-            if isinstance(key, Hashable) and key in seen:
+            if not isinstance(key, Hashable):
+                continue
+            if key in keys:
                 text = f"the key {key!r} stands here a second time"
                 raise yaml.constructor.ConstructorError(None, None, text, key_node.start_mark)
-            seen |= {key} if isinstance(key, Hashable) else set()
+            keys.add(key)
         return super().construct_mapping(node, deep)
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:
@@ -52,24 +54,34 @@ for _name, _pattern in {
 
 
 def read_yaml(path: Path) -> Any:
+    """Read a YAML file, as `parse_yaml`; raises a ConfigError if it can't be read."""
     try:
         return decode_yaml(path.read_bytes(), str(path))
     except FileNotFoundError:
-        raise ConfigError(f"no such file: {path}") from None
+        raise ConfigError(f"no such file: {path}", path=str(path)) from None
     except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
+        raise ConfigError(f"cannot read {path}: {error.strerror}", path=str(path)) from error
 
 
 def decode_yaml(content: bytes, source: str) -> Any:
-    """Parse a YAML file's content; a ConfigError names the source."""
+    """Parse the content of a YAML file, UTF-8 with or without a byte order mark.
+
+    Args:
+        content: The bytes of the file.
+        source: The name of the file, for messages.
+
+    Raises:
+        ConfigError: It is not UTF-8, or no YAML.
+    """
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{source} is no YAML: byte {error.start} is not UTF-8") from error
+        message = f"{source} is no YAML: byte {error.start} is not UTF-8"
+        raise ConfigError(message, path=source, place=f"byte {error.start}") from error
     return parse_yaml(text, source)
 
 
-def encode_yaml(content: Any) -> bytes:
+def encode_yaml(content: object) -> bytes:
     """Encode content as YAML in its own order, innermost lists and mappings in a line."""
     text: str = yaml.safe_dump(
         content, sort_keys=False, default_flow_style=None, allow_unicode=True
@@ -78,37 +90,62 @@ def encode_yaml(content: Any) -> bytes:
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse one YAML document; a ConfigError names the source, and the line of a syntax error."""
+    """Parse one YAML document.
+
+    Args:
+        text: The document.
+        source: The name of the file, for messages.
+
+    Returns:
+        Nested dicts and lists, text, numbers, booleans and None.
+
+    Raises:
+        ConfigError: It is no YAML, or a key is there twice; with the line of the fault.
+    """
     try:
         return yaml.load(text, _Loader)  # a SafeLoader
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        problem = str(error.problem or error.context)[:MOST_SHOWN]
-        hint = "; text that begins with * needs quotes" if "alias" in problem else ""
-        raise ConfigError(f"{problem} in line {line} of {source}{hint}") from error
+        problem = str(error.problem or error.context)[:MAX_PROBLEM]
+        hint = "text that begins with * needs quotes" if "alias" in problem else None
+        message = f"{problem} in line {line} of {source}"
+        if hint is not None:
+            message += f"; {hint}"
+        raise ConfigError(message, path=source, place=f"line {line}", hint=hint) from error
     except RecursionError as error:
-        raise ConfigError(f"{source} is nested too deeply") from error
-    except (yaml.YAMLError, *UNFIT) as error:
-        problem = str(error).splitlines()[0][:MOST_SHOWN]
-        raise ConfigError(f"{source} is no YAML: {problem}") from error
+        raise ConfigError(f"{source} is nested too deeply", path=source) from error
+    except (yaml.YAMLError, *TAG_ERRORS) as error:
+        problem = str(error).splitlines()[0][:MAX_PROBLEM]
+        raise ConfigError(f"{source} is no YAML: {problem}", path=source) from error
 
 
-def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Set each ``a.b=value`` in a copy of nested mappings; the last one of a key counts."""
-    result = dict(data)
+def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Set single values in a copy of nested mappings.
+
+    Args:
+        settings: Nested mappings, as read from YAML.
+        overrides: Texts ``a.b=value`` with a dotted key and a value in YAML; the last one of a key
+            counts.
+
+    Raises:
+        ConfigError: An override has no key, no YAML as its value, or a key below a value that is no
+            mapping.
+    """
+    changed = dict(settings)
     for override in overrides:
         *sections, last = override_key(override)
         value = parse_yaml(override.partition("=")[2], f"--set {override}")
-        target = result
+        target = changed
         for depth, section in enumerate(sections):
             inner = target.get(section)
             if inner is not None and not isinstance(inner, Mapping):
-                text = f"`{'.'.join(sections[: depth + 1])}` is no mapping"
-                raise ConfigError(f"{text}, so there is no key for --set {override}")
+                key = ".".join(sections[: depth + 1])
+                message = f"`{key}` is no mapping, so there is no key for --set {override}"
+                raise ConfigError(message, key=key, value=inner, expected="a mapping")
             target[section] = dict(inner or {})
             target = target[section]
         target[last] = value
-    return result
+    return changed
 
 
 def override_key(override: str) -> tuple[str, ...]:
@@ -116,7 +153,10 @@ def override_key(override: str) -> tuple[str, ...]:
     dotted, equals, _ = override.partition("=")
     parts = tuple(part.strip() for part in dotted.split("."))
     if not equals or not all(parts):
-        raise ConfigError(f"expected KEY=VALUE with a dotted key, got --set {override}")
+        expected = "KEY=VALUE with a dotted key"
+        raise ConfigError(
+            f"expected {expected}, got --set {override}", value=override, expected=expected
+        )
     for names in MAPPINGS_OF_NAMES:
         if parts[: len(names)] == names and len(parts) > len(names):
             return *names, ".".join(parts[len(names) :])

@@ -1,14 +1,14 @@
-"""Types of the settings' fields, and their errors, each on one line.
+"""Types of the fields of settings, and their error messages, each on one line.
 
-A message is ``expected <text>, got <value> at `<key>` in <file>``: a field's type has the first
-part, `describe_errors` adds the rest.
+A message is ``expected <text>, got <value> at `<key>` in <file>``. A field's type holds the text of
+what it expects; `make_config_error` adds the value, the key and the file.
 """
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -29,37 +29,54 @@ from navbake.navgrid.lattice import find_fault
 from navbake.yaml_text import override_key
 
 
-def refusal(text: str, **details: str) -> PydanticCustomError:
-    """An error of the form ``expected <text>, got …``, with details ``got`` and ``at``."""
+def expected_error(text: str, **details: str) -> PydanticCustomError:
+    """Make the error that a validator raises, of the form ``expected <text>, got …``.
+
+    Args:
+        text: What is expected.
+        **details: ``got`` in place of the value as it is shown, ``at`` what follows the key, as
+            ``[0].name``.
+    """
     return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
 
 
 def expects(text: str) -> WrapValidator:
-    """Give all errors of a value the message ``expected <text>, got …``."""
+    """Make a validator that words every error of a value as ``expected <text>, got …``."""
 
-    def check(value: Any, validate: Callable[[Any], Any]) -> Any:
+    def check(value: object, validate: Callable[[object], object]) -> object:
         try:
             return validate(value)
         except (ValidationError, ValueError):
-            raise refusal(text) from None
+            raise expected_error(text) from None
 
     return WrapValidator(check)
 
 
 def setting(default: Any, text: str, default_text: str | None = None) -> Any:
-    """A field with a default, described by `text` (meaning, [unit], range) and that default."""
+    """Make a field with a default.
+
+    Args:
+        default: The default value.
+        text: The description, for templates and docs: meaning, [unit], range.
+        default_text: How the description shows the default; None to show the value itself.
+    """
     if default_text is None:
         default_text = default if isinstance(default, str) else json.dumps(default)
     return Field(default=default, description=f"{text}; default {default_text}")
 
 
 def section(model: type[BaseModel], text: str) -> Any:
-    """A field with a section, which has its defaults if left out."""
+    """Make a field that holds a section of settings; a missing section has all its defaults.
+
+    Args:
+        model: The class of the section.
+        text: The description, for templates and docs.
+    """
     return Field(default_factory=model, description=text)
 
 
-def to_path(value: Any) -> Path:
-    """Convert text to a path; refuses other types."""
+def to_path(value: object) -> Path:
+    """Convert text to a path; raises a ValueError for any other type."""
     if isinstance(value, str | PathLike) and str(value) and "\0" not in str(value):
         return Path(value)
     raise ValueError("no path")
@@ -70,8 +87,12 @@ def resolve(path: Path, info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", "")) / path
 
 
-def refuse_if(is_wrong: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A validator that refuses values; `expects` has the message."""
+def refuse_if(is_wrong: Callable[[Any], object]) -> Callable[[Any], Any]:
+    """Make a validator that refuses values; the `expects` around it words the message.
+
+    Args:
+        is_wrong: Returns something true for a value to refuse.
+    """
 
     def check(value: Any) -> Any:
         if is_wrong(value):
@@ -81,13 +102,19 @@ def refuse_if(is_wrong: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return check
 
 
-def read_named(key: str, read: Callable[[Path], Any]) -> Callable[[Any, ValidationInfo], Any]:
-    """A validator that replaces a file's path by what it holds, so that digests cover that.
+def read_if_file(
+    key: str, read: Callable[[Path], object]
+) -> Callable[[object, ValidationInfo], object]:
+    """Make a validator that replaces the path of a file by what the file holds.
 
-    Null is an empty list.
+    So digests of settings cover the content. Null is an empty list, other values stay.
+
+    Args:
+        key: The dotted key of the setting, for messages.
+        read: Reads the file; may raise a FormatError.
     """
 
-    def take(value: Any, info: ValidationInfo) -> Any:
+    def load(value: object, info: ValidationInfo) -> object:
         if not isinstance(value, str | PathLike):
             return [] if value is None else value
         path = resolve(to_path(value), info)
@@ -98,16 +125,26 @@ def read_named(key: str, read: Callable[[Path], Any]) -> Callable[[Any, Validati
             return read(path)
         except OSError as error:
             message = f"cannot read {path}: {error.strerror}, named at `{key}`"
-            raise ConfigError(message) from error
+            raise ConfigError(message, path=str(path), key=key) from error
         except FormatError as error:
-            raise ConfigError(f"{error}, named at `{key}`") from error
+            message = f"{error}, named at `{key}`"
+            raise ConfigError(
+                message,
+                path=str(path),
+                key=key,
+                value=error.value,
+                expected=error.expected,
+                place=error.place,
+                hint=error.hint,
+            ) from error
 
-    return take
+    return load
 
 
 def _check_outline(points: list[list[float]]) -> list[list[float]]:
-    if fault := find_fault(points):
-        raise refusal("a simple outline", got=fault)
+    fault = find_fault(points)
+    if fault:
+        raise expected_error("a simple outline", got=fault)
     return points
 
 
@@ -136,7 +173,7 @@ Section = Annotated[Model, BeforeValidator(lambda value: {} if value is None els
 
 
 class Settings(BaseModel):
-    """Base of all sections: types are strict, unknown keys, NaN and infinity are refused."""
+    """Base class of all sections: types are strict, unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
@@ -146,110 +183,190 @@ class Settings(BaseModel):
 EXPECTED = dict.fromkeys(("model_type", "dict_type"), "a mapping")
 EXPECTED |= dict.fromkeys(("float_type", "finite_number"), "a number")
 EXPECTED |= {"list_type": "a list", "bool_type": "true or false", "invalid_key": "text as a key"}
-OTHER_WORDS = dict.fromkeys(
+KEYS_OF_OTHER_TOOLS = dict.fromkeys(
     ("climb", "max_climb", "max_step", "step", "step_height"), "agent.traversable_floor_height"
 )
-OTHER_WORDS |= dict.fromkeys(("res", "resolution"), "grid.cell_size")
-OTHER_WORDS |= {"file": "scene.path", "robot": "agent", "scale": "scene.unit"}
+KEYS_OF_OTHER_TOOLS |= dict.fromkeys(("res", "resolution"), "grid.cell_size")
+KEYS_OF_OTHER_TOOLS |= {"file": "scene.path", "robot": "agent", "scale": "scene.unit"}
 """What other tools call a setting, and its key here."""
-SINGLE: dict[str, tuple[str, Any]] = {"scene": ("path", str), "levels": ("ground", (int, float))}
-"""Of a section, the key and types of what people write in place of a mapping."""
-ENTRIES = ("agents", "areas", "links")  # sections of entries, whose keys none means elsewhere
-MAX_SHOWN = 60  # characters of a value in a message
-MAX_ITEMS = 6  # of a shown list
-NESTED = (Mapping, list, tuple, set)
+
+
+class ShortForm(NamedTuple):
+    """What people write in place of a section, though it needs a mapping."""
+
+    key: str  # the key that the value belongs to
+    kinds: tuple[type, ...]  # the types of such values
+
+    def is_used(self, value: object) -> bool:
+        """Whether a value has one of the types."""
+        return isinstance(value, self.kinds) and not isinstance(value, bool)
+
+
+SHORT_FORMS = {
+    "scene": ShortForm("path", (str,)),
+    "levels": ShortForm("ground", (int, float)),
+}
+ENTRY_SECTIONS = ("agents", "areas", "links")  # their keys are never meant outside of them
+MAX_VALUE = 60  # characters of a value in a message
+MAX_ITEMS = 6  # entries of a list in a message
 MAX_ERRORS = 3  # errors in a message
+NESTED = (Mapping, list, tuple, set)
 Location = tuple[int | str, ...]
-Sections = Mapping[str, type[BaseModel]]  # the model of each section by its dotted key
+"""The keys and list indices that lead to a value, from the top."""
+Sections = Mapping[str, type[BaseModel]]
+"""The class of each section by its dotted key."""
 
 
-def describe_errors(
+class Fault(NamedTuple):
+    """What is wrong with one setting, as parts and as a sentence."""
+
+    text: str  # without the file
+    key: str  # dotted
+    value: object = None
+    expected: str | None = None
+    hint: str | None = None
+
+
+def make_config_error(
     error: ValidationError, sections: Sections, source: str, overrides: Sequence[str] = ()
-) -> str:
-    """Describe the first three errors in one line, unknown keys first, and count the others.
+) -> ConfigError:
+    """Convert pydantic's errors to one ConfigError on one line.
 
-    A faulty override is named in place of the source.
+    It reports the first three errors, unknown keys first, and counts the others. Its attributes are
+    those of the first.
+
+    Args:
+        error: What pydantic raised.
+        sections: The class of each section.
+        source: What the settings were read from, as a file's name.
+        overrides: The ``a.b=value`` over the settings; a faulty one is named in place of `source`.
     """
     # an unknown key is often the reason for other errors; sorting keeps these in order
-    details = sorted(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
-    lines = []
-    for found in details[:MAX_ERRORS]:
+    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    faults: list[Fault] = []
+    origins: list[str] = []
+    for detail in details[:MAX_ERRORS]:
         # pydantic adds the tag of a union's branch, here =list and the like, and [key]
-        loc = tuple(p for p in found["loc"] if not str(p).startswith("=") and p != "[key]")
-        keys = ((f"--set {each}", override_key(each)) for each in reversed(overrides))
-        origin = (name for name, key in keys if key[: len(loc)] == loc[: len(key)])
-        lines.append(f"{_complaint(found, loc, sections)} in {next(origin, source)}")
-    more = f" (and {len(details) - MAX_ERRORS} more)" if len(details) > MAX_ERRORS else ""
-    return "; ".join(lines) + more
+        location = tuple(
+            part for part in detail["loc"] if not str(part).startswith("=") and part != "[key]"
+        )
+        faults.append(_find_fault(detail, location, sections))
+        origins.append(_origin_of(location, source, overrides))
+    text = "; ".join(
+        f"{fault.text} in {origin}" for fault, origin in zip(faults, origins, strict=True)
+    )
+    if len(details) > MAX_ERRORS:
+        text += f" (and {len(details) - MAX_ERRORS} more)"
+    first = faults[0]
+    return ConfigError(
+        text,
+        path=origins[0],
+        key=first.key,
+        value=first.value,
+        expected=first.expected,
+        hint=first.hint,
+    )
 
 
-def find_unknown_key(data: Mapping[str, Any], sections: Sections, section: str = "") -> str | None:
-    """Describe the first unknown key, None if all are known."""
-    for key, value in data.items():
-        if section in sections and key not in _keys(sections, section):
-            return _unknown_key((*filter(None, section.split(".")), key), sections)
-        below = f"{section}.{key}".lstrip(".")
-        if isinstance(value, Mapping) and (found := find_unknown_key(value, sections, below)):
-            return found
+def _origin_of(location: Location, source: str, overrides: Sequence[str]) -> str:
+    """The last override that sets a value, or a part of it; else the source."""
+    for override in reversed(overrides):
+        key = override_key(override)
+        if key[: len(location)] == location[: len(key)]:
+            return f"--set {override}"
+    return source
+
+
+def find_unknown_key(
+    settings: Mapping[str, Any], sections: Sections, section: str = ""
+) -> str | None:
+    """Describe the first key that no section has; None if all are known.
+
+    Args:
+        settings: Nested mappings, as read from YAML.
+        sections: The class of each section.
+        section: The dotted key of the section that `settings` is.
+    """
+    for key, value in settings.items():
+        if section in sections and key not in _keys_of(sections, section):
+            return _unknown_key((*filter(None, section.split(".")), key), sections).text
+        if isinstance(value, Mapping):
+            unknown = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
+            if unknown:
+                return unknown
     return None
 
 
-def show_value(value: Any) -> str:
-    """A value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
+def show_value(value: object) -> str:
+    """Write a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
     if isinstance(value, Mapping):
         return "a mapping"
     if isinstance(value, list | tuple | set):
-        if not value or len(value) > MAX_ITEMS or any(isinstance(v, NESTED) for v in value):
+        is_nested = any(isinstance(item, NESTED) for item in value)
+        if not value or len(value) > MAX_ITEMS or is_nested:
             return f"a list of {len(value)}"
-        shown = f"[{', '.join(show_value(item) for item in value)}]"
-        return shown if len(shown) <= MAX_SHOWN else f"a list of {len(value)}"
+        text = f"[{', '.join(show_value(item) for item in value)}]"
+        return text if len(text) <= MAX_VALUE else f"a list of {len(value)}"
     is_word = value is None or isinstance(value, bool | str)
-    shown = json.dumps(value, ensure_ascii=False) if is_word else str(value)
-    return shown if len(shown) <= MAX_SHOWN else shown[: MAX_SHOWN - 1] + "…"
+    text = json.dumps(value, ensure_ascii=False) if is_word else str(value)
+    return text if len(text) <= MAX_VALUE else text[: MAX_VALUE - 1] + "…"
 
 
-def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
+def _find_fault(error: ErrorDetails, location: Location, sections: Sections) -> Fault:
+    """Describe one of pydantic's errors."""
     kind = error["type"]
     context = error.get("ctx", {})
     value = error["input"]
+    key = _dotted(location)
     if kind == "extra_forbidden":
-        return _unknown_key(loc, sections)
+        return _unknown_key(location, sections)
     if kind == "missing":
-        return f"expected a value, found none at `{_dotted(loc)}`"
+        return Fault(f"expected a value, found none at `{key}`", key, expected="a value")
     expected = context.get("text") or EXPECTED.get(kind) or error["msg"]
     if kind == "literal_error":
         expected = context["expected"].replace("'", "")
-    key, kinds = SINGLE.get(str(loc[0]), ("", ()))
-    if kind == "model_type" and isinstance(value, kinds) and not isinstance(value, bool):
-        expected += f" such as {{{key}: {shorten(str(value))}}}"
-    got = context.get("got") or show_value(value)
-    return f"expected {expected}, got {got} at `{_dotted(loc)}{context.get('at', '')}`"
+    short_form = SHORT_FORMS.get(str(location[0]))
+    if kind == "model_type" and short_form is not None and short_form.is_used(value):
+        expected += f" such as {{{short_form.key}: {shorten(str(value))}}}"
+    shown_value = context.get("got") or show_value(value)
+    if "at" in context:  # the fault is a part of the value
+        key += context["at"]
+        value = None
+    return Fault(f"expected {expected}, got {shown_value} at `{key}`", key, value, expected)
 
 
-def _unknown_key(loc: Location, sections: Sections) -> str:
-    """Suggest the nearest known key, of the same section first."""
-    section = ".".join(p for p in loc[:-1] if isinstance(p, str))
-    unknown = str(loc[-1])
-    section = section if section in sections else section.rpartition(".")[0]  # below a name
-    known = _keys(sections, section)
-    elsewhere = dict[str, str]()
+def _unknown_key(location: Location, sections: Sections) -> Fault:
+    """Describe an unknown key, with the nearest known one, of the same section first."""
+    unknown = str(location[-1])
+    section = ".".join(part for part in location[:-1] if isinstance(part, str))
+    if section not in sections:
+        section = section.rpartition(".")[0]  # below a name, as of an agent
+    keys_of_section = _keys_of(sections, section)
+    keys_elsewhere: dict[str, str] = {}
     # reversed, so that of sections with a key in common the first one is named
-    for name in reversed([name for name in sections if name not in ENTRIES]):
-        elsewhere |= _keys(sections, name)
-    near = [keys[name] for keys in (known, elsewhere) for name in find_near(unknown, keys)]
-    meant = OTHER_WORDS.get(unknown, "")
+    for name in reversed(list(sections)):
+        if name not in ENTRY_SECTIONS:
+            keys_elsewhere |= _keys_of(sections, name)
+    near = [keys_of_section[name] for name in find_near(unknown, keys_of_section)]
+    near += [keys_elsewhere[name] for name in find_near(unknown, keys_elsewhere)]
+    meant = KEYS_OF_OTHER_TOOLS.get(unknown, "")
     if meant and section in ("", meant.rpartition(".")[0]):
         near = [meant]
-    say = f"the nearest known one is `{near[0]}`" if near else f"known are {', '.join(known)}"
-    return f"unknown key `{shorten(_dotted(loc))}`, {say},"
+    if near:
+        hint = f"the nearest known one is `{near[0]}`"
+    else:
+        hint = f"known are {', '.join(keys_of_section)}"
+    key = _dotted(location)
+    return Fault(f"unknown key `{shorten(key)}`, {hint},", key, hint=hint)
 
 
-def _keys(sections: Sections, section: str) -> dict[str, str]:
+def _keys_of(sections: Sections, section: str) -> dict[str, str]:
     """The dotted keys of a section by their last parts."""
     keys = [field.alias or name for name, field in sections[section].model_fields.items()]
     return {key: f"{section}.{key}".lstrip(".") for key in keys}
 
 
-def _dotted(loc: Location) -> str:
-    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+def _dotted(location: Location) -> str:
+    """Write a location as a key: ``rooms.polygons[0].name``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
     return "".join(parts).lstrip(".")

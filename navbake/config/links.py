@@ -26,9 +26,9 @@ from navbake.config.field_types import (
     Position,
     Positive,
     Settings,
+    expected_error,
     expects,
-    read_named,
-    refusal,
+    read_if_file,
     refuse_if,
     setting,
 )
@@ -96,7 +96,7 @@ class AreaSettings(Settings):
         given = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
         if len(given) != 1:
             got = " and ".join(given) or f"none for {self.name!r}"
-            raise refusal("one of room, polygon, box and geoms", got=got)
+            raise expected_error("one of room, polygon, box and geoms", got=got)
         return self
 
 
@@ -136,15 +136,15 @@ class LinkSettings(Settings):
         fields = type(self).model_fields
         wrong = [name for name in unused if getattr(self, name) != fields[name].default]
         if wrong:
-            raise refusal(f"no `{wrong[0]}` with {own}", got=f"`{wrong[0]}`")
+            raise expected_error(f"no `{wrong[0]}` with {own}", got=f"`{wrong[0]}`")
         if self.auto:
             if self.stops:
-                raise refusal("no `stops` with auto, which finds them", got="`stops`")
+                raise expected_error("no `stops` with auto, which finds them", got="`stops`")
         elif self.name is None:
-            raise refusal("a name, or auto: drop, jump, ladder or lift", got="neither")
+            raise expected_error("a name, or auto: drop, jump, ladder or lift", got="neither")
         elif len(self.stops) < 2:
             got = f"{len(self.stops)} for {self.name!r}"
-            raise refusal("2 stops or more", got=got, at=".stops")
+            raise expected_error("2 stops or more", got=got, at=".stops")
         return self
 
 
@@ -156,12 +156,12 @@ def _check_names(
     taken = set[str]()
     for number, entry in enumerate(entries):
         if entry.name in taken:
-            raise refusal("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")
+            raise expected_error("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")
         taken |= {entry.name} if entry.name else set()
         for name in entry.agents or ():
             if known is not None and name not in known:
                 text = f"a name of `agents` ({suggest(name, known)})"
-                raise refusal(text, got=f'"{name}"', at=f"[{number}].agents")
+                raise expected_error(text, got=f'"{name}"', at=f"[{number}].agents")
     return entries
 
 
@@ -169,10 +169,10 @@ Areas = Annotated[
     list[AreaSettings],
     Field(max_length=MAX_AREAS),
     AfterValidator(_check_names),
-    BeforeValidator(read_named("areas", lambda path: read_entries(path, "areas"))),
+    BeforeValidator(read_if_file("areas", lambda path: read_entries(path, "areas"))),
 ]
 Links = Annotated[
     list[LinkSettings],
     AfterValidator(_check_names),
-    BeforeValidator(read_named("links", lambda path: read_entries(path, "links"))),
+    BeforeValidator(read_if_file("links", lambda path: read_entries(path, "links"))),
 ]

@@ -42,10 +42,10 @@ from navbake.config.field_types import (
     Positive,
     Section,
     Settings,
-    describe_errors,
+    expected_error,
     expects,
-    read_named,
-    refusal,
+    make_config_error,
+    read_if_file,
     refuse_if,
     resolve,
     section,
@@ -193,7 +193,7 @@ class RoomSettings(Settings):
     geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns")
     sites: Patterns = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
     polygons: Annotated[
-        list[RoomPolygon], BeforeValidator(read_named("rooms.polygons", read_room_outlines))
+        list[RoomPolygon], BeforeValidator(read_if_file("rooms.polygons", read_room_outlines))
     ] = setting(
         [],
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
@@ -213,7 +213,7 @@ def expand_rooms(value: Any) -> Any:
         if value == short:
             return full
     if not isinstance(value, Mapping | RoomSettings):
-        raise refusal("auto, none or a mapping")
+        raise expected_error("auto, none or a mapping")
     return value
 
 
@@ -225,14 +225,14 @@ MAP_KEYS = frozenset({"image", "resolution", "origin"})  # of the YAML of a nav2
 def _check_below_height(value: float, info: ValidationInfo) -> float:
     height = info.data.get("height")
     if height is not None and value >= height:
-        raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
+        raise expected_error(f"a number >= 0 and < `agent.height` ({height:g})")
     return value
 
 
 def _check_above_ground(value: float | None, info: ValidationInfo) -> float | None:
     ground = info.data.get("ground")
     if value is not None and ground is not None and value <= ground:
-        raise refusal(f"a number > `ground` ({ground:g}), or null")
+        raise expected_error(f"a number > `ground` ({ground:g}), or null")
     return value
 
 
@@ -324,15 +324,15 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
     names: set[str] = set()
     for index, level in enumerate(levels):
         if level.name in names:
-            raise refusal("no name twice", got=f'"{level.name}"', at=f"[{index}].name")
+            raise expected_error("no name twice", got=f'"{level.name}"', at=f"[{index}].name")
         names |= {level.name} if level.name else set()
     for index, (below, level) in enumerate(itertools.pairwise(levels)):
         if level.ground <= below.ground:
             text = f"a ground above that of the level before ({below.ground:g})"
-            raise refusal(text, got=f"{level.ground:g}", at=f"[{index + 1}].ground")
+            raise expected_error(text, got=f"{level.ground:g}", at=f"[{index + 1}].ground")
         if below.top is not None and below.top > level.ground:
             text = f"a top up to the next level's ground ({level.ground:g})"
-            raise refusal(text, got=f"{below.top:g}", at=f"[{index}].top")
+            raise expected_error(text, got=f"{below.top:g}", at=f"[{index}].top")
     return levels
 
 
@@ -470,7 +470,7 @@ def parse_config(
     try:
         config = BakeConfig.model_validate(data, context=context)
     except ValidationError as error:
-        raise ConfigError(describe_errors(error, SECTIONS, source, overrides)) from error
+        raise make_config_error(error, SECTIONS, source, overrides) from error
     config._named = tuple(context["inputs"])
     return config
 

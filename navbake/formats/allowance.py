@@ -77,15 +77,32 @@ class JsonPath:
             step = f"[{shown(key)}]"
         return JsonPath(self.file, self.path + step)
 
-    def fail(self, what: str, remedy: str = "") -> NoReturn:
-        """Raise a FormatError with the fault, the location and a remedy."""
+    def fail(
+        self, what: str, remedy: str = "", *, expected: str | None = None, value: object = None
+    ) -> NoReturn:
+        """Raise a FormatError with the fault and its location.
+
+        Args:
+            what: The fault, the beginning of the message.
+            remedy: What to do, the end of the message.
+            expected: What was expected, for the attribute of the error alone.
+            value: What was there, for the attribute of the error alone.
+        """
         where = f"at `{self.path}` in" if self.path else "in"
         file = self.file if self.file.isprintable() else repr(self.file)
-        raise FormatError(f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""))
+        raise FormatError(
+            f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""),
+            path=self.file,
+            value=value,
+            expected=expected,
+            place=self.path or None,
+            hint=remedy or None,
+        )
 
     def refuse(self, expected: str, value: object) -> NoReturn:
         """Raise a FormatError with the expected and the actual value."""
-        self.fail(f"expected {expected}, got {shown(value)}")
+        actual = None if value is MISSING else value
+        self.fail(f"expected {expected}, got {shown(value)}", expected=expected, value=actual)
 
 
 def whole_number(value: object, place: JsonPath, minimum: int) -> int:
@@ -169,7 +186,9 @@ class Allowance:
 
     def __init__(self, num_bytes: int, keyword: str = "", most: int | None = None) -> None:
         if most is not None and not (isinstance(most, int) and most >= 1):
-            raise FormatError(f"expected {keyword} to be a whole number >= 1, got {most!r}")
+            message = f"expected {keyword} to be a whole number >= 1, got {most!r}"
+            expected = "a whole number >= 1"
+            raise FormatError(message, key=keyword, value=most, expected=expected)
         self._keyword = keyword
         self._remedy = f"pass {keyword} if that is meant" if keyword else ""
         rule = FREE_BYTES + BYTES_PER_BYTE * num_bytes

@@ -60,7 +60,7 @@ def path_name(path: str | os.PathLike[str]) -> str:
 def check_path(path: object) -> str:
     """A path as text; a FormatError if it is none."""
     if not isinstance(path, str | os.PathLike):
-        raise FormatError(f"expected a path, got {shown_type(path)}")
+        raise FormatError(f"expected a path, got {shown_type(path)}", value=path, expected="a path")
     return os.fsdecode(path)
 
 
@@ -100,7 +100,9 @@ def read_bytes(
         raise FormatError(f"expected {wanted}, got {shown_type(source)}")
     try:
         if path is not None and os.path.isdir(path):
-            raise FormatError(f"expected a file, got the folder {path_name(name)}")
+            raise FormatError(
+                f"expected a file, got the folder {path_name(name)}", path=name, expected="a file"
+            )
         with nullcontext(stream) if path is None else open(path, "rb") as file:
             data = file.read(CHUNK)
             if not isinstance(data, bytes):
@@ -117,7 +119,8 @@ def read_bytes(
                     JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
             return b"".join(pieces), name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
-        raise FormatError(f"cannot read {path_name(name)}: {_os_message(error)}") from error
+        message = f"cannot read {path_name(name)}: {_os_message(error)}"
+        raise FormatError(message, path=name) from error
 
 
 def _beginning(text: bytes) -> str:
@@ -139,7 +142,8 @@ def unpack(data: bytes, name: str) -> bytes:
                 allowance.take_text(len(piece), JsonPath(name))
                 pieces.append(piece)
     except (EOFError, OSError, zlib.error) as error:
-        raise FormatError(f"broken {kind} data in {name}: {_os_message(error)}") from error
+        message = f"broken {kind} data in {name}: {_os_message(error)}"
+        raise FormatError(message, path=name) from error
     return b"".join(pieces)
 
 
@@ -173,8 +177,13 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
         near = error.doc[error.pos : error.pos + 9].lstrip("-")
         hint = "; NaN and Infinity are no JSON, write null" if near[:3] in ("NaN", "Inf") else ""
         file = f"`{place.path}` of {place.file}" if place.path else place.file
-        where = f"{file}, line {error.lineno}, column {error.colno}"
-        raise FormatError(f"broken JSON in {where}: {error.msg}{hint}") from error
+        line = f"line {error.lineno}, column {error.colno}"
+        raise FormatError(
+            f"broken JSON in {file}, {line}: {error.msg}{hint}",
+            path=place.file,
+            place=line,
+            hint=hint.removeprefix("; ") or None,
+        ) from error
 
 
 def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
@@ -183,7 +192,10 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
     try:
         return parse_json(content.removeprefix(BOM), JsonPath(path_name(name))), name
     except FormatError as error:
-        raise FormatError(f"expected {expected}: {error}") from error
+        message = f"expected {expected}: {error}"
+        raise FormatError(
+            message, path=name, expected=expected, place=error.place, hint=error.hint
+        ) from error
 
 
 def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
@@ -194,7 +206,10 @@ def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]
     try:
         return decode_yaml(content, path_name(name)), name
     except ConfigError as error:
-        raise FormatError(f"expected {expected}: {error}") from error
+        message = f"expected {expected}: {error}"
+        raise FormatError(
+            message, path=name, expected=expected, place=error.place, hint=error.hint
+        ) from error
 
 
 # ---------------------------------------------------------------- images
@@ -231,7 +246,8 @@ def open_image(source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(BE
         raise
     except Exception as error:  # Pillow and zlib raise many types for a broken image
         why = " ".join(str(error).split())[:200] or type(error).__name__
-        raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
+        message = f"{path_name(name)} is no image that can be read: {why}"
+        raise FormatError(message, path=name) from error
 
 
 def read_pixels(source: str | os.PathLike[str]) -> Pixels:
@@ -286,14 +302,15 @@ def read_header(
     while "data" not in lines:
         end = data.find(b"\n", start, MAX_HEADER)
         if end < 0:
-            raise FormatError(f"no line `data` ends the header of {source}")
+            raise FormatError(f"no line `data` ends the header of {source}", path=source)
         first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
         lines[first] = words
         start = end + 1
     found = []
     for name, (count, kind) in numbers.items():
         if name not in lines:
-            raise FormatError(f"no line `{name}` in the header of {source}")
+            message = f"no line `{name}` in the header of {source}"
+            raise FormatError(message, path=source, key=name)
         try:
             values = [kind(word) for word in lines[name]]
             is_good = len(values) == count and all(map(math.isfinite, values))
@@ -302,8 +319,14 @@ def read_header(
         if not is_good:
             what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
             where = f"at `{name}` in the header of {source}"
-            got = repr(" ".join(lines[name])[:60])
-            raise FormatError(f"expected {count} {what} {where}, got {got}")
+            text = " ".join(lines[name])[:60]
+            raise FormatError(
+                f"expected {count} {what} {where}, got {text!r}",
+                path=source,
+                key=name,
+                value=text,
+                expected=f"{count} {what}",
+            )
         found.append(values)
     return lines, found, start
 
@@ -314,7 +337,11 @@ def read_header(
 def check_named(path: Path) -> None:
     """Refuse a file whose name isn't UTF-8, as another file is to contain it."""
     if path.name != os.fsencode(path.name).decode(errors="replace"):
-        raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
+        raise FormatError(
+            f"expected a name in UTF-8, which another file can hold, got {path}",
+            path=str(path),
+            expected="a name in UTF-8",
+        )
 
 
 def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
@@ -332,7 +359,8 @@ def write_files(files: Files) -> list[Path]:
             folders = {os.path.dirname(os.path.realpath(path)) for path in files}
             missing = sorted(folder for folder in folders if not os.path.isdir(folder))
             why = f"there is no folder {path_name(missing[0])}" if missing else why
-        raise FormatError(f"cannot write {' and '.join(map(path_name, files))}: {why}") from error
+        message = f"cannot write {' and '.join(map(path_name, files))}: {why}"
+        raise FormatError(message, path=str(next(iter(files), ""))) from error
     return list(files)
 
 

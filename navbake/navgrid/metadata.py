@@ -60,7 +60,8 @@ def read_table(stated: Any, kind: Any, where: str) -> Any:
     except msgspec.ValidationError as error:
         text = str(error) if "`$" in str(error) else f"{error} - at `$`"
         text = text.replace(" - at ", " at ").replace("`$", f"`{where}")
-        raise FormatError(f"{text[0].lower()}{text[1:]}") from error
+        place = text.rpartition(" at `")[2].rstrip("`")
+        raise FormatError(f"{text[0].lower()}{text[1:]}", place=place) from error
 
 
 def entry_of(thing: Any, *left_out: str) -> Json:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from navbake.baker.scene.model import CompileLimits, OpenScene, is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import all_names
 from navbake.baker.scene.scene import open_file
-from navbake.config.field_types import describe_errors
+from navbake.config.field_types import make_config_error
 from navbake.config.keywords import config_with, memory_config
 from navbake.config.settings import BakeConfig, ExcludeSettings
 from navbake.errors import ConfigError
@@ -71,7 +71,7 @@ def take_input(
     try:
         excluded = ExcludeSettings.model_validate({"movable": own.movable, **given, **patterns})
     except ValidationError as error:
-        raise ConfigError(describe_errors(error, {"": ExcludeSettings}, "`exclude`")) from error
+        raise make_config_error(error, {"": ExcludeSettings}, "`exclude`") from error
     changed = config.scene.model_copy(update={"exclude": excluded})
     return config.model_copy(update={"scene": changed}), opened
 
