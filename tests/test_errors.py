@@ -37,7 +37,7 @@ def test_an_error_has_all_parts_and_none_by_default():
 
 @pytest.mark.parametrize("copied", [copy.copy, lambda error: pickle.loads(pickle.dumps(error))])
 def test_parts_survive_a_copy_and_another_process(copied):
-    error = navbake.ConfigError("a text", path="a.yaml", key="grid", value=[1], expected="a mapping")
+    error = navbake.ConfigError("a text", path="a.yaml", key="grid", value=[1], expected="a map")
     again = copied(error)
     assert type(again) is navbake.ConfigError and str(again) == "a text"
     assert parts_of(again) == parts_of(error) != {}
