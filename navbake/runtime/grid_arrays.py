@@ -5,6 +5,8 @@ width[level] + col``. "By cell" means: one entry for each flat id.
 
 Looking an array up in a tuple costs more than a step of a search. So kernels with a hot loop take
 the arrays out of their tuples first.
+
+Imports nothing of the run time, so that each of its modules may import this one.
 """
 
 import math
@@ -16,10 +18,12 @@ from numpy.typing import NDArray
 from navbake.compiled import subkernel
 from navbake.types import Bool, Float, Int, Int32
 
-EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
+# share of a cell: how far inside of the cell's edges a point is put, so that it is found in the
+# cell again after rounding
+EDGE_MARGIN = 1e-6
 DIAGONAL = math.sqrt(2.0)  # length of a diagonal step, in cells
 # Directions: east, north, west, south, then north-east, north-west, south-west, south-east. North
-# is row - 1. Bit d of a cell's moves is set where a step leads that way.
+# is row - 1. Bit d of a cell's moves is set where a step leads in direction d.
 EAST = 1
 NORTH = 2
 WEST = 4
@@ -31,14 +35,23 @@ COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 class Layout(NamedTuple):
-    """Where the cells of each level lie; rows run towards smaller y."""
+    """Where the cells of each level lie; rows run towards smaller y.
 
-    start: Int  # first flat id of each level, and one past the last
-    width: Int  # number of columns, by level
-    height: Int  # number of rows, by level
-    x_min: Float  # outer corner of cell (0, 0), by level, world [m]
+    Attributes:
+        start: first flat id of each level, and one past the last, shape (levels + 1,).
+        width: number of columns, by level.
+        height: number of rows, by level.
+        x_min: world x of the outer corner of cell (0, 0), by level [m].
+        y_max: world y of the outer corner of cell (0, 0), by level [m].
+        cell_size: edge of a cell, by level [m]; levels of other programs' files may differ.
+    """
+
+    start: Int
+    width: Int
+    height: Int
+    x_min: Float
     y_max: Float
-    cell_size: Float  # by level [m]; levels of other programs' files may differ
+    cell_size: Float
 
 
 class Links(NamedTuple):
@@ -46,70 +59,109 @@ class Links(NamedTuple):
 
     From ``cell[i]``, links lead to ``target[start[i]:start[i + 1]]``. A link costs its length times
     the weight of its target, plus its cost.
+
+    Attributes:
+        cell: flat ids of all cells that links lead from or to, ascending, each once, shape (n,).
+        start: index in `target` of the first link of each of `cell`, shape (n + 1,).
+        target: flat ids that the links lead to, ascending for each cell, shape (m,).
+        length: of each step [m], shape (m,); 0 of a passage.
+        cost: of each passage, [m] or [s], shape (m,); 0 of a step.
+        is_end: by cell, whether it is one of `cell`; empty if there are no links.
     """
 
-    cell: Int  # flat ids of all cells that links lead from or to, ascending, each once
+    cell: Int
     start: Int
-    target: Int  # flat ids, ascending for each cell
-    length: Float  # of each step [m], as `target`; 0 of a passage
-    cost: Float  # of each passage [m] or [s]; 0 of a step
-    is_end: Bool  # by cell, whether it is one of `cell`; empty if there is none
+    target: Int
+    length: Float
+    cost: Float
+    is_end: Bool
 
 
 class FloorHeights(NamedTuple):
-    """The heights of floors, world z [m]. Any step to or from a cell without floor is flat."""
+    """The heights of floors, world z [m]. Any step to or from a cell without floor is flat.
 
-    z: Float  # by cell, NaN for no floor; the ground on a level whose file has no heights
-    ground: Float  # by level: the floor of free cells that have none of their own
-    max_step: float  # between neighbours, see `navbake.navgrid.islands.step_limit`
+    Attributes:
+        z: by cell, NaN for no floor; the ground on a level whose file has no heights.
+        ground: by level, the floor of free cells that have none of their own.
+        max_step: largest step between neighbours [m], see `navbake.navgrid.islands.step_limit`.
+    """
+
+    z: Float
+    ground: Float
+    max_step: float
 
 
 class Graph(NamedTuple):
     """The steps of an agent and what they cost: the length [m] times the target's weight.
 
     Planned by time, the weight is seconds for each metre.
+
+    Attributes:
+        layout: where the cells lie.
+        links: the links that the agent may use.
+        moves: by cell, a bit for each direction that a step leads in, uint8.
+        weight: by cell, inf where it isn't free.
+        same_weight: the weight of all free cells, 0 where they differ.
+        least_weight: the smallest weight of a free cell, >= 0.
+        bucket: width of a bucket of the queue, a cost; see `navbake.runtime.search_kernels`.
+        num_buckets: number of buckets, a power of two.
+        link_saving: by how much links may make a route to the goals cheaper than the estimate that
+            the search goes by, a cost, >= 0.
     """
 
     layout: Layout
     links: Links
-    moves: NDArray[np.uint8]  # by cell, a bit for each direction
-    weight: Float  # by cell, inf where it isn't free
-    same_weight: float  # the weight of all free cells, 0 where they differ
-    least_weight: float  # the smallest weight of a free cell, >= 0
-    bucket: float  # width and number of the queue's buckets, see `navbake.runtime.search_kernels`
+    moves: NDArray[np.uint8]
+    weight: Float
+    same_weight: float
+    least_weight: float
+    bucket: float
     num_buckets: int
-    # by how much links may make the way to the goals cheaper than the estimate says
-    lead: float = 0.0
+    link_saving: float = 0.0
 
 
 class OffCenter(NamedTuple):
-    """Where an agent of a radius may be off the centres of cells."""
+    """Where an agent of a radius may be off the centres of cells.
 
-    anywhere: Bool  # by cell: free, wherever in the cell the agent is
-    # by cell: so, or free and in the way of nothing but solid squares of its own level, so that a
-    # sweep of the disc decides
-    by_squares: Bool
-    solid_before: Int32  # how many solid cells there are before each flat id, (n + 1,)
-    radius: float  # of the agent [m]; 0 if only free cells count
-    is_closed: bool  # whether all beyond a level's cells is solid
+    Attributes:
+        anywhere: by cell, whether the agent fits wherever in the cell it is.
+        sweepable: by cell, whether `anywhere` holds, or nothing but solid squares of the cell's own
+            level is near, so that a sweep of the agent's disc decides.
+        solid_before: number of solid cells before each flat id, shape (n + 1,).
+        radius: of the agent [m]; 0 if only free cells count.
+        is_closed: whether all beyond a level's cells is solid.
+    """
+
+    anywhere: Bool
+    sweepable: Bool
+    solid_before: Int32
+    radius: float
+    is_closed: bool
 
 
 class Visits(NamedTuple):
     """How a search reached the cells, and memory for its queue.
 
-    It is kept from search to search, so that none has to clear it.
+    It is reused from search to search, so that no search has to clear it.
+
+    Attributes:
+        mark: by cell, bits that `navbake.runtime.search_kernels` explains.
+        cost: by cell, the cost to reach it; valid where `mark` is of this search.
+        link_from: by index in ``links.cell``, the flat id that the link to the cell leads from.
+        entry_cell: flat id of each entry of the queue.
+        entry_next: the next entry of the same bucket, -1 for none.
     """
 
-    mark: Int32  # by cell, see `navbake.runtime.search_kernels`
-    cost: Float  # by cell, valid where `mark` is of this search
-    link_from: Int  # by index in ``links.cell``: where the link that was taken leads from
-    entry_cell: Int32  # of the queue's entries
+    mark: Int32
+    cost: Float
+    link_from: Int
+    entry_cell: Int32
     entry_next: Int32
 
 
 @subkernel
 def level_of(start, cell):
-    """The level of a flat id."""
+    """Find the level of a flat id; `start` is that of `Layout`."""
     level = 0
     while cell >= start[level + 1]:  # levels are few, so that no search is faster
         level += 1
@@ -117,8 +169,8 @@ def level_of(start, cell):
 
 
 @subkernel
-def find_slot(link_cell, cell):
-    """Where a cell is in ``links.cell``, by binary search; -1 if no link leads from it."""
+def find_link_slot(link_cell, cell):
+    """Find the index of a flat id in ``links.cell`` by binary search; -1 if it isn't there."""
     low = 0
     high = link_cell.shape[0]
     while low < high:
@@ -131,8 +183,8 @@ def find_slot(link_cell, cell):
 
 
 @subkernel
-def center(layout, cell):
-    """World x, y of a cell's centre [m]."""
+def cell_center(layout, cell):
+    """Compute world x, y of the centre of a flat id's cell [m]."""
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
     size = layout.cell_size[level]
@@ -141,22 +193,25 @@ def center(layout, cell):
 
 @subkernel
 def floor_at(floors, level, cell):
-    """World z of a cell's floor, or of the level's ground where it has none [m]."""
+    """Return world z of a cell's floor, or of the level's ground where it has none [m]."""
     z = floors.z[cell]
     return floors.ground[level] if math.isnan(z) else z
 
 
 @subkernel
-def put_into(layout, cell, x, y):
-    """The point of a cell's square nearest to x, y, EDGE inside of its edges."""
-    middle_x, middle_y = center(layout, cell)
-    half = (0.5 - EDGE) * layout.cell_size[level_of(layout.start, cell)]
-    x = min(max(x, middle_x - half), middle_x + half)
-    return x, min(max(y, middle_y - half), middle_y + half)
+def clamp_to_cell(layout, cell, x, y):
+    """Compute the point of a cell's square nearest to x, y, `EDGE_MARGIN` inside of its edges."""
+    center_x, center_y = cell_center(layout, cell)
+    half = (0.5 - EDGE_MARGIN) * layout.cell_size[level_of(layout.start, cell)]
+    x = min(max(x, center_x - half), center_x + half)
+    y = min(max(y, center_y - half), center_y + half)
+    return x, y
 
 
 @subkernel
-def in_cells(layout, level, x, y):
-    """A world position [m] in a level's own units: u in columns, v in rows, from its corner."""
+def to_cell_units(layout, level, x, y):
+    """Convert world x, y [m] to a level's own units: u in columns, v in rows, from its corner."""
     size = layout.cell_size[level]
-    return (x - layout.x_min[level]) / size, (layout.y_max[level] - y) / size
+    u = (x - layout.x_min[level]) / size
+    v = (layout.y_max[level] - y) / size
+    return u, v

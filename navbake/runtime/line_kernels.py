@@ -6,13 +6,15 @@ square from (col, row) to (col + 1, row + 1).
 `is_walkable` is a supercover line, row by row: all cells that meet the line count, also those that
 it only touches.
 
-`disc_passes` sweeps a disc over squares, exactly, with one look at each row of cells. What the disc
-covers on its way (a capsule) is convex. So it meets the cells of one row in a single interval of
-columns, whose ends have a closed form, and running sums say whether any of these cells is solid.
+`disc_passes` sweeps a disc over squares, exactly, with one test for each row of cells. The area
+that the disc covers along the line (a capsule) is convex. So it meets the cells of one row in a
+single interval of columns, whose ends have a closed form, and running sums say whether any of these
+cells is solid.
 
-`lay_route` pulls a route straight by line of sight: from each point, the farthest point that a
-straight line can reach is kept, found by doubling the distance and then halving it (exponential
-search, Bentley and Yao 1976). A funnel could not say what a line costs where weights differ.
+`lay_route` pulls a route straight by line of sight (string pulling): from each point, the line goes
+on to the farthest point that it can reach straight, which is searched by doubling the distance and
+then halving it (exponential search, Bentley and Yao 1976). A funnel could not tell the cost of a
+line where weights differ.
 """
 
 import math
@@ -20,92 +22,103 @@ import math
 import numpy as np
 
 from navbake.compiled import kernel, subkernel
-from navbake.runtime.grid_arrays import EAST, SOUTH, center, floor_at, in_cells, level_of
+from navbake.runtime.grid_arrays import (
+    EAST,
+    SOUTH,
+    cell_center,
+    floor_at,
+    level_of,
+    to_cell_units,
+)
 
-TOUCH = 1e-9  # of a cell: what is this near a line is touched; of a radius: what a disc is over
-STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
-IN_LINE = 1e-9  # metres that a point of a straight line may be off it
-SAME = 1e-9  # metres between two points that are one
-BEND = 1e-3  # metres that a line may be off the height of the floor in the middle of a cell
-GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
+TOUCH_DISTANCE = 1e-9  # share of a cell: what is this near a line is touched, for rounding
+RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
+STEEP_RISE = 1.001  # in cells: neighbours that differ by more are a step, not a slope
+COLLINEAR_DISTANCE = 1e-9  # [m] that a point of a straight line may be off it
+SAME_POINT = 1e-9  # [m] between two points that are one
+FLOOR_TOLERANCE = 1e-3  # [m] that a line may be off the height of the floor in a cell's middle
+COST_SLACK = 1e-9  # share of its cost by which rounding may make a straight line dearer
+LEAST_SHARE = 1e-12  # of a line: a shorter part in a cell is a corner that it only touches
 
 
 @subkernel
-def is_walkable(a, b, layout, level, moves, anywhere):
-    """Whether an agent may be anywhere in all cells that a line touches, and step between them.
+def is_walkable(start, end, layout, level, moves, is_allowed):
+    """Whether all cells that a line touches are allowed, and an agent can step between them.
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
+    `start` and `end` are u, v; `moves` and `is_allowed` are by cell.
     """
-    u0, v0 = a
-    u1, v1 = b
-    first = layout.start[level]
+    u0, v0 = start
+    u1, v1 = end
+    first_cell = layout.start[level]
     width = layout.width[level]
-    top = math.floor(min(v0, v1) - TOUCH)
-    bottom = math.floor(max(v0, v1) + TOUCH)
-    if top < 0 or bottom >= layout.height[level]:
+    first_row = math.floor(min(v0, v1) - TOUCH_DISTANCE)
+    last_row = math.floor(max(v0, v1) + TOUCH_DISTANCE)
+    if first_row < 0 or last_row >= layout.height[level]:
         return False
     # columns touched in the row before
-    above0 = 0
-    above1 = -1
-    for row in range(top, bottom + 1):
-        low = min(u0, u1)
-        high = max(u0, u1)
+    previous_first = 0
+    previous_last = -1
+    for row in range(first_row, last_row + 1):
+        u_low = min(u0, u1)
+        u_high = max(u0, u1)
         if v0 != v1:  # the part of the line in the row
-            one = (row - TOUCH - v0) / (v1 - v0)
-            other = (row + 1 + TOUCH - v0) / (v1 - v0)
-            enter = min(max(min(one, other), 0.0), 1.0)
-            leave = max(min(max(one, other), 1.0), 0.0)
-            ua = u0 + enter * (u1 - u0)
-            ub = u0 + leave * (u1 - u0)
-            low = min(ua, ub)
-            high = max(ua, ub)
-        col0 = math.floor(low - TOUCH)
-        col1 = math.floor(high + TOUCH)
-        if col0 < 0 or col1 >= width:
+            share_at_top = (row - TOUCH_DISTANCE - v0) / (v1 - v0)
+            share_at_bottom = (row + 1 + TOUCH_DISTANCE - v0) / (v1 - v0)
+            enter = min(max(min(share_at_top, share_at_bottom), 0.0), 1.0)
+            leave = max(min(max(share_at_top, share_at_bottom), 1.0), 0.0)
+            u_enter = u0 + enter * (u1 - u0)
+            u_leave = u0 + leave * (u1 - u0)
+            u_low = min(u_enter, u_leave)
+            u_high = max(u_enter, u_leave)
+        first_col = math.floor(u_low - TOUCH_DISTANCE)
+        last_col = math.floor(u_high + TOUCH_DISTANCE)
+        if first_col < 0 or last_col >= width:
             return False
-        for col in range(col0, col1 + 1):
-            cell = first + row * width + col
-            if not anywhere[cell]:
+        for col in range(first_col, last_col + 1):
+            cell = first_cell + row * width + col
+            if not is_allowed[cell]:
                 return False
             # each edge between two touched cells is one that the line may run along or cross
-            if col < col1 and not moves[cell] & EAST:
+            if col < last_col and not moves[cell] & EAST:
                 return False
-            if above0 <= col <= above1 and not moves[cell - width] & SOUTH:
+            if previous_first <= col <= previous_last and not moves[cell - width] & SOUTH:
                 return False
-        above0 = col0
-        above1 = col1
+        previous_first = first_col
+        previous_last = last_col
     return True
 
 
 @subkernel
-def crossed_cells(a, b, layout, level):
-    """The cells that a line runs through, in order, and the share of it before each and the end.
+def crossed_cells(start, end, layout, level):
+    """List the cells that a line runs through, and the share of it before each and at its end.
 
-    Cells that the line only touches at a corner are left out.
+    Cells that the line only touches at a corner are left out. Returns n flat ids in the line's
+    order, and n + 1 shares from 0 to 1.
     """
-    u0, v0 = a
-    u1, v1 = b
+    u0, v0 = start
+    u1, v1 = end
     du = u1 - u0
     dv = v1 - v0
     row = math.floor(v0)
     col = math.floor(u0)
-    most = abs(math.floor(u1) - col) + abs(math.floor(v1) - row) + 2
-    cells = np.empty(most, np.int64)
-    enter = np.zeros(most + 1)
+    max_cells = abs(math.floor(u1) - col) + abs(math.floor(v1) - row) + 2
+    cells = np.empty(max_cells, np.int64)
+    enter = np.zeros(max_cells + 1)
     count = 0
     leave = 0.0
     while leave < 1.0:
         # where the line leaves the cell, over an edge or at its end
-        to_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
-        to_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
-        leave = min(to_u, to_v, 1.0)
-        if leave - enter[count] > 1e-12 or (leave >= 1.0 and count == 0):
-            r = min(max(row, 0), layout.height[level] - 1)
-            c = min(max(col, 0), layout.width[level] - 1)
-            cells[count] = layout.start[level] + r * layout.width[level] + c
+        leave_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
+        leave_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
+        leave = min(leave_u, leave_v, 1.0)
+        if leave - enter[count] > LEAST_SHARE or (leave >= 1.0 and count == 0):
+            inside_row = min(max(row, 0), layout.height[level] - 1)
+            inside_col = min(max(col, 0), layout.width[level] - 1)
+            cells[count] = layout.start[level] + inside_row * layout.width[level] + inside_col
             count += 1
             enter[count] = leave
-        if to_u <= to_v:
+        if leave_u <= leave_v:
             col += 1 if du > 0.0 else -1
         else:
             row += 1 if dv > 0.0 else -1
@@ -114,304 +127,346 @@ def crossed_cells(a, b, layout, level):
 
 
 @subkernel
-def line_cost(a, b, level, graph):
-    """The length in cells of a line between points x, y, each part times its cell's weight."""
-    start = in_cells(graph.layout, level, a[0], a[1])
-    end = in_cells(graph.layout, level, b[0], b[1])
-    cells, enter = crossed_cells(start, end, graph.layout, level)
-    total = 0.0
+def line_cost(start, end, level, graph):
+    """Compute the cost of a line between points x, y [m], with its length in cells.
+
+    Each part of the line counts by its cell's weight.
+    """
+    start_uv = to_cell_units(graph.layout, level, start[0], start[1])
+    end_uv = to_cell_units(graph.layout, level, end[0], end[1])
+    cells, enter = crossed_cells(start_uv, end_uv, graph.layout, level)
+    mean_weight = 0.0
     for k in range(cells.shape[0]):
-        total += (enter[k + 1] - enter[k]) * graph.weight[cells[k]]
-    return total * math.hypot(end[0] - start[0], end[1] - start[1])
+        mean_weight += (enter[k + 1] - enter[k]) * graph.weight[cells[k]]
+    return mean_weight * math.hypot(end_uv[0] - start_uv[0], end_uv[1] - start_uv[1])
 
 
 @subkernel
-def disc_passes(a, b, layout, level, solid_before, radius, is_closed):
-    """Whether an open disc, radius in cells, meets no solid square on its way along a line.
+def disc_passes(start, end, layout, level, solid_before, radius, is_closed):
+    """Whether an open disc meets no solid square on its way along a line.
 
-    `solid_before` and `is_closed`: see `navbake.runtime.grid_arrays.OffCenter`.
+    `start` and `end` are u, v; the radius is in cells. `solid_before` and `is_closed` are those of
+    `navbake.runtime.grid_arrays.OffCenter`.
     """
-    u0, v0 = a
-    u1, v1 = b
+    u0, v0 = start
+    u1, v1 = end
     rows = layout.height[level]
     cols = layout.width[level]
-    reach = radius * (1.0 - TOUCH)
-    first_v = min(v0, v1) - reach
-    last_v = max(v0, v1) + reach
-    for row in range(math.floor(first_v), math.ceil(last_v)):
-        low = max(float(row), first_v)
-        high = min(row + 1.0, last_v)
-        left = -_farthest(-u0, v0, -u1, v1, low, high, reach)
-        right = _farthest(u0, v0, u1, v1, low, high, reach)
-        col0 = math.floor(left)
-        col1 = math.ceil(right)
-        is_beside = row < 0 or row >= rows
-        if is_closed and (is_beside or col0 < 0 or col1 > cols):
+    reach = radius * (1.0 - RADIUS_SLACK)
+    v_min = min(v0, v1) - reach
+    v_max = max(v0, v1) + reach
+    for row in range(math.floor(v_min), math.ceil(v_max)):
+        low = max(float(row), v_min)
+        high = min(row + 1.0, v_max)
+        # the smallest u of the capsule is the largest one of its mirror image
+        u_min = -_largest_u(-u0, v0, -u1, v1, low, high, reach)
+        u_max = _largest_u(u0, v0, u1, v1, low, high, reach)
+        first_col = math.floor(u_min)
+        end_col = math.ceil(u_max)
+        is_outside = row < 0 or row >= rows
+        if is_closed and (is_outside or first_col < 0 or end_col > cols):
             return False
-        col0 = max(col0, 0)
-        col1 = min(col1, cols)
-        if is_beside or col0 >= col1:
+        first_col = max(first_col, 0)
+        end_col = min(end_col, cols)
+        if is_outside or first_col >= end_col:
             continue
-        here = layout.start[level] + row * cols
-        if solid_before[here + col1] > solid_before[here + col0]:
+        row_start = layout.start[level] + row * cols
+        if solid_before[row_start + end_col] > solid_before[row_start + first_col]:
             return False
     return True
 
 
 @subkernel
-def _farthest(u0, v0, u1, v1, low, high, reach):
-    """The largest u of a swept disc between two v that it reaches."""
-    # Towards larger v the edge first moves out, up to the middle of the disc at the line's
-    # farther end, and then back in. So the v nearest to that one has the largest u.
+def _largest_u(u0, v0, u1, v1, low, high, radius):
+    """Compute the largest u of a swept disc between two v that it reaches."""
+    # Towards larger v the capsule's edge first moves out, up to the middle of the disc at the
+    # line's farther end, and then back in. So the v nearest to that one has the largest u.
     peak = v1 if u1 > u0 else v0
     if u0 == u1:  # all along the line it is as far
         peak = min(max(low, min(v0, v1)), max(v0, v1))
     v = min(max(peak, low), high)
     du = u1 - u0
     dv = v1 - v0
-    t = 1.0 if u1 > u0 else 0.0
+    share = 1.0 if u1 > u0 else 0.0
     if dv != 0.0:
         # the disc that reaches the farthest at v touches the edge where its radius is upright on
         # the line, or else is the one at an end
         along = -math.copysign(du, du * dv) if du != 0.0 else 0.0
-        t = (v - reach * along / math.hypot(du, dv) - v0) / dv
-        t = min(max(t, 0.0), 1.0)
-    off = v - v0 - t * dv
-    return u0 + t * du + math.sqrt(max(reach * reach - off * off, 0.0))
+        share = (v - radius * along / math.hypot(du, dv) - v0) / dv
+        share = min(max(share, 0.0), 1.0)
+    off = v - v0 - share * dv
+    return u0 + share * du + math.sqrt(max(radius * radius - off * off, 0.0))
 
 
 @kernel
-def can_pass(a, b, level, graph, off_center):
+def can_pass(start, end, level, graph, off_center):
     """Whether an agent can move along a line between two points x, y of a level [m].
 
-    It may be anywhere in all cells that the line touches; or nothing but squares is near these, and
-    its disc meets none.
+    It can where it fits anywhere in all cells that the line touches; or where nothing but solid
+    squares is near these cells, and its disc meets none of them.
+
+    Args:
+        start: world x, y of the line's start [m].
+        end: world x, y of its end [m].
+        level: the level of both.
+        graph: `navbake.runtime.grid_arrays.Graph`.
+        off_center: `navbake.runtime.grid_arrays.OffCenter`.
     """
     layout = graph.layout
     moves = graph.moves
-    start = in_cells(layout, level, a[0], a[1])
-    end = in_cells(layout, level, b[0], b[1])
-    if is_walkable(start, end, layout, level, moves, off_center.anywhere):
+    start_uv = to_cell_units(layout, level, start[0], start[1])
+    end_uv = to_cell_units(layout, level, end[0], end[1])
+    if is_walkable(start_uv, end_uv, layout, level, moves, off_center.anywhere):
         return True
     if off_center.radius == 0.0:
         return False
-    if not is_walkable(start, end, layout, level, moves, off_center.by_squares):
+    if not is_walkable(start_uv, end_uv, layout, level, moves, off_center.sweepable):
         return False
     radius = off_center.radius / layout.cell_size[level]
-    before = off_center.solid_before
+    solid_before = off_center.solid_before
     is_closed = off_center.is_closed
-    return disc_passes(start, end, layout, level, before, radius, is_closed)
+    return disc_passes(start_uv, end_uv, layout, level, solid_before, radius, is_closed)
 
 
 @kernel
 def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
-    """Make a line along a route of cells: world x, y, floor z [m], (m, 3), and the level of each.
-
-    `by_link` says which cells a link led to. Also returned is the place in `route` of the cell
-    that the link leads to which is between a point and the next, 0 where none is, (m,).
+    """Make a line along a route of cells.
 
     It runs through the cells' centres or, if smooth, straight on wherever `can_pass` allows it and
-    the cost is no higher. It begins and ends at `start` and `end`, x, y in the first and last cell;
-    at the cell's centre where they are NaN, or where obstacles are too near.
+    the cost is no higher. It begins and ends at `start` and `end`; at the cell's centre where they
+    are NaN, or where obstacles are too near.
+
+    Args:
+        route: flat ids, shape (n,), int64.
+        by_link: which of them a link leads to, bool, shape (n,).
+        start: x, y in the first cell [m], or NaN.
+        end: x, y in the last cell [m], or NaN.
+        is_smooth: whether to pull the line straight.
+        graph: `navbake.runtime.grid_arrays.Graph`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        off_center: `navbake.runtime.grid_arrays.OffCenter`.
+
+    Returns:
+        World x, y, floor z of the line's points [m], shape (m, 3); the level of each, shape (m,);
+        and where a link leads from a point to the next one, the index in `route` of the cell that
+        it leads to, else 0, shape (m,).
     """
     layout = graph.layout
-    num = route.shape[0]
-    points = np.empty((num + 2, 2))
-    levels = np.empty(num + 2, np.int64)
-    # the place of the cell that a link leads to from a point to the next, 0 for none
-    is_link = np.zeros(num + 1, np.int64)
-    for i in range(num):
+    num_cells = route.shape[0]
+    last = num_cells + 1
+    # the start, the cells' centres, the end
+    points = np.empty((num_cells + 2, 2))
+    levels = np.empty(num_cells + 2, np.int64)
+    # the index of the cell that a link leads to from a point to the next, 0 for none
+    link_to = np.zeros(num_cells + 1, np.int64)
+    for i in range(num_cells):
         levels[i + 1] = level_of(layout.start, route[i])
-        points[i + 1, 0], points[i + 1, 1] = center(layout, route[i])
-        is_link[i] = i if by_link[i] else 0
-    levels[0], levels[num + 1] = levels[1], levels[num]
-    kept = np.ones(num + 2, np.bool_)
-    for at, beside, given in ((0, 1, start), (num + 1, num, end)):
-        points[at, 0] = given[0]
-        points[at, 1] = given[1]
+        points[i + 1, 0], points[i + 1, 1] = cell_center(layout, route[i])
+        link_to[i] = i if by_link[i] else 0
+    levels[0] = levels[1]
+    levels[last] = levels[num_cells]
+    is_included = np.ones(num_cells + 2, np.bool_)
+    for index, neighbor, point in ((0, 1, start), (last, num_cells, end)):
+        points[index, 0] = point[0]
+        points[index, 1] = point[1]
         # False for NaN
-        is_apart = max(abs(given[0] - points[beside, 0]), abs(given[1] - points[beside, 1])) > SAME
-        kept[at] = is_apart and can_pass(
-            points[min(at, beside)], points[max(at, beside)], levels[at], graph, off_center
+        is_apart = (
+            max(abs(point[0] - points[neighbor, 0]), abs(point[1] - points[neighbor, 1]))
+            > SAME_POINT
         )
-    first = 1 - kept[0]
-    last = num + 1 + kept[num + 1]
-    points = points[first:last]
-    levels = levels[first:last]
-    is_link = is_link[first : last - 1]
+        is_included[index] = is_apart and can_pass(
+            points[min(index, neighbor)],
+            points[max(index, neighbor)],
+            levels[index],
+            graph,
+            off_center,
+        )
+    begin = 1 - is_included[0]
+    stop = last + is_included[last]
+    points = points[begin:stop]
+    levels = levels[begin:stop]
+    link_to = link_to[begin : stop - 1]
     if is_smooth:
-        some = np.flatnonzero(_pull_string(points, levels, is_link, graph, off_center))
-        points = points[some]
-        levels = levels[some]
-        is_link = is_link[some[:-1]]
-    return _lay_on_floor(points, levels, is_link, layout, floors)
+        corners = np.flatnonzero(_pull_string(points, levels, link_to, graph, off_center))
+        points = points[corners]
+        levels = levels[corners]
+        link_to = link_to[corners[:-1]]
+    return _lay_on_floor(points, levels, link_to, layout, floors)
 
 
 @subkernel
-def _pull_string(points, levels, is_link, graph, off_center):
+def _pull_string(points, levels, link_to, graph, off_center):
     """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
 
-    A straight line never costs more than what it replaces, and never runs over a link.
+    A straight line never costs more than the part of the route that it replaces, and never runs
+    over a link.
     """
-    num = points.shape[0]
-    spent = np.zeros(num)  # cost of the route up to each point
+    num_points = points.shape[0]
+    cost = np.zeros(num_points)  # of the route up to each point
     if graph.same_weight <= 0.0:
-        for i in range(1, num):
-            spent[i] = spent[i - 1]
-            if not is_link[i - 1]:
-                spent[i] += line_cost(points[i - 1], points[i], levels[i], graph)
-    here = 0
-    kept = np.zeros(num, np.bool_)
-    kept[0] = True
-    while here < num - 1:
-        last = here + 1  # before the next link
-        while last < num - 1 and not is_link[here] and not is_link[last]:
+        for i in range(1, num_points):
+            cost[i] = cost[i - 1]
+            if not link_to[i - 1]:
+                cost[i] += line_cost(points[i - 1], points[i], levels[i], graph)
+    current = 0
+    is_corner = np.zeros(num_points, np.bool_)
+    is_corner[0] = True
+    while current < num_points - 1:
+        last = current + 1  # before the next link
+        while last < num_points - 1 and not link_to[current] and not link_to[last]:
             last += 1
-        # `good` can be reached, `bad` can't. Sight is not monotonous, so the point found need not
-        # be the very farthest.
-        good = here + 1
+        # `good` can be reached, `bad` can't. Sight is not monotonous, so the point that the search
+        # ends at need not be the very farthest.
+        good = current + 1
         bad = last + 1
-        reach = 2
+        stride = 2
         while bad - good > 1:
-            there = min(here + reach, last) if bad > last else (good + bad) // 2
-            a = points[here]
-            b = points[there]
-            level = levels[here]
-            if can_pass(a, b, level, graph, off_center) and (
+            candidate = min(current + stride, last) if bad > last else (good + bad) // 2
+            start = points[current]
+            end = points[candidate]
+            level = levels[current]
+            if can_pass(start, end, level, graph, off_center) and (
                 graph.same_weight > 0.0
-                or line_cost(a, b, level, graph) <= (spent[there] - spent[here]) * (1.0 + GAIN)
+                or line_cost(start, end, level, graph)
+                <= (cost[candidate] - cost[current]) * (1.0 + COST_SLACK)
             ):
-                good = there
+                good = candidate
             else:
-                bad = there
-            reach *= 2
-        here = good
-        kept[here] = True
+                bad = candidate
+            stride *= 2
+        current = good
+        is_corner[current] = True
     # points on the straight line between those before and after go, but for ends of links
     before = 0
-    here = -1
-    for after in range(1, num):
-        if not kept[after]:
+    current = -1
+    for after in range(1, num_points):
+        if not is_corner[after]:
             continue
-        if here >= 0:
-            way = points[after] - points[before]
-            part = points[here] - points[before]
-            length = math.hypot(way[0], way[1])
-            off = abs(way[0] * part[1] - way[1] * part[0])
-            share = way[0] * part[0] + way[1] * part[1]
-            is_end = is_link[here - 1] or is_link[here]
-            if is_end or off > IN_LINE * length or not 0.0 <= share <= length * length:
-                before = here
+        if current >= 0:
+            chord = points[after] - points[before]
+            offset = points[current] - points[before]
+            length = math.hypot(chord[0], chord[1])
+            cross = abs(chord[0] * offset[1] - chord[1] * offset[0])
+            dot = chord[0] * offset[0] + chord[1] * offset[1]
+            is_end = link_to[current - 1] or link_to[current]
+            is_bent = cross > COLLINEAR_DISTANCE * length or not 0.0 <= dot <= length * length
+            if is_end or is_bent:
+                before = current
             else:
-                kept[here] = False
-        here = after
-    return kept
+                is_corner[current] = False
+        current = after
+    return is_corner
 
 
 @subkernel
-def _lay_on_floor(points, levels, is_link, layout, floors):
+def _lay_on_floor(points, levels, link_to, layout, floors):
     """Lay lines between points on the floor: with points in between where its height bends.
 
     The line runs through the middle of its part in each cell that it crosses, at the cell's
     floor; between two that are steeper than any slope, straight up or down at their edge, or
-    halfway over a link. Points within BEND of the line through the remaining ones are dropped.
+    halfway over a link. Points within `FLOOR_TOLERANCE` of the line through the remaining ones are
+    dropped. Returns as `lay_route`.
     """
-    num = points.shape[0]
-    out = np.empty((4 * num + 16, 3))
-    on = np.empty(4 * num + 16, np.int64)
+    num_points = points.shape[0]
+    line = np.empty((4 * num_points + 16, 3))
+    line_levels = np.empty(4 * num_points + 16, np.int64)
+    line_links = np.zeros(4 * num_points + 16, np.int64)
     count = 0
-    by = np.zeros(4 * num + 16, np.int64)
-    for i in range(num):
+    for i in range(num_points):
         level = levels[i]
-        start = in_cells(layout, level, points[i, 0], points[i, 1])
-        end = start
-        way = np.zeros(2)
-        if i + 1 < num and not is_link[i]:
-            end = in_cells(layout, level, points[i + 1, 0], points[i + 1, 1])
-            way = points[i + 1] - points[i]
-        profile = _profile(start, end, level, layout, floors)
-        here = 0
-        while here == 0 or here < profile.shape[0] - 1:
-            if count + 3 > out.shape[0]:
-                out = np.concatenate((out, out))
-                on = np.concatenate((on, on))
-                by = np.concatenate((by, np.zeros_like(by)))
+        start_uv = to_cell_units(layout, level, points[i, 0], points[i, 1])
+        end_uv = start_uv
+        leg = np.zeros(2)
+        if i + 1 < num_points and not link_to[i]:
+            end_uv = to_cell_units(layout, level, points[i + 1, 0], points[i + 1, 1])
+            leg = points[i + 1] - points[i]
+        profile = _floor_profile(start_uv, end_uv, level, layout, floors)
+        k = 0
+        while k == 0 or k < profile.shape[0] - 1:
+            if count + 3 > line.shape[0]:
+                line = np.concatenate((line, line))
+                line_levels = np.concatenate((line_levels, line_levels))
+                line_links = np.concatenate((line_links, np.zeros_like(line_links)))
             for axis in range(2):
-                out[count, axis] = points[i, axis] + profile[here, 0] * way[axis]
-            out[count, 2] = profile[here, 1]
-            on[count] = level
+                line[count, axis] = points[i, axis] + profile[k, 0] * leg[axis]
+            line[count, 2] = profile[k, 1]
+            line_levels[count] = level
             count += 1
-            here = _next_bend(profile, here)
-        if i + 1 < num and is_link[i]:
-            by[count - 1] = is_link[i]
-            after = levels[i + 1]
-            there = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
-            z = floor_at(floors, after, _cell_of(layout, after, there))
-            if abs(z - out[count - 1, 2]) > layout.cell_size[level] * STEEP:
+            k = _next_bend(profile, k)
+        if i + 1 < num_points and link_to[i]:
+            line_links[count - 1] = link_to[i]
+            next_level = levels[i + 1]
+            next_uv = to_cell_units(layout, next_level, points[i + 1, 0], points[i + 1, 1])
+            z = floor_at(floors, next_level, _cell_at(layout, next_level, next_uv))
+            if abs(z - line[count - 1, 2]) > layout.cell_size[level] * STEEP_RISE:
                 for axis in range(2):
                     middle = (points[i, axis] + points[i + 1, axis]) / 2.0
-                    out[count, axis] = middle
-                    out[count + 1, axis] = middle
-                out[count, 2] = out[count - 1, 2]
-                out[count + 1, 2] = z
-                on[count] = level
-                on[count + 1] = after
-                by[count] = is_link[i]
-                by[count + 1] = is_link[i]
+                    line[count, axis] = middle
+                    line[count + 1, axis] = middle
+                line[count, 2] = line[count - 1, 2]
+                line[count + 1, 2] = z
+                line_levels[count] = level
+                line_levels[count + 1] = next_level
+                line_links[count] = link_to[i]
+                line_links[count + 1] = link_to[i]
                 count += 2
-    return out[:count].copy(), on[:count].copy(), by[:count].copy()
+    return line[:count].copy(), line_levels[:count].copy(), line_links[:count].copy()
 
 
 @subkernel
-def _profile(a, b, level, layout, floors):
-    """The floor under a line, its ends in cells: shares of it and heights there, (n, 2)."""
-    cells, enter = crossed_cells(a, b, layout, level)
+def _floor_profile(start, end, level, layout, floors):
+    """Compute the floor under a line: shares of the line and heights there, shape (n, 2).
+
+    `start` and `end` are u, v.
+    """
+    cells, enter = crossed_cells(start, end, layout, level)
     last = cells.shape[0] - 1
-    # ends on edges are in the cells they were found in
-    cells[last] = _cell_of(layout, level, b)
-    cells[0] = _cell_of(layout, level, a)
-    line = np.empty((3 * last + 4, 2))
+    # an end that lies on an edge may be crossed in the neighbour of its cell
+    cells[last] = _cell_at(layout, level, end)
+    cells[0] = _cell_at(layout, level, start)
+    profile = np.empty((3 * last + 4, 2))
     count = 0
-    before = 0.0
+    z_before = 0.0
     for k in range(last + 1):
         z = floor_at(floors, level, cells[k])
-        if k > 0 and abs(z - before) > layout.cell_size[level] * STEEP:
-            line[count, 0] = enter[k]
-            line[count, 1] = before
-            line[count + 1, 0] = enter[k]
-            line[count + 1, 1] = z
+        if k > 0 and abs(z - z_before) > layout.cell_size[level] * STEEP_RISE:
+            profile[count, 0] = enter[k]
+            profile[count, 1] = z_before
+            profile[count + 1, 0] = enter[k]
+            profile[count + 1, 1] = z
             count += 2
         share = (enter[k] + enter[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
-        line[count, 0] = share
-        line[count, 1] = z
+        profile[count, 0] = share
+        profile[count, 1] = z
         count = count + 1
-        before = z
-    if last == 0 and (a[0] != b[0] or a[1] != b[1]):
-        line[count, 0] = 1.0
-        line[count, 1] = before
+        z_before = z
+    if last == 0 and (start[0] != end[0] or start[1] != end[1]):
+        profile[count, 0] = 1.0
+        profile[count, 1] = z_before
         count += 1
-    return line[:count]
+    return profile[:count]
 
 
 @subkernel
-def _cell_of(layout, level, point):
+def _cell_at(layout, level, point):
+    """Compute the flat id of the cell of u, v."""
     return layout.start[level] + math.floor(point[1]) * layout.width[level] + math.floor(point[0])
 
 
 @subkernel
-def _next_bend(profile, here):
-    """The last point to whose straight line all points before it are near enough.
+def _next_bend(profile, current):
+    """Find the last point to whose straight line all points before it are near enough.
 
-    Its slope from `here` is in the ranges of slopes that each of these allows (cone intersection,
-    Sklansky and Gonzalez 1980).
+    Its slope from `current` is in the ranges of slopes that each of these allows (cone
+    intersection, Sklansky and Gonzalez 1980).
     """
     low = -np.inf
     high = np.inf
-    for there in range(here + 1, profile.shape[0]):
-        run = profile[there, 0] - profile[here, 0]
-        rise = profile[there, 1] - profile[here, 1]
+    for candidate in range(current + 1, profile.shape[0]):
+        run = profile[candidate, 0] - profile[current, 0]
+        rise = profile[candidate, 1] - profile[current, 1]
         if run <= 0.0 or not low <= rise / run <= high:
-            return max(there - 1, here + 1)
-        low = max(low, (rise - BEND) / run)
-        high = min(high, (rise + BEND) / run)
-    return max(profile.shape[0] - 1, here + 1)
+            return max(candidate - 1, current + 1)
+        low = max(low, (rise - FLOOR_TOLERANCE) / run)
+        high = min(high, (rise + FLOOR_TOLERANCE) / run)
+    return max(profile.shape[0] - 1, current + 1)

@@ -1,216 +1,296 @@
 """Finds the cells that positions are in, and the nearest cells of a mask; of many positions a call.
 
-Positions are located in blocks, level by level: a look-up at a random address waits for the memory,
-and in a block many such waits overlap.
+Positions are located in batches, level by level: a look-up at a random address waits for the
+memory, and in a batch many such waits overlap.
 
 The nearest cell is searched in square rings round the point's cell, until no cell of the next ring
 can be nearer than the best so far. Where the mask is dense near the point, as free and occupied
-cells are, that is quicker than any index, and a block outdates nothing.
+cells are, that is quicker than any index, and an added obstacle outdates nothing.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.compiled import kernel, subkernel
-from navbake.runtime.grid_arrays import center, floor_at, in_cells, level_of
+from navbake.runtime.grid_arrays import cell_center, floor_at, level_of, to_cell_units
 
-BLOCK = 512  # positions; what a block needs stays in the processor's first cache
-MAX_DROP = 0.5  # metres that a position may be above the floor of an agent that stands there
-# What is measured: on the map to a cell's centre; in space to the centre, on the floor; on the map
-# to the square, except of cells over or under which another level goes on at the point's height.
+BATCH = 512  # positions; what a batch needs stays in the processor's first cache
+MAX_DROP = 0.5  # [m] that a position may be above the floor of an agent that stands there
+# What `find_nearest_cell` measures: on the map to a cell's centre; in space to the centre, on the
+# floor; on the map to the cell's square, except of cells over or under which another level goes on
+# at the point's height.
 TO_CENTER = 0
 IN_SPACE = 1
 TO_OBSTACLE = 2
 
 
+class RowCells(NamedTuple):
+    """Every `stride`-th cell of a row, from a first to a last column."""
+
+    row: int
+    first_col: int
+    last_col: int
+    stride: int
+
+
 @kernel
 def locate(layout, floors, level, positions):
-    """Find the cells whose floors are the nearest at or below positions, shape (n, 3) [m].
+    """Find the cells whose floors are the nearest at or below positions.
 
     A floor may be `max_step` above its position. Where no level has such a floor in a position's
-    column, the level counts whose ground is. With a `level` that isn't -1, all positions are on
-    it and x, y are enough. Returns flat ids, -1 for none.
+    column, the level counts whose ground is the highest one so far below.
+
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        level: the level of all positions, for which x, y are enough; -1 to find each one's level.
+        positions: world x, y, z [m], shape (n, 3), or (n, 2) with a level.
+
+    Returns:
+        Flat ids, shape (n,), int64, -1 for no cell.
     """
     cells = np.empty(len(positions), dtype=np.int64)
     if level >= 0:
-        _locate_on(layout, level, positions, cells)
+        _locate_on_level(layout, level, positions, cells)
         return cells
-    z = np.empty(BLOCK)
-    for begin in range(0, len(positions), BLOCK):
-        end = min(begin + BLOCK, len(positions))
-        _locate_block(layout, floors, positions[begin:end], cells[begin:end], z)
+    z = np.empty(BATCH)
+    for begin in range(0, len(positions), BATCH):
+        end = min(begin + BATCH, len(positions))
+        _locate_batch(layout, floors, positions[begin:end], cells[begin:end], z)
     return cells
 
 
 @kernel
-def stand_on(layout, floors, free, max_drop, positions):
-    """Mark the positions, shape (n, 3), that are at most `max_drop` above a free floor [m]."""
-    answers = np.zeros(len(positions), dtype=np.bool_)
-    cells = np.empty(BLOCK, dtype=np.int64)
-    z = np.empty(BLOCK)
-    for begin in range(0, len(positions), BLOCK):
-        end = min(begin + BLOCK, len(positions))
-        _locate_block(layout, floors, positions[begin:end], cells, z)
-        above = positions[begin:end, 2]
+def mark_standing(layout, floors, free, max_drop, positions):
+    """Mark the positions, shape (n, 3), that are at most `max_drop` [m] above a free cell's floor.
+
+    Returns bool, shape (n,). `free` is by cell.
+    """
+    is_standing = np.zeros(len(positions), dtype=np.bool_)
+    cells = np.empty(BATCH, dtype=np.int64)
+    z = np.empty(BATCH)
+    for begin in range(0, len(positions), BATCH):
+        end = min(begin + BATCH, len(positions))
+        _locate_batch(layout, floors, positions[begin:end], cells, z)
+        heights = positions[begin:end, 2]
         for i in range(end - begin):
-            is_near = above[i] - z[i] <= max_drop
-            answers[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
-    return answers
+            is_near = heights[i] - z[i] <= max_drop
+            is_standing[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
+    return is_standing
 
 
 @subkernel
-def _locate_block(layout, floors, positions, cells, z):
-    """Locate at most BLOCK positions: writes their cells and floors."""
-    at = np.empty(BLOCK, dtype=np.int64)
-    on_ground = np.full(BLOCK, -1, dtype=np.int64)
-    highest_ground = np.full(BLOCK, -np.inf)
+def _locate_batch(layout, floors, positions, cells, z):
+    """Locate at most `BATCH` positions: write their cells and the heights of the floors there."""
+    level_cells = np.empty(BATCH, dtype=np.int64)
+    ground_cells = np.full(BATCH, -1, dtype=np.int64)
+    highest_ground = np.full(BATCH, -np.inf)
     floor = floors.z
     ground = floors.ground
-    slack = floors.max_step
+    max_step = floors.max_step
     count = len(positions)
     cells[:count] = -1
     z[:count] = -np.inf
     for level in range(len(layout.width)):
-        _locate_on(layout, level, positions, at)
+        _locate_on_level(layout, level, positions, level_cells)
         for i in range(count):  # few branches: where positions are can't be predicted
-            height = floor[max(at[i], 0)]
-            limit = positions[i, 2] + slack
-            is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
-            cells[i] = at[i] if is_nearer else cells[i]
+            cell = level_cells[i]
+            height = floor[max(cell, 0)]
+            limit = positions[i, 2] + max_step
+            is_nearer = (cell >= 0) & (height > z[i]) & (height <= limit)
+            cells[i] = cell if is_nearer else cells[i]
             z[i] = height if is_nearer else z[i]
-            if at[i] >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
-                on_ground[i] = at[i]
+            if cell >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
+                ground_cells[i] = cell
                 highest_ground[i] = ground[level]
     for i in range(count):
         if cells[i] < 0:
-            cells[i] = on_ground[i]
+            cells[i] = ground_cells[i]
             z[i] = highest_ground[i]
 
 
 @subkernel
-def _locate_on(layout, level, positions, cells):
+def _locate_on_level(layout, level, positions, cells):
     """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
-    first = layout.start[level]
+    first_cell = layout.start[level]
     rows = layout.height[level]
     cols = layout.width[level]
-    x0 = layout.x_min[level]
-    y1 = layout.y_max[level]
+    x_min = layout.x_min[level]
+    y_max = layout.y_max[level]
     size = layout.cell_size[level]
     for i in range(len(positions)):
-        col = np.floor((positions[i, 0] - x0) / size)
-        row = np.floor((y1 - positions[i, 1]) / size)
+        col = np.floor((positions[i, 0] - x_min) / size)
+        row = np.floor((y_max - positions[i, 1]) / size)
         is_inside = 0 <= row < rows and 0 <= col < cols
-        cells[i] = first + np.int64(row) * cols + np.int64(col) if is_inside else -1
+        cells[i] = first_cell + np.int64(row) * cols + np.int64(col) if is_inside else -1
 
 
 @kernel
-def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
-    """Find the places in allowed cells (by cell) nearest to positions, see `PathFinder.snap`.
+def snap_positions(layout, floors, allowed, level, same_level, max_distance, positions):
+    """Find the places in allowed cells nearest to positions, see `PathFinder.snap`.
 
-    All positions, shape (n, 3), are on a `level`; for -1, each on that of the floor below it.
-    Returns world x, y, z [m], shape (n, 3), NaN for none; and flat ids, -1 for none.
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        allowed: by cell, bool.
+        level: the level of all positions; -1: each is on that of the floor below it.
+        same_level: whether a place must be on its position's level.
+        max_distance: largest distance to a place [m].
+        positions: world x, y, z [m], shape (n, 3).
+
+    Returns:
+        World x, y, z [m], shape (n, 3), NaN for no place; and flat ids, shape (n,), -1 for none.
     """
     cells = locate(layout, floors, level, positions)
-    found = np.full((len(positions), 3), np.nan)
+    places = np.full((len(positions), 3), np.nan)
     for i in range(len(positions)):
-        home = cells[i]
+        cell_below = cells[i]
         point = (positions[i, 0], positions[i, 1], positions[i, 2])
-        on = level_of(layout.start, home) if home >= 0 else level
-        if home >= 0 and allowed[home]:
-            z = floor_at(floors, on, home)
+        home_level = level_of(layout.start, cell_below) if cell_below >= 0 else level
+        if cell_below >= 0 and allowed[cell_below]:
+            z = floor_at(floors, home_level, cell_below)
             if level >= 0 or point[2] - z <= MAX_DROP:
-                found[i, 0] = point[0]
-                found[i, 1] = point[1]
-                found[i, 2] = z
+                places[i, 0] = point[0]
+                places[i, 1] = point[1]
+                places[i, 2] = z
                 continue
-        best = farthest
+        nearest_distance = max_distance
         nearest = np.int64(-1)
-        is_here = same_level and on >= 0
-        for other in range(on, on + 1) if is_here else range(len(layout.width)):
-            measure, ground = (TO_CENTER, 0.0) if is_here else (IN_SPACE, floors.ground[other])
-            cell, distance = nearest_cell(
-                layout, allowed, floors.z, measure, ground, other, point, best
+        on_one_level = same_level and home_level >= 0
+        levels = range(home_level, home_level + 1) if on_one_level else range(len(layout.width))
+        for candidate_level in levels:
+            measure = TO_CENTER if on_one_level else IN_SPACE
+            ground = 0.0 if on_one_level else floors.ground[candidate_level]
+            cell, distance = find_nearest_cell(
+                layout,
+                allowed,
+                floors.z,
+                measure,
+                ground,
+                candidate_level,
+                point,
+                nearest_distance,
             )
-            if cell >= 0 and (nearest < 0 or distance < best):
+            if cell >= 0 and (nearest < 0 or distance < nearest_distance):
                 nearest = cell
-                best = distance
+                nearest_distance = distance
         cells[i] = nearest
         if nearest >= 0:
-            found[i, 0], found[i, 1] = center(layout, nearest)
-            found[i, 2] = floor_at(floors, level_of(layout.start, nearest), nearest)
-    return found, cells
+            places[i, 0], places[i, 1] = cell_center(layout, nearest)
+            places[i, 2] = floor_at(floors, level_of(layout.start, nearest), nearest)
+    return places, cells
 
 
 @kernel
-def find_obstacles(layout, floors, occupied, overlap, level, farthest, positions):
+def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distance, positions):
     """Find the squares of occupied cells nearest to positions, see `PathFinder.nearest_obstacle`.
 
-    Floors less than `overlap` [m] apart are at one height. Returns the positions' own cells, and
-    the obstacles', by flat id, -1 for none; and distances [m].
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        occupied: by cell, bool.
+        overlap: floors that differ by less than this are at one height [m].
+        level: the level of all positions; -1: each is on that of the floor below it.
+        max_distance: largest distance to an obstacle [m].
+        positions: world x, y, z [m], shape (n, 3), or (n, 2) with a level.
+
+    Returns:
+        The positions' own cells and the obstacles' cells, flat ids, shape (n,), -1 for none; and
+        the distances [m], shape (n,).
     """
-    homes = locate(layout, floors, level, positions)
-    cells = np.full(len(homes), -1, dtype=np.int64)
-    distances = np.empty(len(homes))
-    for i in range(len(homes)):
-        if homes[i] >= 0:
-            on = level_of(layout.start, homes[i])
-            point = (positions[i, 0], positions[i, 1], floor_at(floors, on, homes[i]))
-            cells[i], distances[i] = nearest_cell(
-                layout, occupied, floors.z, TO_OBSTACLE, overlap, on, point, farthest
+    own_cells = locate(layout, floors, level, positions)
+    obstacles = np.full(len(own_cells), -1, dtype=np.int64)
+    distances = np.empty(len(own_cells))
+    for i in range(len(own_cells)):
+        if own_cells[i] >= 0:
+            own_level = level_of(layout.start, own_cells[i])
+            z = floor_at(floors, own_level, own_cells[i])
+            point = (positions[i, 0], positions[i, 1], z)
+            obstacles[i], distances[i] = find_nearest_cell(
+                layout,
+                occupied,
+                floors.z,
+                TO_OBSTACLE,
+                overlap,
+                own_level,
+                point,
+                max_distance,
             )
-    return homes, cells, distances
+    return own_cells, obstacles, distances
 
 
 @subkernel
-def nearest_cell(layout, mask, floor, measure, height, level, point, farthest):
-    """The cell of a level in a mask nearest to x, y, z within `farthest`, and its distance [m].
+def find_nearest_cell(layout, mask, floor, measure, height, level, point, max_distance):
+    """Find the cell of a level in a mask that is nearest to x, y, z, and its distance [m].
 
-    -1 for none; of equally near ones, the lowest id. For TO_OBSTACLE, z is the floor's at the
-    point, and floors less than `height` apart are at one height; for IN_SPACE, cells without floor
-    are taken to be at `height`.
+    The flat id is -1 if none is within `max_distance`; of equally near ones, it is the lowest. For
+    `TO_OBSTACLE`, z is the floor's at the point, and floors less than `height` apart are at one
+    height; for `IN_SPACE`, cells without floor are taken to be at `height`.
     """
     rows = layout.height[level]
     cols = layout.width[level]
     size = layout.cell_size[level]
-    u, v = in_cells(layout, level, point[0], point[1])
+    u, v = to_cell_units(layout, level, point[0], point[1])
     # in rings round the level's cell that is nearest to the point
-    row0 = int(min(max(v, 0.0), rows - 1.0))
-    col0 = int(min(max(u, 0.0), cols - 1.0))
-    beside = max(0.0, -u, u - cols) ** 2 + max(0.0, -v, v - rows) ** 2
-    best = (farthest * farthest, np.int64(-1))
+    center_row = int(min(max(v, 0.0), rows - 1.0))
+    center_col = int(min(max(u, 0.0), cols - 1.0))
+    squared_gap = max(0.0, -u, u - cols) ** 2 + max(0.0, -v, v - rows) ** 2  # to the level [cells²]
+    squared_best = max_distance * max_distance
+    nearest = np.int64(-1)
     ring = 0
-    last = max(row0, rows - 1 - row0, col0, cols - 1 - col0)
+    last_ring = max(center_row, rows - 1 - center_row, center_col, cols - 1 - center_col)
     # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
     # a whole cell nearer to the squares
-    inside = 1.0 if measure == TO_OBSTACLE else 0.5
-    while ring <= last and (max(0.0, ring - inside) ** 2 + beside) * size * size <= best[0]:
-        for row in range(max(0, row0 - ring), min(rows - 1, row0 + ring) + 1):
-            left = col0 - ring
-            right = col0 + ring
+    inset = 1.0 if measure == TO_OBSTACLE else 0.5
+    while (
+        ring <= last_ring
+        and (max(0.0, ring - inset) ** 2 + squared_gap) * size * size <= squared_best
+    ):
+        first_row = max(0, center_row - ring)
+        last_row = min(rows - 1, center_row + ring)
+        for row in range(first_row, last_row + 1):
+            first_col = center_col - ring
+            last_col = center_col + ring
             stride = 2 * ring
-            if abs(row - row0) == ring:  # the top or the bottom row of the ring: all of it
-                left = max(0, left)
+            if abs(row - center_row) == ring:  # the top or the bottom row of the ring: all of it
+                first_col = max(0, first_col)
                 stride = 1
-            elif left < 0:
-                left = right
-            span = (row, left, min(cols - 1, right), stride)
-            best = _look(layout, mask, floor, measure, height, level, point, span, best)
+            elif first_col < 0:
+                first_col = last_col
+            row_cells = RowCells(row, first_col, min(cols - 1, last_col), stride)
+            squared_best, nearest = _search_row(
+                layout,
+                mask,
+                floor,
+                measure,
+                height,
+                level,
+                point,
+                row_cells,
+                squared_best,
+                nearest,
+            )
         ring += 1
-    return best[1], math.sqrt(best[0])
+    return nearest, math.sqrt(squared_best)
 
 
 @subkernel
-def _look(layout, mask, floor, measure, height, level, point, span, best):
-    """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
-    row, first, last, stride = span
-    d2_best, found = best
+def _search_row(
+    layout, mask, floor, measure, height, level, point, row_cells, squared_best, nearest
+):
+    """Compare the nearest cell so far with cells of a row.
+
+    Returns the nearer one's squared distance [m²], and its flat id.
+    """
+    row, first_col, last_col, stride = row_cells
     size = layout.cell_size[level]
     x_min = layout.x_min[level]
     y_max = layout.y_max[level]
-    begin = layout.start[level] + row * layout.width[level]
-    for col in range(first, last + 1, stride):
-        cell = begin + col
+    row_start = layout.start[level] + row * layout.width[level]
+    for col in range(first_col, last_col + 1, stride):
+        cell = row_start + col
         if not mask[cell]:
             continue
         dx = abs(x_min + (col + 0.5) * size - point[0])
@@ -218,31 +298,31 @@ def _look(layout, mask, floor, measure, height, level, point, span, best):
         if measure == TO_OBSTACLE:
             dx = max(0.0, dx - 0.5 * size)
             dy = max(0.0, dy - 0.5 * size)
-        d2 = dx * dx + dy * dy
+        squared = dx * dx + dy * dy
         if measure == IN_SPACE:
             z = height if math.isnan(floor[cell]) else floor[cell]
-            d2 += (z - point[2]) ** 2
-        if d2 < d2_best or (d2 == d2_best and (found < 0 or cell < found)):
-            if measure == TO_OBSTACLE and _is_elsewhere(
+            squared += (z - point[2]) ** 2
+        if squared < squared_best or (squared == squared_best and (nearest < 0 or cell < nearest)):
+            if measure == TO_OBSTACLE and _is_clear_on_another_level(
                 layout, mask, floor, height, level, cell, point[2]
             ):
                 continue
-            d2_best = d2
-            found = cell
-    return d2_best, found
+            squared_best = squared
+            nearest = cell
+    return squared_best, nearest
 
 
 @subkernel
-def _is_elsewhere(layout, mask, floor, height, level, cell, z):
-    """Whether another level, but not this one, has a clear floor near a height in the column."""
+def _is_clear_on_another_level(layout, mask, floor, height, level, cell, z):
+    """Whether another level, but not this one, has a clear floor near a height in a column."""
     if abs(floor[cell] - z) < height:  # False for NaN
         return False
-    x, y = center(layout, cell)
-    for other in range(len(layout.width)):
-        width = layout.width[other]
-        col, row = in_cells(layout, other, x, y)
-        if other != level and 0 <= row < layout.height[other] and 0 <= col < width:
-            there = layout.start[other] + np.int64(row) * width + np.int64(col)
-            if not mask[there] and abs(floor[there] - z) < height:
+    x, y = cell_center(layout, cell)
+    for candidate in range(len(layout.width)):
+        width = layout.width[candidate]
+        u, v = to_cell_units(layout, candidate, x, y)
+        if candidate != level and 0 <= v < layout.height[candidate] and 0 <= u < width:
+            candidate_cell = layout.start[candidate] + np.int64(v) * width + np.int64(u)
+            if not mask[candidate_cell] and abs(floor[candidate_cell] - z) < height:
                 return True
     return False

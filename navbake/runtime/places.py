@@ -131,7 +131,9 @@ class PlaceQuestions:
             cells = places.locate(flat.layout, flat.floors, on, points)
             answers = (cells >= 0) & flat.free[cells]
         else:
-            answers = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
+            answers = places.mark_standing(
+                flat.layout, flat.floors, flat.free, float(max_drop), points
+            )
         return bool(answers[0]) if p.ndim == 1 else answers.reshape(p.shape[:-1])
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
@@ -305,7 +307,7 @@ def snap(
     if points.shape[1] == 2:
         same_level = True
         points = np.column_stack([points, np.full(len(points), flat.floors.ground[on])])
-    found, cells = places.snap_each(
+    found, cells = places.snap_positions(
         flat.layout, flat.floors, allowed, on, same_level, float(max_distance), points
     )
     return found.reshape(*p.shape[:-1], 3), cells.reshape(p.shape[:-1])
@@ -351,7 +353,7 @@ def _find_obstacles(
     # floors less than this apart are at one height for an agent, as in `grid.inflate`
     overlap = search.grid.agent_height - flat.floors.max_step
     on, points = flat_grid.as_points(p, level)
-    homes, cells, distances = places.find_obstacles(
+    homes, cells, distances = places.find_nearest_obstacles(
         flat.layout, flat.floors, search.occupied, overlap, on, float(max_distance), points
     )
     if (homes < 0).any():

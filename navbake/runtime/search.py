@@ -137,7 +137,7 @@ class Search:
         covered = least * octile(one - other)
         spent = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[wide]
         dearest = float((spent + covered).max(initial=0.0))
-        buckets = routes.bucket_width(size, least, most, longest, dearest)
+        buckets = routes.plan_buckets(size, least, most, longest, dearest)
         same = least if least == most else 0.0
         graph: Graph = arrays.Graph(flat.layout, links, self._moves, weight, same, least, *buckets)
         return graph
@@ -292,11 +292,13 @@ class Search:
                 low = places.min(axis=0)
                 high = places.max(axis=0)
                 direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
-                graph = graph._replace(lead=float((direct - (ways + direct).min(axis=1)).max()))
+                graph = graph._replace(
+                    link_saving=float((direct - (ways + direct).min(axis=1)).max())
+                )
         cells = self._find(graph, np.array([origin]), goals)
         if not len(cells):
             return None
-        by_link = self._visits.mark[cells] & routes.WAY == routes.LINK
+        by_link = self._visits.mark[cells] & routes.MOVE_BITS == routes.BY_LINK
         return Route(cells, by_link, float(self._visits.cost[cells[-1]]))
 
     def measure(
@@ -357,12 +359,12 @@ class Search:
         cost, way = self._flood(goals, "cost", True)
         cells = np.arange(flat.num_cells)
         # the field grew from the goals: the next cell is the reversed move
-        steps = np.zeros((2, routes.WAY + 1), dtype=np.int64)
+        steps = np.zeros((2, routes.MOVE_BITS + 1), dtype=np.int64)
         steps[:, : len(arrays.ROW_STEP)] = arrays.ROW_STEP, arrays.COL_STEP
         down, across = steps[:, way]
         width = flat.layout.width[flat.level_of(cells)]
         onward = np.where(np.isfinite(cost), cells - down * width - across, -1)
-        by_link = (way[links.cell] == routes.LINK) & (onward[links.cell] >= 0)
+        by_link = (way[links.cell] == routes.BY_LINK) & (onward[links.cell] >= 0)
         onward[links.cell[by_link]] = self._visits.link_from[by_link]
         return cost, onward
 
@@ -371,7 +373,9 @@ class Search:
         self._find(self.graph_by(by, backwards=backwards), goals, NO_CELLS)
         mark = self._visits.mark
         cost = self._visits.cost
-        return np.where(mark >= self._number * routes.SEARCH, cost, np.inf), mark & routes.WAY
+        return np.where(
+            mark >= self._number * routes.SEARCH_UNIT, cost, np.inf
+        ), mark & routes.MOVE_BITS
 
     def _find(self, graph: Any, sources: Int, goals: Int) -> Int:
         """`navbake.runtime.search_kernels.find_route`, with a queue that grows as needed."""

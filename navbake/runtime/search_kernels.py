@@ -1,13 +1,13 @@
 """The steps of a grid, the cheapest route over them, and what the routes from all cells cost.
 
 `find_route` is A* (Hart, Nilsson and Raphael 1968), and without a goal Dijkstra's algorithm (1959).
-A step costs its length [m] times the weight of the cell that it leads to. What is left to the goals
-is estimated by the octile distance to the box round them times the smallest weight, which is never
-too much, so the answer is the cheapest route. On another level the same estimate holds along x and
-y, since a step to it costs at least what it covers there. A passage over a link may cost less. So
-the search goes on, once a goal is reached, by as much as links may save on the way to it: an
-estimate that is too high by at most that leaves the answer exact (Harris 1974, the bandwidth
-condition).
+A step costs its length [m] times the weight of the cell that it leads to. The cost that remains to
+the goals is estimated by the octile distance to the box round them times the smallest weight. The
+estimate is never too high, so the route found is the cheapest. On another level the same estimate
+holds along x and y, since a step to it costs at least what it covers there. A passage over a link
+may cost less. So the search goes on, once a goal is reached, by as much as links may save on the
+route to it: an estimate that is too high by at most that leaves the answer exact (Harris 1974, the
+bandwidth condition).
 
 The queue has buckets (Dial 1969), each as wide as a share of the cheapest step, whose cells come
 out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro (2006). Unlike there,
@@ -29,66 +29,80 @@ from navbake.runtime.grid_arrays import (
     ROW_STEP,
     SOUTH,
     WEST,
-    center,
-    find_slot,
-    in_cells,
+    cell_center,
+    find_link_slot,
     level_of,
+    to_cell_units,
 )
 
-BESIDE = np.array([0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST])  # a corner
-SHARE = 0.5  # of the cheapest step that a bucket is wide: up to 1, few cells are expanded twice
+# by direction, the bits of the two straight moves beside a diagonal one
+STRAIGHT_PARTS = np.array([0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST])
+# share of the cheapest step that a bucket is wide: up to 1, few cells are expanded twice
+BUCKET_SHARE = 0.5
 MAX_BUCKETS = 1 << 16
-# first entry to use again, entries ever used, entries in the queue
-SPARE = 0
-USED = 1
-OPEN = 2
+# indices in the queue's counters: the first entry to use again, -1 for none; the number of entries
+# ever used; and the number of entries in the queue
+SPARE_ENTRY = 0
+NUM_USED = 1
+NUM_OPEN = 2
 
 # The bits of a cell's `mark`:
-#   0 to 3   the way it was reached: a direction, START, LINK or NONE
+#   0 to 3   how the cell was reached: a direction, FROM_SOURCE, BY_LINK or NOT_REACHED
 #   4        whether it is a goal
 #   5        whether it was expanded
 #   6 on     the number of the search that wrote it, so that nothing is cleared between searches
-WAY = 15
-GOAL = 16
-CLOSED = 32
-SEARCH = 64
-START = 8
-LINK = 9
-NONE = 15
-# what comes of a search
+MOVE_BITS = 15
+GOAL_BIT = 16
+EXPANDED_BIT = 32
+SEARCH_UNIT = 64
+FROM_SOURCE = 8
+BY_LINK = 9
+NOT_REACHED = 15
+# how a search ended
 DONE = 0
-NO_ROOM = 1
+QUEUE_FULL = 1
 
 
 @kernel
-def find_moves(free, diagonal, floors, slopes, cut, layout, level, window, moves):
-    """Write the moves of a window of a level: rows and columns, the last ones excluded.
+def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
+    """Write the moves of the cells in a window of a level.
 
-    A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope,
-    see `navbake.runtime.flat_grid.FlatGrid`. A diagonal one also needs both cells beside it, and
-    steps over either of them, and clearance (`diagonal`, by cell) at both its ends, unless corners
-    may be `cut`.
+    A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope.
+    A diagonal one also needs both cells beside it, and steps over either of them, and room for the
+    agent at both its ends, unless it may cut corners.
+
+    Args:
+        free: by cell, bool.
+        fits_diagonally: by cell, whether the agent has room for a diagonal step.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        slopes: by cell, bits EAST and SOUTH, see `navbake.runtime.flat_grid.FlatGrid`.
+        cut_corners: whether diagonal moves past blocked corners are allowed.
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        level: the window's level.
+        window: first and last row, first and last column, the last ones excluded.
+        moves: by cell, uint8, written: bit d is set where a move leads in direction d.
     """
     floor = floors.z
     max_step = floors.max_step
-    first = layout.start[level]
+    first_cell = layout.start[level]
     width = layout.width[level]
     height = layout.height[level]
     row0, row1, col0, col1 = window
     for row in range(max(row0, 0), min(row1, height)):
         for col in range(max(col0, 0), min(col1, width)):
-            cell = first + row * width + col
-            found = 0
-            for way in range(8 if free[cell] else 0):
-                down = ROW_STEP[way] * width
-                across = COL_STEP[way]
-                if not (0 <= row + ROW_STEP[way] < height and 0 <= col + across < width):
+            cell = first_cell + row * width + col
+            bits = 0
+            for direction in range(8 if free[cell] else 0):
+                down = ROW_STEP[direction] * width
+                across = COL_STEP[direction]
+                is_inside_rows = 0 <= row + ROW_STEP[direction] < height
+                if not (is_inside_rows and 0 <= col + across < width):
                     continue
-                one = cell + across
-                other = cell + down
+                row_neighbor = cell + across
+                col_neighbor = cell + down
                 target = cell + down + across
                 is_steep = False
-                if way >= 4:
+                if direction >= 4:
                     if not free[target]:
                         continue
                     is_steep = abs(floor[cell] - floor[target]) > max_step
@@ -97,51 +111,66 @@ def find_moves(free, diagonal, floors, slopes, cut, layout, level, window, moves
                     if is_steep and not (
                         slopes.shape[0] > 0
                         and (
-                            abs(floor[cell] - floor[one]) > max_step
-                            or abs(floor[cell] - floor[other]) > max_step
-                            or abs(floor[one] - floor[target]) > max_step
-                            or abs(floor[other] - floor[target]) > max_step
+                            abs(floor[cell] - floor[row_neighbor]) > max_step
+                            or abs(floor[cell] - floor[col_neighbor]) > max_step
+                            or abs(floor[row_neighbor] - floor[target]) > max_step
+                            or abs(floor[col_neighbor] - floor[target]) > max_step
                         )
                     ):
                         continue
-                elif not _joined(cell, target, free, floor, max_step, slopes):
+                elif not _is_step(cell, target, free, floor, max_step, slopes):
                     continue
-                # the four cells of a corner must be connected: `found` has the two edges of this
-                # cell already, the last two tests are about those of the target
-                if (way < 4 or (cut and not is_steep)) or (
-                    found & BESIDE[way] == BESIDE[way]
-                    and (cut or (diagonal[cell] and diagonal[target]))
-                    and _joined(one, target, free, floor, max_step, slopes)
-                    and _joined(other, target, free, floor, max_step, slopes)
+                # The four cells of a corner must be connected: `bits` has the two edges of this
+                # cell already, the last two tests are about those of the target.
+                if (direction < 4 or (cut_corners and not is_steep)) or (
+                    bits & STRAIGHT_PARTS[direction] == STRAIGHT_PARTS[direction]
+                    and (cut_corners or (fits_diagonally[cell] and fits_diagonally[target]))
+                    and _is_step(row_neighbor, target, free, floor, max_step, slopes)
+                    and _is_step(col_neighbor, target, free, floor, max_step, slopes)
                 ):
-                    found |= 1 << way
-            moves[cell] = found
+                    bits |= 1 << direction
+            moves[cell] = bits
 
 
 @subkernel
-def _joined(a, b, free, floor, max_step, slopes):
-    if not free[b]:
+def _is_step(cell, neighbor, free, floor, max_step, slopes):
+    """Whether an agent may step over the edge between a cell and a neighbour, which is free."""
+    if not free[neighbor]:
         return False
-    if not abs(floor[a] - floor[b]) > max_step:  # so that NaN, no floor, is no step
+    if not abs(floor[cell] - floor[neighbor]) > max_step:  # so that NaN, no floor, is no step
         return True
     if slopes.shape[0] == 0:
         return False
-    bit = EAST if abs(a - b) == 1 else SOUTH
-    return slopes[min(a, b)] & bit != 0
+    bit = EAST if abs(cell - neighbor) == 1 else SOUTH
+    return slopes[min(cell, neighbor)] & bit != 0
 
 
-def bucket_width(
-    size: float, least: float, most: float, longest_link: float, dearest: float = 0.0
+def plan_buckets(
+    cell_size: float,
+    least_weight: float,
+    greatest_weight: float,
+    longest_step: float,
+    dearest_passage: float = 0.0,
 ) -> tuple[float, int]:
-    """Return the width of a bucket, a cost [m], and the number of buckets, a power of two.
+    """Compute the width of the queue's buckets, and how many of them a search needs.
 
-    A bucket is `SHARE` of the cheapest step wide, wider where that would take over `MAX_BUCKETS`.
-    `size` is the smallest cell's edge [m], `least` and `most` bound the weights of cells, `dearest`
-    is the cost of the dearest passage, with what the estimate may rise over it.
+    A bucket is `BUCKET_SHARE` of the cheapest step wide, wider where that would take over
+    `MAX_BUCKETS`.
+
+    Args:
+        cell_size: edge of the smallest cell [m].
+        least_weight: the smallest weight of a free cell, >= 0.
+        greatest_weight: the largest weight of a free cell.
+        longest_step: length of the longest step between levels [m].
+        dearest_passage: cost of the dearest passage over a link, with what the estimate may rise
+            over it.
+
+    Returns:
+        The width, a cost; and the number of buckets, a power of two.
     """
     # from a bucket to a new entry
-    farthest = max(2.0 * most * max(DIAGONAL * size, longest_link), dearest)
-    width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
+    farthest = max(2.0 * greatest_weight * max(DIAGONAL * cell_size, longest_step), dearest_passage)
+    width = max(BUCKET_SHARE * cell_size * least_weight, farthest / (MAX_BUCKETS - 4))
     if not width > 0.0:  # all steps are free of cost: one bucket holds everything
         return 1.0, 4
     count = 4
@@ -151,39 +180,50 @@ def bucket_width(
 
 
 @subkernel
-def _push(head, state, entry_cell, entry_next, bucket, cell):
+def _push(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
     """Put a cell into a bucket; the caller has checked that an entry is left."""
-    slot = bucket & (head.shape[0] - 1)  # the remainder, as the number is a power of two
-    entry = state[SPARE]
+    # the remainder, as the number of buckets is a power of two
+    slot = bucket_number & (bucket_head.shape[0] - 1)
+    entry = counters[SPARE_ENTRY]
     if entry >= 0:
-        state[SPARE] = entry_next[entry]
+        counters[SPARE_ENTRY] = entry_next[entry]
     else:
-        entry = state[USED]
-        state[USED] += 1
+        entry = counters[NUM_USED]
+        counters[NUM_USED] += 1
     entry_cell[entry] = cell
-    entry_next[entry] = head[slot]
-    head[slot] = entry
-    state[OPEN] += 1
+    entry_next[entry] = bucket_head[slot]
+    bucket_head[slot] = entry
+    counters[NUM_OPEN] += 1
 
 
 @subkernel
 def _lower_bound(row, col, box, scale):
-    """What a route from a cell to the goals' box costs at least: the octile distance."""
-    a = max(box[0] - row, row - box[1], 0.0)
-    b = max(box[2] - col, col - box[3], 0.0)
-    return scale * (max(a, b) + (DIAGONAL - 1.0) * min(a, b))
+    """Compute the least cost of a route from a cell to the goals' box: the octile distance.
+
+    `box` has the first and last row, first and last column; `scale` is the cost of a cell.
+    """
+    down = max(box[0] - row, row - box[1], 0.0)
+    across = max(box[2] - col, col - box[3], 0.0)
+    return scale * (max(down, across) + (DIAGONAL - 1.0) * min(down, across))
 
 
 @kernel
-def find_route(graph, sources, goals, number, visits):
-    """Find the cheapest route from a source to a goal; all are free cells, no source is a goal.
+def find_route(graph, sources, goals, search_number, visits):
+    """Find the cheapest route from a source to a goal; see the module's head.
 
-    Without goals all cells are reached, and a step is taken backwards, as links must be turned
-    round for: then ``visits.cost`` is what the route from a cell to the nearest source costs. The
-    search's number must be larger than any that wrote into ``visits.mark``.
+    Without goals all cells are reached, and a step is taken backwards, as links must be reversed
+    for: then ``visits.cost`` is the cost of the route from each cell to the nearest source.
 
-    Returns DONE, or NO_ROOM if there are too few entries for the open cells; and the route's flat
-    ids from source to goal, none where there is no route.
+    Args:
+        graph: `navbake.runtime.grid_arrays.Graph`.
+        sources: flat ids of free cells, int64.
+        goals: flat ids of free cells, int64, none of them a source; empty for no goal.
+        search_number: larger than any that wrote into ``visits.mark``.
+        visits: `navbake.runtime.grid_arrays.Visits`, written.
+
+    Returns:
+        `DONE`, or `QUEUE_FULL` if there are too few entries for the open cells; and the route's
+        flat ids from source to goal, int64, none where there is no route.
     """
     layout = graph.layout
     route = np.empty(256, np.int64)
@@ -197,143 +237,152 @@ def find_route(graph, sources, goals, number, visits):
     least_weight = graph.least_weight
     bucket = graph.bucket
     mark, cost, link_from, entry_cell, entry_next = visits
-    head = np.full(graph.num_buckets, -1, np.int32)
-    state = np.array([-1, 0, 0])
-    last_slot = head.shape[0] - 1
-    # a smaller gain is rounding
+    bucket_head = np.full(graph.num_buckets, -1, np.int32)
+    counters = np.array([-1, 0, 0])
+    last_slot = bucket_head.shape[0] - 1
     per_bucket = 1.0 / bucket
-    slack = 1e-9 * bucket
-    mine = number * SEARCH
+    rounding = 1e-9 * bucket  # a smaller gain is none
+    own_mark = search_number * SEARCH_UNIT
     has_goals = goals.shape[0] > 0
-    best = np.inf
-    reached = np.int64(-1)
-    x0 = np.inf
-    x1 = -np.inf
-    y0 = np.inf
-    y1 = -np.inf
+    best_cost = np.inf  # of a goal
+    best_goal = np.int64(-1)
+    x_min = np.inf
+    x_max = -np.inf
+    y_min = np.inf
+    y_max = -np.inf
     for goal in goals:
-        mark[goal] = mine | GOAL | NONE
+        mark[goal] = own_mark | GOAL_BIT | NOT_REACHED
         cost[goal] = np.inf
-        x, y = center(layout, goal)
-        x0 = min(x0, x)
-        x1 = max(x1, x)
-        y0 = min(y0, y)
-        y1 = max(y1, y)
+        x, y = cell_center(layout, goal)
+        x_min = min(x_min, x)
+        x_max = max(x_max, x)
+        y_min = min(y_min, y)
+        y_max = max(y_max, y)
     # the box round the goals by level: first and last row, first and last column
     box = np.empty((width.shape[0], 4))
     for level in range(width.shape[0]):
-        left, top = in_cells(layout, level, x0, y1)
-        right, bottom = in_cells(layout, level, x1, y0)
-        box[level, 0] = top - 0.5
-        box[level, 1] = bottom - 0.5
-        box[level, 2] = left - 0.5
-        box[level, 3] = right - 0.5
-    at = np.int64(0)
+        first_col, first_row = to_cell_units(layout, level, x_min, y_max)
+        last_col, last_row = to_cell_units(layout, level, x_max, y_min)
+        box[level, 0] = first_row - 0.5
+        box[level, 1] = last_row - 0.5
+        box[level, 2] = first_col - 0.5
+        box[level, 3] = last_col - 0.5
+
+    bucket_number = np.int64(0)
     for source in sources:
-        if state[USED] == entry_cell.shape[0]:
-            return NO_ROOM, route[:0]
-        if mark[source] < mine:  # a source may be given twice
-            mark[source] = mine | START
+        if counters[NUM_USED] == entry_cell.shape[0]:
+            return QUEUE_FULL, route[:0]
+        if mark[source] < own_mark:  # a source may be listed twice
+            mark[source] = own_mark | FROM_SOURCE
             cost[source] = 0.0
             if has_goals:
                 level = level_of(start, source)
                 row, col = divmod(source - start[level], width[level])
                 bound = _lower_bound(row, col, box[level], cell_size[level] * least_weight)
-                at = np.int64(bound * per_bucket)
-            _push(head, state, entry_cell, entry_next, at, source)
+                bucket_number = np.int64(bound * per_bucket)
+            _push(bucket_head, counters, entry_cell, entry_next, bucket_number, source)
+
+    # of the level of the cell that is expanded
     level = 0
-    first = start[0]
-    columns = width[0]
+    first_cell = start[0]
+    num_cols = width[0]
     size = cell_size[0]
-    while state[OPEN] > 0:
-        entry = head[at & last_slot]
+    while counters[NUM_OPEN] > 0:
+        entry = bucket_head[bucket_number & last_slot]
         if entry < 0:
-            at += 1
-            # All that is still open costs as much as this bucket at least. A goal counts only
-            # now, as a cheaper way to it may have been in the bucket that it was found in.
-            if at * bucket >= best + graph.lead:
+            bucket_number += 1
+            # All open cells cost as much as this bucket at least. A goal counts only now, as a
+            # cheaper route to it may have been in the bucket that it was found in.
+            if bucket_number * bucket >= best_cost + graph.link_saving:
                 break
             continue
-        head[at & last_slot] = entry_next[entry]
-        entry_next[entry] = state[SPARE]
-        state[SPARE] = entry
-        state[OPEN] -= 1
+        bucket_head[bucket_number & last_slot] = entry_next[entry]
+        entry_next[entry] = counters[SPARE_ENTRY]
+        counters[SPARE_ENTRY] = entry
+        counters[NUM_OPEN] -= 1
         cell = np.int64(entry_cell[entry])
-        if mark[cell] & (CLOSED | GOAL):  # over a goal, no other is cheaper
+        if mark[cell] & (EXPANDED_BIT | GOAL_BIT):  # a route over a goal gets no goal cheaper
             continue
-        mark[cell] |= CLOSED
-        here = cost[cell]
-        ways = moves[cell]
-        if cell < first or cell >= start[level + 1]:
+        mark[cell] |= EXPANDED_BIT
+        cell_cost = cost[cell]
+        cell_moves = moves[cell]
+        if cell < first_cell or cell >= start[level + 1]:
             level = level_of(start, cell)
-            first = start[level]
-            columns = width[level]
+            first_cell = start[level]
+            num_cols = width[level]
             size = cell_size[level]
-        slot = find_slot(link_cell, cell) if is_end.shape[0] > 0 and is_end[cell] else -1
+        slot = find_link_slot(link_cell, cell) if is_end.shape[0] > 0 and is_end[cell] else -1
         num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
-        if state[USED] + 8 + num_links > entry_cell.shape[0]:
-            return NO_ROOM, route[:0]
-        row, col = divmod(cell - first, columns) if has_goals else (np.int64(0), np.int64(0))
-        for way in range(8 + num_links):
-            r = row
-            c = col
-            on = level
-            extra = 0.0
-            if way < 8:
-                if not (ways >> way) & 1:
+        if counters[NUM_USED] + 8 + num_links > entry_cell.shape[0]:
+            return QUEUE_FULL, route[:0]
+        row, col = divmod(cell - first_cell, num_cols) if has_goals else (np.int64(0), np.int64(0))
+        for move in range(8 + num_links):  # the eight directions, then the links
+            target_row = row
+            target_col = col
+            target_level = level
+            passage_cost = 0.0
+            if move < 8:
+                if not (cell_moves >> move) & 1:
                     continue
-                r = row + ROW_STEP[way]
-                c = col + COL_STEP[way]
-                target = cell + ROW_STEP[way] * columns + COL_STEP[way]
-                length = size if way < 4 else size * DIAGONAL
+                target_row = row + ROW_STEP[move]
+                target_col = col + COL_STEP[move]
+                target = cell + ROW_STEP[move] * num_cols + COL_STEP[move]
+                length = size if move < 4 else size * DIAGONAL
             else:
-                link = link_start[slot] + way - 8
+                link = link_start[slot] + move - 8
                 target = link_target[link]
                 length = link_length[link]
-                extra = link_cost[link]
+                passage_cost = link_cost[link]
                 if not math.isfinite(weight[target]):
                     continue
                 if has_goals:
-                    on = level_of(start, target)
-                    r, c = divmod(target - start[on], width[on])
+                    target_level = level_of(start, target)
+                    target_row, target_col = divmod(
+                        target - start[target_level], width[target_level]
+                    )
             # Backwards, the step that is added leads into this cell. Steps lead both ways, so the
-            # moves out of a cell are those into it; links are given turned round.
-            price = same_weight
+            # moves out of a cell are those into it; links come reversed.
+            step_weight = same_weight
             if same_weight <= 0.0:
-                # most neighbours are known by ways that the smallest weight can't beat
-                if mark[target] >= mine and here + length * least_weight >= cost[target] - slack:
+                # most neighbours were reached at a cost that the smallest weight can't beat
+                least_cost = cell_cost + length * least_weight
+                if mark[target] >= own_mark and least_cost >= cost[target] - rounding:
                     continue
-                price = weight[target if has_goals else cell]
-            total = there = here + length * price + extra
-            goal = 0
-            if mark[target] >= mine:  # no search has a larger number
-                if there >= cost[target] - slack:
+                step_weight = weight[target if has_goals else cell]
+            target_cost = cell_cost + length * step_weight + passage_cost
+            goal_bit = 0
+            if mark[target] >= own_mark:  # no search has a larger number
+                if target_cost >= cost[target] - rounding:
                     continue
-                goal = mark[target] & GOAL
-            if way >= 8:
-                link_from[find_slot(link_cell, target)] = cell
-            # without CLOSED: a cell that got cheaper is expanded again
-            mark[target] = mine | goal | (way if way < 8 else LINK)
-            cost[target] = there
-            if goal and there < best:
-                best = there
-                reached = target
+                goal_bit = mark[target] & GOAL_BIT
+            if move >= 8:
+                link_from[find_link_slot(link_cell, target)] = cell
+            # without EXPANDED_BIT: a cell that got cheaper is expanded again
+            mark[target] = own_mark | goal_bit | (move if move < 8 else BY_LINK)
+            cost[target] = target_cost
+            if goal_bit and target_cost < best_cost:
+                best_cost = target_cost
+                best_goal = target
+            estimate = target_cost
             if has_goals:
-                total += _lower_bound(r, c, box[on], cell_size[on] * least_weight)
-            bucket_at = max(np.int64(total * per_bucket), at)
-            _push(head, state, entry_cell, entry_next, bucket_at, target)
+                scale = cell_size[target_level] * least_weight
+                estimate += _lower_bound(target_row, target_col, box[target_level], scale)
+            target_bucket = max(np.int64(estimate * per_bucket), bucket_number)
+            _push(bucket_head, counters, entry_cell, entry_next, target_bucket, target)
+
+    # from the goal back along the moves that the cells were reached by
     count = 0
-    cell = reached
-    while cell >= 0:  # back along the ways that the cells were reached by
+    cell = best_goal
+    while cell >= 0:
         if count == route.shape[0]:
             route = np.append(route, np.empty_like(route))
         route[count] = cell
         count += 1
-        way = mark[cell] & WAY
-        if way == START:
+        move = mark[cell] & MOVE_BITS
+        if move == FROM_SOURCE:
             break
-        if way == LINK:
-            cell = link_from[find_slot(link_cell, cell)]
+        if move == BY_LINK:
+            cell = link_from[find_link_slot(link_cell, cell)]
         else:
-            cell -= ROW_STEP[way] * width[level_of(start, cell)] + COL_STEP[way]
+            cell -= ROW_STEP[move] * width[level_of(start, cell)] + COL_STEP[move]
     return DONE, route[:count][::-1].copy()

@@ -5,7 +5,7 @@ Tracing" (1987). Unlike there, each crossing is computed from the cell's own edg
 because a link may lead to a level whose cells lie elsewhere.
 
 A slide is a flood over the free cells within reach, with lengths that are corrected until none
-gets shorter (Bellman and Ford with a queue). Of every cell that is reached, the point that is the
+gets shorter (Bellman and Ford with a queue). In each cell that is reached, the point that is the
 nearest to the end is a candidate.
 """
 
@@ -16,66 +16,92 @@ import numpy as np
 from navbake.compiled import kernel, subkernel
 from navbake.runtime.grid_arrays import (
     DIAGONAL,
-    center,
-    find_slot,
+    cell_center,
+    clamp_to_cell,
+    find_link_slot,
     floor_at,
-    in_cells,
     level_of,
-    put_into,
+    to_cell_units,
 )
 from navbake.runtime.place_kernels import locate
 
-FARTHEST = 1e6  # metres that a step may be long: no cells are counted up to beyond all grids
-ROUNDING = 1.09  # a walk over eight neighbours is at most so much longer than a straight line
+MAX_STEP_LENGTH = 1e6  # [m]: a longer step is cut, so that no cells beyond all grids are counted
+DETOUR = 1.09  # a walk over eight neighbours is at most so many times as long as a straight line
+LENGTH_SLACK = 1e-9  # share of a length, or of a cell, that is rounding
 
 
 @kernel
 def step_each(layout, links, floors, passable, level, starts, ends, sliding):
-    """Walk from starts straight to ends, x, y [m], and slide on; see `PathFinder.try_step`.
+    """Walk from each start straight to its end, and slide on; see `PathFinder.try_step`.
 
-    Returns world x, y and floor z of where the ways end, shape (n, 3); and the index of the first
-    start whose cell is not passable, -1 for none.
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        links: steps to other levels, `navbake.runtime.grid_arrays.Links`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        passable: by cell, bool.
+        level: the level of all starts; -1 to find each one's level.
+        starts: world x, y, z [m], shape (n, 3), or (n, 2) with a level.
+        ends: world x, y [m], shape (n, 2).
+        sliding: whether to slide on from where the straight walk stops.
+
+    Returns:
+        World x, y and floor z of where the walks end [m], shape (n, 3); and the index of the first
+        start whose cell is not passable, -1 for none.
     """
     no_rooms = np.empty(0, dtype=np.int32)
     cells = locate(layout, floors, level, starts)
-    found = np.empty((len(starts), 3))
+    places = np.empty((len(starts), 3))
     for i in range(len(starts)):
         cell = cells[i]
         if cell < 0 or not passable[cell]:
-            return found, i
+            return places, i
         x0 = starts[i, 0]
         y0 = starts[i, 1]
         x1 = ends[i, 0]
         y1 = ends[i, 1]
         farthest = max(abs(x1 - x0), abs(y1 - y0))
-        if farthest > FARTHEST:
-            x1 = x0 + (x1 - x0) * (FARTHEST / farthest)
-            y1 = y0 + (y1 - y0) * (FARTHEST / farthest)
+        if farthest > MAX_STEP_LENGTH:
+            x1 = x0 + (x1 - x0) * (MAX_STEP_LENGTH / farthest)
+            y1 = y0 + (y1 - y0) * (MAX_STEP_LENGTH / farthest)
         cell, share = walk_line(layout, links, floors, passable, no_rooms, cell, x0, y0, x1, y1)
-        x, y = put_into(layout, cell, x0 + share * (x1 - x0), y0 + share * (y1 - y0))
+        x, y = clamp_to_cell(layout, cell, x0 + share * (x1 - x0), y0 + share * (y1 - y0))
         if share < 1.0 and sliding:
             cell, x, y = _slide(layout, links, floors, passable, cell, x, y, x1, y1)
-        found[i, 0] = x
-        found[i, 1] = y
-        found[i, 2] = floor_at(floors, level_of(layout.start, cell), cell)
-    return found, -1
+        places[i, 0] = x
+        places[i, 1] = y
+        places[i, 2] = floor_at(floors, level_of(layout.start, cell), cell)
+    return places, -1
 
 
 @kernel
 def first_in_sight(layout, links, floors, passable, room, cell, point, cells, points):
-    """The index of the first of some points in cells that is in sight of a point, -1 for none.
+    """Find the first of some points that is in sight of a point.
 
     A straight line between them must meet passable cells only; heights count as far as `floors`
-    have a finite `max_step`. Where `room` is not empty, the line may start in something; see
-    `walk_line`.
+    have a finite `max_step`.
+
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        links: steps to other levels, `navbake.runtime.grid_arrays.Links`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        passable: by cell, bool.
+        room: by cell, int32; if it isn't empty, the line may start in cells that are not passable,
+            see `walk_line`.
+        cell: flat id of the point's cell.
+        point: world x, y [m].
+        cells: flat ids of the cells of `points`, shape (n,).
+        points: world x, y [m], shape (n, 2 or more).
+
+    Returns:
+        The point's index in `points`, -1 for none.
     """
     if len(room) == 0 and not passable[cell]:
         return -1
-    x0, y0 = put_into(layout, cell, point[0], point[1])
+    x0, y0 = clamp_to_cell(layout, cell, point[0], point[1])
     for i in range(len(cells)):
         target = cells[i]
         if passable[target]:
-            x1, y1 = put_into(layout, target, points[i, 0], points[i, 1])
+            x1, y1 = clamp_to_cell(layout, target, points[i, 0], points[i, 1])
             end, _ = walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1)
             if end == target:
                 return i
@@ -84,18 +110,21 @@ def first_in_sight(layout, links, floors, passable, room, cell, point, cells, po
 
 @subkernel
 def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
-    """Walk from a point in a cell straight to another: to which cell, and what share of the way.
+    """Walk from a point in a cell straight to another point, as far as cells are passable.
 
     Through a corner of four cells, one of the two beside the line has to be passable. If `room`,
     by cell, is not empty, the line may start in cells that are not passable, and continue in them
     as long as they are of the first one's room, until it leaves them.
+
+    Returns the flat id of the last cell, and the share of the line up to where it leaves that cell,
+    1 at its end.
     """
     dx = x1 - x0
     dy = y1 - y0
-    across = 1 if dx > 0 else -1
-    down = 1 if dy < 0 else -1
-    home = cell
-    leaving = len(room) > 0 and not passable[cell]
+    col_step = 1 if dx > 0 else -1
+    row_step = 1 if dy < 0 else -1
+    first_cell = cell
+    is_leaving = len(room) > 0 and not passable[cell]
     share = 0.0
     while True:
         level = level_of(layout.start, cell)
@@ -103,66 +132,67 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
         row, col = divmod(cell - layout.start[level], layout.width[level])
         edge_x = layout.x_min[level] + (col + (dx > 0)) * size
         edge_y = layout.y_max[level] - (row + (dy < 0)) * size
-        to_x = (edge_x - x0) / dx if dx != 0.0 else np.inf
-        to_y = (edge_y - y0) / dy if dy != 0.0 else np.inf
+        share_x = (edge_x - x0) / dx if dx != 0.0 else np.inf
+        share_y = (edge_y - y0) / dy if dy != 0.0 else np.inf
         # rounding may put an edge of the new cell before the one just crossed: never go back
-        share = max(share, min(to_x, to_y))
+        share = max(share, min(share_x, share_y))
         if share >= 1.0:
             return cell, 1.0
-        following = np.int64(-1)
+        next_cell = np.int64(-1)
         # At a corner the line meets both edges at once. Then the cell over either edge is
-        # enough: the second turn tries the other one, and the next round crosses from there.
-        for turn in range(2):
-            over_x = (to_x <= to_y) == (turn == 0)
-            if following >= 0 or (turn == 1 and to_x != to_y):
+        # enough: the second attempt tries the other one, and the next round crosses from there.
+        for attempt in range(2):
+            if next_cell >= 0 or (attempt == 1 and share_x != share_y):
                 break
-            dr, dc = (0, across) if over_x else (down, 0)
-            following = _cross(layout, links, passable, floors, cell, dr, dc)
-            if following < 0 and leaving:
-                beside = _beside(layout, cell, dr, dc)
-                following = beside if beside >= 0 and room[beside] == room[home] else following
-        if following < 0:
+            is_over_x = (share_x <= share_y) == (attempt == 0)
+            down, across = (0, col_step) if is_over_x else (row_step, 0)
+            next_cell = _cell_over_edge(layout, links, passable, floors, cell, down, across)
+            if next_cell < 0 and is_leaving:
+                neighbor = _neighbor(layout, cell, down, across)
+                if neighbor >= 0 and room[neighbor] == room[first_cell]:
+                    next_cell = neighbor
+        if next_cell < 0:
             return cell, share
-        cell = following
-        leaving = leaving and not passable[cell]
+        cell = next_cell
+        is_leaving = is_leaving and not passable[cell]
 
 
 @subkernel
-def _cross(layout, links, passable, floors, cell, down, across):
-    """The passable cell over one edge of a cell, on its level or over a link, -1 for none.
+def _cell_over_edge(layout, links, passable, floors, cell, down, across):
+    """Find the passable cell over one edge of a cell, on its level or over a link; -1 for none.
 
-    Of `down`, `across` one is 0, one ±1.
+    One of `down` and `across` is 0, the other 1 or -1.
     """
-    other = _beside(layout, cell, down, across)
-    if other >= 0 and passable[other]:
-        rise = abs(floors.z[cell] - floors.z[other])
+    neighbor = _neighbor(layout, cell, down, across)
+    if neighbor >= 0 and passable[neighbor]:
+        rise = abs(floors.z[cell] - floors.z[neighbor])
         if math.isnan(rise) or rise <= floors.max_step:  # NaN, no floor, is no step
-            return other
-    slot = find_slot(links.cell, cell)
+            return neighbor
+    slot = find_link_slot(links.cell, cell)
     if slot < 0:
         return np.int64(-1)
     size = layout.cell_size[level_of(layout.start, cell)]
-    x, y = center(layout, cell)
+    x, y = cell_center(layout, cell)
     x = x + across * size
     y = y - down * size
-    near = 0.25 * size
+    tolerance = 0.25 * size
     for i in range(links.start[slot], links.start[slot + 1]):
-        other = links.target[i]
-        if passable[other]:
-            other_x, other_y = center(layout, other)
-            if abs(other_x - x) < near and abs(other_y - y) < near:
-                return other
+        target = links.target[i]
+        if passable[target]:
+            target_x, target_y = cell_center(layout, target)
+            if abs(target_x - x) < tolerance and abs(target_y - y) < tolerance:
+                return target
     return np.int64(-1)
 
 
 @subkernel
-def _beside(layout, cell, down, across):
-    """The neighbour on the same level, -1 beyond its rim."""
+def _neighbor(layout, cell, down, across):
+    """Find the neighbour on the same level, -1 beyond its rim."""
     level = level_of(layout.start, cell)
-    columns = layout.width[level]
-    row, col = divmod(cell - layout.start[level], columns)
-    if 0 <= row + down < layout.height[level] and 0 <= col + across < columns:
-        return cell + down * columns + across
+    num_cols = layout.width[level]
+    row, col = divmod(cell - layout.start[level], num_cols)
+    if 0 <= row + down < layout.height[level] and 0 <= col + across < num_cols:
+        return cell + down * num_cols + across
     return np.int64(-1)
 
 
@@ -170,85 +200,99 @@ def _beside(layout, cell, down, across):
 def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
     """Continue from x0, y0 in a cell, where a straight walk to x1, y1 ended, to the nearest point.
 
-    A cell counts if a walk over free neighbours to it is no longer than what is left of the way,
-    and there only points at most as far away as that. Returns its flat id, and x, y in it.
+    A cell counts if a walk over free neighbours to it is no longer than the rest of the straight
+    walk, and there only points at most as far away as that. Returns its flat id, and x, y in it.
     """
-    left = math.hypot(x1 - x0, y1 - y0)
+    remaining = math.hypot(x1 - x0, y1 - y0)
     size = layout.cell_size.min()
-    limit = ROUNDING * left + 1.5 * size
+    limit = DETOUR * remaining + 1.5 * size
     # the cells of each level within reach: first row and column, number of rows and of columns,
     # and the slot of the first one in the arrays of this search
     reach = np.int64(math.ceil(limit / size) + 1)
-    slots = 0
+    num_slots = 0
     window = np.zeros((5, len(layout.width)), dtype=np.int64)
     for level in range(len(layout.width)):
-        u, v = in_cells(layout, level, x0, y0)
+        u, v = to_cell_units(layout, level, x0, y0)
         row = np.int64(math.floor(v))
         col = np.int64(math.floor(u))
-        row0 = max(row - reach, np.int64(0))
-        col0 = max(col - reach, np.int64(0))
-        row1 = max(row0, min(layout.height[level], row + reach + 1))
-        col1 = max(col0, min(layout.width[level], col + reach + 1))
-        window[0, level] = row0
-        window[1, level] = col0
-        window[2, level] = row1 - row0
-        window[3, level] = col1 - col0
-        window[4, level] = slots
-        slots += window[2, level] * window[3, level]
-    length = np.full(slots, np.inf)
-    queued = np.zeros(slots, dtype=np.bool_)
-    queue = np.empty(slots, dtype=np.int64)  # a circle; no cell is in it twice, so all fit
-    at = _slot(layout, window, cell)
-    length[at] = 0.0
+        first_row = max(row - reach, np.int64(0))
+        first_col = max(col - reach, np.int64(0))
+        end_row = max(first_row, min(layout.height[level], row + reach + 1))
+        end_col = max(first_col, min(layout.width[level], col + reach + 1))
+        window[0, level] = first_row
+        window[1, level] = first_col
+        window[2, level] = end_row - first_row
+        window[3, level] = end_col - first_col
+        window[4, level] = num_slots
+        num_slots += window[2, level] * window[3, level]
+    length = np.full(num_slots, np.inf)
+    is_queued = np.zeros(num_slots, dtype=np.bool_)
+    queue = np.empty(num_slots, dtype=np.int64)  # a circle; no cell is in it twice, so all fit
+    slot = _window_slot(layout, window, cell)
+    length[slot] = 0.0
     queue[0] = cell
-    queued[at] = True
+    is_queued[slot] = True
     steps = ((0, 1), (-1, 0), (0, -1), (1, 0))
-    around = np.empty(4, dtype=np.int64)
+    edge_neighbors = np.empty(4, dtype=np.int64)  # of the cell that is expanded
     head = 0
     count = 1
-    best = (np.inf, cell, x0, y0)
+    squared_best = np.inf
+    best_cell = cell
+    best_x = x0
+    best_y = y0
     while count > 0:
-        here = queue[head]
+        current = queue[head]
         head = (head + 1) % len(queue)
         count = count - 1
-        at = _slot(layout, window, here)
-        queued[at] = False
+        slot = _window_slot(layout, window, current)
+        is_queued[slot] = False
         # the better of the best point so far and the nearest one in this cell
-        x, y = put_into(layout, here, x1, y1)
-        d2 = (x - x1) ** 2 + (y - y1) ** 2
-        if d2 < best[0] and math.hypot(x - x0, y - y0) <= left * (1.0 + 1e-9):
-            best = (d2, here, x, y)
-        edge = layout.cell_size[level_of(layout.start, here)]
-        for way in range(8):  # over edges, then over corners past both sides
-            down, across = steps[way % 4]
-            if way < 4:
-                other = _cross(layout, links, passable, floors, here, down, across)
-                around[way] = other
-                there = length[at] + edge
+        x, y = clamp_to_cell(layout, current, x1, y1)
+        squared = (x - x1) ** 2 + (y - y1) ** 2
+        if squared < squared_best and (
+            math.hypot(x - x0, y - y0) <= remaining * (1.0 + LENGTH_SLACK)
+        ):
+            squared_best = squared
+            best_cell = current
+            best_x = x
+            best_y = y
+        edge = layout.cell_size[level_of(layout.start, current)]
+        for direction in range(8):  # over edges, then over corners past both sides
+            down, across = steps[direction % 4]
+            if direction < 4:
+                target = _cell_over_edge(layout, links, passable, floors, current, down, across)
+                edge_neighbors[direction] = target
+                target_length = length[slot] + edge
             else:
-                one = around[way - 4]
-                other = around[(way - 3) % 4]
-                if one < 0 or other < 0:
+                first_side = edge_neighbors[direction - 4]
+                second_side = edge_neighbors[(direction - 3) % 4]
+                if first_side < 0 or second_side < 0:
                     continue
-                dr, dc = steps[(way - 3) % 4]
-                one = _cross(layout, links, passable, floors, one, dr, dc)
-                other = _cross(layout, links, passable, floors, other, down, across)
-                if one != other:  # both ways round the corner end in the same cell
+                next_down, next_across = steps[(direction - 3) % 4]
+                over_first = _cell_over_edge(
+                    layout, links, passable, floors, first_side, next_down, next_across
+                )
+                target = _cell_over_edge(layout, links, passable, floors, second_side, down, across)
+                if over_first != target:  # both walks round the corner end in the same cell
                     continue
-                there = length[at] + edge * DIAGONAL
-            slot = _slot(layout, window, other) if other >= 0 else -1
-            if slot >= 0 and there <= limit and there < length[slot] - 1e-9 * size:
-                length[slot] = there
-                if not queued[slot]:
-                    queue[(head + count) % len(queue)] = other
-                    queued[slot] = True
+                target_length = length[slot] + edge * DIAGONAL
+            target_slot = _window_slot(layout, window, target) if target >= 0 else -1
+            if (
+                target_slot >= 0
+                and target_length <= limit
+                and target_length < length[target_slot] - LENGTH_SLACK * size
+            ):
+                length[target_slot] = target_length
+                if not is_queued[target_slot]:
+                    queue[(head + count) % len(queue)] = target
+                    is_queued[target_slot] = True
                     count = count + 1
-    return best[1], best[2], best[3]
+    return best_cell, best_x, best_y
 
 
 @subkernel
-def _slot(layout, window, cell):
-    """Index of a cell in the windows of all levels, -1 outside."""
+def _window_slot(layout, window, cell):
+    """Compute the index of a cell in the windows of all levels, -1 outside."""
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
     row = row - window[0, level]
