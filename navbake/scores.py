@@ -16,7 +16,8 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -34,112 +35,184 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap
 from navbake.types import Float, Json
 
-THRESHOLD = 3.0  # of nDTW, as VLN-CE has it [m]
-SAMPLES = 1000  # of a bootstrap
-ARRIVED = 1e-6  # metres by which a step may miss its end
+NDTW_THRESHOLD = 3.0  # as VLN-CE has it [m]
+NUM_RESAMPLES = 1000  # of a bootstrap
+ARRIVAL_TOLERANCE = 1e-6  # by which a straight move may miss its end [m]
 MEANS = (
     "success", "spl", "soft_spl", "distance", "oracle_success", "ndtw", "length", "collisions",
     "time", "coverage",
 )  # fmt: skip
 """The measures of an episode of which a table has means."""
-REQUIRED = ("episode", "start", "positions")  # arrays of trajectories
 GROUPS = ("all", "distance", "ratio", "room", "scene", "split")
 
-
-def success(distance: Any, radius: Any, stopped: Any, *, xp: Any = np) -> Any:
-    """1.0 where the agent stopped within the radius, else 0.0; a NaN distance is no success."""
-    one = xp.ones_like(distance)
-    none = xp.zeros_like(distance)
-    return xp.where((distance <= radius) & stopped, one, none)
+Array: TypeAlias = Any
+"""An array of numpy, jax.numpy or torch."""
 
 
-def spl(succeeded: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
-    """Success S weighted by the agent's path length p and the shortest one's l: S l / max(l, p).
+def success(distance: Array, radius: Array, stopped: Array, *, xp: ModuleType = np) -> Array:
+    """Whether agents stopped within the radius of their goals, as 1.0 or 0.0.
 
-    All have the shape (...). 0 where S is 0; S where l is 0; NaN where S is 1 and l is not finite.
+    Args:
+        distance: at the end, shape (...) [m]; NaN is no success.
+        radius: within which the goal is reached, a number or shape (...) [m].
+        stopped: whether the agent called stop, bool or shape (...).
+        xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
+
+    Returns:
+        Floats, shape (...).
+    """
+    is_success = (distance <= radius) & stopped
+    return xp.where(is_success, xp.ones_like(distance), xp.zeros_like(distance))
+
+
+def spl(succeeded: Array, shortest: Array, length: Array, *, xp: ModuleType = np) -> Array:
+    """Success weighted by path length: S l / max(l, p).
+
+    Args:
+        succeeded: S, 1.0 or 0.0, shape (...).
+        shortest: l, the length of the shortest path, shape (...) [m].
+        length: p, the length of the agent's path, shape (...) [m].
+        xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
+
+    Returns:
+        From 0 to 1, shape (...): 0 where S is 0; S where l is 0; NaN where S is 1 and l is not
+        finite.
 
     Source: Anderson et al., "On Evaluation of Embodied Navigation Agents" (2018).
     """
-    return xp.where(succeeded > 0, succeeded * _efficiency(shortest, length, xp), succeeded * 0.0)
+    efficiency = _efficiency(shortest, length, xp)
+    return xp.where(succeeded > 0, succeeded * efficiency, succeeded * 0.0)
 
 
-def soft_spl(distance: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
+def soft_spl(distance: Array, shortest: Array, length: Array, *, xp: ModuleType = np) -> Array:
     """Progress weighted by path length: max(0, 1 - d / l) l / max(l, p).
 
-    d is the distance at the end [m]; the others as in `spl`. Where l is 0, 1 if d is 0, else 0;
-    NaN where l or d is not known.
+    Args:
+        distance: d, how far the goal is at the end, shape (...) [m].
+        shortest: l, the length of the shortest path, shape (...) [m].
+        length: p, the length of the agent's path, shape (...) [m].
+        xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
+
+    Returns:
+        From 0 to 1, shape (...). Where l is 0, 1 if d is 0, else 0; NaN where l or d is NaN.
 
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
-    whole = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
-    left = xp.where(shortest > 0, distance / whole, xp.where(distance > 0, 1.0, distance))
-    progress = xp.where(left > 1, xp.zeros_like(left), 1.0 - left)
+    divisor = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
+    at_goal_already = xp.where(distance > 0, 1.0, distance)
+    remaining = xp.where(shortest > 0, distance / divisor, at_goal_already)
+    progress = xp.where(remaining > 1, xp.zeros_like(remaining), 1.0 - remaining)
     return progress * _efficiency(shortest, length, xp)
 
 
-def _efficiency(shortest: Any, length: Any, xp: Any) -> Any:
-    """L / max(l, p), 1 where l is 0, NaN where l is not finite."""
-    is_known = xp.isfinite(shortest)
-    least = xp.where(is_known & (shortest > 0), shortest, xp.ones_like(shortest))
-    ratio = least / xp.where((length > least) & (shortest > 0), length, least)
-    return xp.where(is_known, ratio, xp.full_like(ratio, math.nan))
+def _efficiency(shortest: Array, length: Array, xp: ModuleType) -> Array:
+    """The shortest path's length l over the agent's p: l / max(l, p).
+
+    1 where l is 0, NaN where l is not finite.
+    """
+    is_finite = xp.isfinite(shortest)
+    positive = xp.where(is_finite & (shortest > 0), shortest, xp.ones_like(shortest))
+    is_detour = (length > positive) & (shortest > 0)
+    ratio = positive / xp.where(is_detour, length, positive)
+    return xp.where(is_finite, ratio, xp.full_like(ratio, math.nan))
 
 
 def path_length(positions: ArrayLike) -> float:
-    """Length of the straight moves between positions, shape (n, 3) [m]; 0 for one or none."""
-    p = np.asarray(positions, dtype=np.float64)
-    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum()) if len(p) > 1 else 0.0
+    """The length of the straight moves between positions.
+
+    Args:
+        positions: shape (n, 3) [m].
+
+    Returns:
+        The length [m]; 0 for one position or none.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    if len(points) < 2:
+        return 0.0
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = np) -> Any:
-    """exp(-DTW / (n threshold)) of a path and a reference of n points, shapes (m, 3) and (n, 3).
+def ndtw(
+    path: Array, reference: Array, threshold: float = NDTW_THRESHOLD, *, xp: ModuleType = np
+) -> Array:
+    """Normalized dynamic time warping of a path and a reference: exp(-DTW / (n threshold)).
 
-    DTW is the least sum of distances over matches that keep the order; NaN without points.
+    DTW is the least sum of distances over matches of all points that keep their order.
+
+    Args:
+        path: the agent's positions, shape (m, 3) [m].
+        reference: the path that it should have taken, shape (n, 3) [m].
+        threshold: the distance at which a point counts as missed [m].
+        xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
+
+    Returns:
+        From 0 to 1; NaN without points.
 
     Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
     Dynamic Time Warping" (2019).
     """
-    p = xp.asarray(path)
-    q = xp.asarray(reference)
-    if not len(p) or not len(q):
+    path = xp.asarray(path)
+    reference = xp.asarray(reference)
+    if not len(path) or not len(reference):
         return math.nan
-    few, many = (p, q) if len(p) < len(q) else (q, p)
-    apart = xp.sqrt(((few[:, None] - many) ** 2).sum(-1))
-    i = xp.arange(len(few))
-    n = len(many)
-    before = last = xp.full_like(apart[:, 0], math.inf)
-    # cells of one anti-diagonal, by their row, depend on the two before it alone
-    for diagonal in range(len(few) + n - 1):
-        j = diagonal - i
-        above = xp.minimum(xp.minimum(last, last[i - 1]), before[i - 1])
-        best = xp.where(i > 0, above, last) if diagonal else xp.zeros_like(last)
-        cost = xp.where((j >= 0) & (j < n), apart[i, xp.clip(j, 0, n - 1)], math.inf)
-        before = last
-        last = cost + best
-    return xp.exp(-last[-1] / (len(q) * threshold))
+    shorter, longer = (path, reference) if len(path) < len(reference) else (reference, path)
+    distances = xp.sqrt(((shorter[:, None] - longer) ** 2).sum(-1))
+    row = xp.arange(len(shorter))
+    num_cols = len(longer)
+    # The least sums are a table, rows by `shorter` and columns by `longer`. The cells of an
+    # anti-diagonal, kept by their rows, depend on nothing but the two anti-diagonals before it.
+    two_before = xp.full_like(distances[:, 0], math.inf)
+    before = two_before
+    for diagonal in range(len(shorter) + num_cols - 1):
+        col = diagonal - row
+        if diagonal:
+            from_above = xp.minimum(xp.minimum(before, before[row - 1]), two_before[row - 1])
+            least_before = xp.where(row > 0, from_above, before)
+        else:
+            least_before = xp.zeros_like(before)
+        is_inside = (col >= 0) & (col < num_cols)
+        distance = xp.where(is_inside, distances[row, xp.clip(col, 0, num_cols - 1)], math.inf)
+        two_before = before
+        before = distance + least_before
+    return xp.exp(-before[-1] / (len(reference) * threshold))
 
 
 class Interval(NamedTuple):
     """A mean and its confidence interval; NaN of no values."""
 
     mean: float
-    low: float
-    high: float
+    low: float  #: The interval's lower end.
+    high: float  #: The interval's upper end.
     known: int  #: Number of values that are no NaN.
 
 
 def bootstrap(
-    values: ArrayLike, *, seed: int = 0, samples: int = SAMPLES, certainty: float = 0.95
+    values: ArrayLike,
+    *,
+    seed: int = 0,
+    samples: int = NUM_RESAMPLES,
+    certainty: float = 0.95,
 ) -> Interval:
-    """Mean of values and its percentile bootstrap interval; NaN values are left out."""
-    known = np.asarray(values, dtype=np.float64).ravel()
-    known = known[~np.isnan(known)]
-    if not len(known):
+    """The mean of values and its percentile bootstrap interval.
+
+    Args:
+        values: of any shape; NaN values are left out.
+        seed: of the random resamples.
+        samples: number of resamples.
+        certainty: the share of resamples whose means lie in the interval, 0 to 1.
+
+    Returns:
+        The mean and the interval.
+    """
+    numbers = np.asarray(values, dtype=np.float64).ravel()
+    numbers = numbers[~np.isnan(numbers)]
+    count = len(numbers)
+    if not count:
         return Interval(math.nan, math.nan, math.nan, 0)
     rng = np.random.default_rng(seed)
-    means = [known[rng.integers(len(known), size=len(known))].mean() for _ in range(samples)]
+    means = [numbers[rng.integers(count, size=count)].mean() for _ in range(samples)]
     low, high = np.quantile(means, [(1 - certainty) / 2, (1 + certainty) / 2])
-    return Interval(float(known.mean()), float(low), float(high), len(known))
+    return Interval(float(numbers.mean()), float(low), float(high), count)
 
 
 class Measures:
@@ -155,7 +228,7 @@ class Measures:
     """
 
     def __init__(
-        self, finder: PathFinder, episode: Episode, *, threshold: float = THRESHOLD
+        self, finder: PathFinder, episode: Episode, *, threshold: float = NDTW_THRESHOLD
     ) -> None:
         self.finder = finder
         self.episode = episode
@@ -170,7 +243,7 @@ class Measures:
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops = stops
-        self._passed = 0
+        self._num_passed = 0  # of the stops
         self._positions = [np.array(episode.start)]
         self._times = list[float]()
         self._distances = self._measure(self._positions[0][None], "start")
@@ -182,107 +255,151 @@ class Measures:
         return self._distances[-1]
 
     def step(self, position: ArrayLike, time: float | None = None) -> float:
-        """Add the agent's position, world x, y, z [m], and its time [s]; returns `distance`."""
-        self.steps(np.asarray(position, dtype=np.float64)[None], None if time is None else [time])
+        """Add a position of the agent.
+
+        Args:
+            position: world x, y, z [m].
+            time: [s].
+
+        Returns:
+            `distance`, how far the goal is now [m].
+
+        Raises:
+            QueryError: the position is not finite, or in no cell.
+        """
+        times = None if time is None else [time]
+        self.steps(np.asarray(position, dtype=np.float64)[None], times)
         return self.distance
 
     def steps(self, positions: ArrayLike, times: Sequence[float] | None = None) -> None:
-        """Add many positions, shape (n, 3)."""
-        p = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        self._distances += self._measure(p, "position")
-        self._positions += list(p)
-        self._times += [] if times is None else [float(t) for t in times]
+        """Add many positions of the agent, in their order.
 
-    def _measure(self, p: Float, what: str) -> list[float]:
-        """The distance at each position; goes on to the next goal where one is reached."""
-        bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
+        Args:
+            positions: world x, y, z, shape (n, 3) [m].
+            times: of each [s].
+
+        Raises:
+            QueryError: a position is not finite, or in no cell.
+        """
+        points = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        self._distances += self._measure(points, "position")
+        self._positions += list(points)
+        if times is not None:
+            self._times += [float(time) for time in times]
+
+    def _measure(self, points: Float, label: str) -> list[float]:
+        """The distance to the goal at each position; where a stop is reached, to the next one.
+
+        `label` is what errors call the positions.
+        """
         flat = self.finder.search.flat
-        name = self.episode.id
-        if len(bad):
-            raise QueryError(f"expected finite numbers at {what} {bad[0]} of episode {name!r}")
-        cells = flat.cells_at(p)
+        episode_id = self.episode.id
+        not_finite = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if len(not_finite):
+            place = f"{label} {not_finite[0]} of episode {episode_id!r}"
+            raise QueryError(f"expected finite numbers at {place}")
+        cells = flat.cells_at(points)
         if (cells < 0).any():
-            k = int(np.argmax(cells < 0))
-            where = ", ".join(f"{v:g}" for v in p[k])
-            raise QueryError(f"{what} {k} of episode {name!r}, {where}, lies beside the grid")
+            number = int(np.argmax(cells < 0))
+            coordinates = ", ".join(f"{value:g}" for value in points[number])
+            place = f"{label} {number} of episode {episode_id!r}, {coordinates}"
+            raise QueryError(f"{place}, lies beside the grid")
         fields = self._stops.fields
-        rest = self._stops.rest
+        beyond_stop = self._stops.rest
         if not fields:
-            return [math.nan] * len(p)
-        aside = np.zeros(len(p))
+            return [math.nan] * len(points)
+        to_free_cell = np.zeros(len(points))  # [m]
         blocked = np.flatnonzero(~flat.free[cells])
         if len(blocked):
-            near, found = snap(flat, flat.free, p[blocked], max_distance=SNAP)
-            cells[blocked] = np.where(found >= 0, found, cells[blocked])
-            away = np.linalg.norm(near - p[blocked], axis=1)
-            aside[blocked] = np.where(found >= 0, away, math.inf)
+            positions, nearest = snap(flat, flat.free, points[blocked], max_distance=SNAP)
+            is_near = nearest >= 0
+            cells[blocked] = np.where(is_near, nearest, cells[blocked])
+            offsets = np.linalg.norm(positions - points[blocked], axis=1)
+            to_free_cell[blocked] = np.where(is_near, offsets, math.inf)
         distances = []
-        for cell, more in zip(cells.tolist(), aside.tolist(), strict=True):
-            left = float(fields[self._passed][cell]) + more
-            while left <= self.radius and self._passed < len(fields) - 1:
-                self._passed += 1
-                left = float(fields[self._passed][cell]) + more
-            distances.append(left + rest[self._passed])
+        for cell, offset in zip(cells.tolist(), to_free_cell.tolist(), strict=True):
+            to_stop = float(fields[self._num_passed][cell]) + offset
+            while to_stop <= self.radius and self._num_passed < len(fields) - 1:
+                self._num_passed += 1
+                to_stop = float(fields[self._num_passed][cell]) + offset
+            distances.append(to_stop + beyond_stop[self._num_passed])
         return distances
 
     def scores(self, *, stopped: bool) -> Json:
-        """`MEANS` and the length of the ``shortest`` path; NaN where one has no meaning."""
-        way = np.array(self._positions)
+        """The measures of the episode so far.
+
+        Args:
+            stopped: whether the agent called stop at its last position.
+
+        Returns:
+            `MEANS`, and the length of the ``shortest`` path [m]; NaN where one has no meaning.
+        """
+        positions = np.array(self._positions)
         places = self._stops.places
-        times = self._times
-        lengths = path_length(way), self.distance, self.shortest
-        length, distance, shortest = map(np.array, lengths)
-        coverage = math.nan if self.share is None else self._coverage(way)
-        if self.share is not None:
-            ends_at = best_at = 0.0 if coverage >= self.share else math.inf
-        elif self.episode.extra.get("success") == "planar":
-            goals = np.array([g.position for g in self.episode.goals if g.position is not None])
-            on_map = np.linalg.norm((way[:, None] - goals)[..., :2], axis=-1).min(axis=1)
-            ends_at = on_map[-1]
-            best_at = on_map.min()
-        else:
-            ends_at = self.distance
-            best_at = np.min(self._distances)
-        reached = success(np.array(ends_at), self.radius, stopped)
+        length = np.array(path_length(positions))
+        distance = np.array(self.distance)
+        shortest = np.array(self.shortest)
+        coverage = math.nan if self.share is None else self._coverage(positions)
+        goal_distances = self._goal_distances(positions, coverage)
+        succeeded = success(np.array(goal_distances[-1]), self.radius, stopped)
+        ever_near = success(np.array(np.min(goal_distances)), self.radius, True)
         reference = self.episode.path if places else ()
         if places and not reference:
             reference = path_through(self.finder, self.episode.start, places).get("path", ())
-        # moves that no agent can make straight, as they begin in or meet a cell that isn't free
-        starts = way[:-1]
-        ends = way[1:]
-        flat = self.finder.search.flat
-        is_free = flat.free[flat.cells_at(starts)]
-        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
-        off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
-        found = {
-            "success": reached,
-            "spl": spl(reached, shortest, length) if places else math.nan,
+        times = self._times
+        measures = {
+            "success": succeeded,
+            "spl": spl(succeeded, shortest, length) if places else math.nan,
             "soft_spl": soft_spl(distance, shortest, length),
             "distance": distance,
-            "oracle_success": success(np.array(best_at), self.radius, True),
-            "ndtw": ndtw(way, reference, self.threshold),
+            "oracle_success": ever_near,
+            "ndtw": ndtw(positions, reference, self.threshold),
             "length": length,
-            "collisions": (~is_free).sum() + (off > ARRIVED).sum(),
+            "collisions": self._count_collisions(positions),
             "time": times[-1] - times[0] if times else math.nan,
             "coverage": coverage,
             "shortest": shortest,
         }
-        return {key: float(value) for key, value in found.items()}
+        return {name: float(value) for name, value in measures.items()}
 
-    def _coverage(self, way: Float) -> float:
+    def _goal_distances(self, positions: Float, coverage: float) -> Float:
+        """How far the goal was at each position, as success counts it [m].
+
+        A share of the floor is reached or not: 0 or infinitely far.
+        """
+        if self.share is not None:
+            return np.array([0.0 if coverage >= self.share else math.inf])
+        if self.episode.extra.get("success") == "planar":
+            goals = [goal.position for goal in self.episode.goals if goal.position is not None]
+            offsets = positions[:, None] - np.array(goals)
+            on_map: Float = np.linalg.norm(offsets[..., :2], axis=-1).min(axis=1)
+            return on_map
+        return np.array(self._distances)
+
+    def _count_collisions(self, positions: Float) -> int:
+        """How many moves no agent can make straight: from, or into, a cell that isn't free."""
+        starts = positions[:-1]
+        ends = positions[1:]
+        flat = self.finder.search.flat
+        is_free = flat.free[flat.cells_at(starts)]
+        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
+        misses = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
+        return int((~is_free).sum() + (misses > ARRIVAL_TOLERANCE).sum())
+
+    def _coverage(self, positions: Float) -> float:
         """Share of the start's island within the radius along the floor of where the agent was."""
         search = self.finder.search
         flat = search.flat
-        number = search.islands.number
-        home = number[flat.cells_at(way[0])]
-        cells = np.unique(flat.cells_at(way))
-        cells = cells[(number[cells] == home) & (home > 0)]
+        island_of_cell = search.islands.number
+        island = island_of_cell[flat.cells_at(positions[0])]
+        cells = np.unique(flat.cells_at(positions))
+        cells = cells[(island_of_cell[cells] == island) & (island > 0)]
         if not len(cells):
             return 0.0
-        field = search.field(cells, by="length", backwards=False)
-        near = (field <= self.radius) & (number == home)
-        size = flat.layout.cell_size[flat.level_of(np.flatnonzero(near))]
-        return float((size**2).sum() / search.islands.areas[home])
+        distance = search.field(cells, by="length", backwards=False)
+        covered = np.flatnonzero((distance <= self.radius) & (island_of_cell == island))
+        cell_size = flat.layout.cell_size[flat.level_of(covered)]
+        return float((cell_size**2).sum() / search.islands.areas[island])
 
 
 class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -301,6 +418,12 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     ``positions`` (shape (n, 3); those of trajectory i are ``start[i]:start[i + 1]``), and maybe
     ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
 
+    Args:
+        path: of the file.
+
+    Returns:
+        The trajectories, in the order of the file.
+
     Raises:
         FormatError: it is neither, or empty.
     """
@@ -309,27 +432,44 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         lines = [line for line in unpack(packed, name).splitlines() if line.strip()]
         if not lines:
             raise FormatError(f"expected trajectories in {name}, got none")
-        return [decode(line, Trajectory, f"{name}, line {k}") for k, line in enumerate(lines, 1)]
-    wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
-    with open_archive(os.fspath(path), wanted) as archive:
-        ids, start, points = (archive.read(key, archive.top) for key in REQUIRED)
+        return [
+            decode(line, Trajectory, f"{name}, line {number}")
+            for number, line in enumerate(lines, 1)
+        ]
+    expected = "arrays episode (k), start (k + 1) and positions (n, 3)"
+    with open_archive(os.fspath(path), expected) as archive:
+        episode_ids = archive.read("episode", archive.top)
+        start = archive.read("start", archive.top)
+        positions = archive.read("positions", archive.top)
         stop = archive.read("stop", archive.top) if "stop" in archive else None
         times = archive.read("times", archive.top) if "times" in archive else None
-        fits = start.shape == (len(ids) + 1,) and points.ndim == 2 and points.shape[1] == 3
-        fits &= stop is None or stop.shape == ids.shape
-        fits &= times is None or times.shape == points.shape[:1]
-        if not len(ids):
+        shapes_fit = (
+            start.shape == (len(episode_ids) + 1,)
+            and positions.ndim == 2
+            and positions.shape[1] == 3
+            and (stop is None or stop.shape == episode_ids.shape)
+            and (times is None or times.shape == positions.shape[:1])
+        )
+        if not len(episode_ids):
             raise ValueError("no trajectories")
-        if not fits or start[0] != 0 or start[-1] != len(points) or (np.diff(start) < 0).any():
+        if not shapes_fit or start[0] != 0 or start[-1] != len(positions):
             raise ValueError("arrays of other shapes")
-        return [
-            Trajectory(
-                episode=str(ids[k]), positions=points[a:b].astype(np.float64).tolist(),
-                stop=stop is None or bool(stop[k]),
-                times=None if times is None else times[a:b].astype(np.float64).tolist(),
+        if (np.diff(start) < 0).any():
+            raise ValueError("arrays of other shapes")
+        trajectories = []
+        for number, (first, end) in enumerate(pairwise(start.tolist())):
+            trajectory_times = None
+            if times is not None:
+                trajectory_times = times[first:end].astype(np.float64).tolist()
+            trajectories.append(
+                Trajectory(
+                    episode=str(episode_ids[number]),
+                    positions=positions[first:end].astype(np.float64).tolist(),
+                    stop=stop is None or bool(stop[number]),
+                    times=trajectory_times,
+                )
             )
-            for k, (a, b) in enumerate(pairwise(start.tolist()))
-        ]  # fmt: skip
+        return trajectories
 
 
 def score_set(
@@ -337,7 +477,7 @@ def score_set(
     trajectories: Iterable[Trajectory],
     grids: NavGrid | Sequence[NavGrid],
     *,
-    threshold: float = THRESHOLD,
+    threshold: float = NDTW_THRESHOLD,
     force: bool = False,
     partial: bool = False,
 ) -> list[Json]:
@@ -363,27 +503,22 @@ def score_set(
         if trajectory.episode in by_id:
             raise QueryError(f"expected one trajectory of episode {trajectory.episode!r}, got two")
         by_id[trajectory.episode] = trajectory
-    chosen = [e for e in content.episodes if e.id in by_id]
-    if unknown := by_id.keys() - {e.id for e in chosen}:
+    episodes = [episode for episode in content.episodes if episode.id in by_id]
+    if unknown := by_id.keys() - {episode.id for episode in episodes}:
         raise QueryError(f"the set has no episode {min(unknown)!r} as a trajectory has")
-    if len(chosen) < len(content) and not partial:
-        first = next(e.id for e in content.episodes if e.id not in by_id)
-        missing = f"{len(content) - len(chosen)} of {len(content)} episodes have no trajectory"
+    num_missing = len(content) - len(episodes)
+    if num_missing and not partial:
+        first = next(episode.id for episode in content.episodes if episode.id not in by_id)
+        missing = f"{num_missing} of {len(content)} episodes have no trajectory"
         hint = "or score a part of the set (--partial, partial=True)"
         raise QueryError(
             f"{missing}, as {first!r}: a run that failed counts as an empty one, {hint}"
         )
-    agent = content.header.agent
-    finders: dict[str, PathFinder] = {}
-    for given in [grids] if not isinstance(grids, Sequence) else grids:
-        name, radius = (None, None) if agent is None else (agent.name or None, agent.radius)
-        planner = named_agent(given, name, radius)
-        grid = given if force else fit_grid(given, planner)
-        if not force:
-            content.check_grid(grid)
-        finders[scene_of(grid)] = PathFinder(grid, agent=planner.of_any_size() if name else None)
+    if not isinstance(grids, Sequence):
+        grids = [grids]
+    finders = dict(_make_finder(grid, content, force=force) for grid in grids)
     rows = []
-    for episode in chosen:
+    for episode in episodes:
         if episode.scene not in finders:
             raise QueryError(f"no grid of {episode.scene!r}, the scene of episode {episode.id!r}")
         trajectory = by_id[episode.id]
@@ -392,39 +527,81 @@ def score_set(
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
         measures = Measures(finders[episode.scene], episode, threshold=threshold)
         measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
-        facts = {key: getattr(episode, key) for key in ("scene", "room", "split", "ratio")}
-        found = measures.scores(stopped=trajectory.stop)
-        rows.append({"episode": episode.id} | facts | found)
+        rows.append(
+            {
+                "episode": episode.id,
+                "scene": episode.scene,
+                "room": episode.room,
+                "split": episode.split,
+                "ratio": episode.ratio,
+                **measures.scores(stopped=trajectory.stop),
+            }
+        )
     return rows
 
 
-def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int = 0) -> list[Json]:
-    """Means of groups of rows: the ``group``, its number of ``episodes``, `Interval`s by measure.
+def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[str, PathFinder]:
+    """The scene of a grid, and the finder for the set's agent on it."""
+    header_agent = content.header.agent
+    name = None if header_agent is None else header_agent.name or None
+    radius = None if header_agent is None else header_agent.radius
+    agent = named_agent(grid, name, radius)
+    if not force:
+        grid = fit_grid(grid, agent)
+        content.check_grid(grid)
+    return scene_of(grid), PathFinder(grid, agent=agent.of_any_size() if name else None)
 
-    ``distance`` groups by classes of the shortest path's length, ``ratio`` by classes of that over
-    the straight line's. Infinite values are left out. Raises QueryError for an unknown group.
+
+def summarize(
+    rows: Sequence[Mapping[str, object]], by: str = "all", *, seed: int = 0
+) -> list[Json]:
+    """Means of groups of rows.
+
+    Args:
+        rows: of `score_set`.
+        by: one of `GROUPS`. ``distance`` groups by classes of the shortest path's length,
+            ``ratio`` by classes of that over the straight line's.
+        seed: of the intervals' `bootstrap`.
+
+    Returns:
+        For each group its name (``group``), its number of ``episodes``, and an `Interval` for each
+        of `MEANS`; infinite values are left out.
+
+    Raises:
+        QueryError: there is no such grouping.
     """
     if by not in GROUPS:
         raise QueryError(f"expected one of {', '.join(GROUPS)} to group by, got {by!r}")
-    groups: dict[str, list[Mapping[str, Any]]] = {}
     if by in ("distance", "ratio"):
-        edges = {"distance": (0.0, *EDGES["distance"]), "ratio": EDGES["ratio"]}[by]
-        unit = " m" if by == "distance" else ""
-        names = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
-        names = ["-", *names, f"{edges[-1]:g} and more{unit}"]
-        values = [row["shortest" if by == "distance" else by] for row in rows]
-        numbers = np.array([math.nan if v is None else v for v in values], dtype=float)
-        found = np.searchsorted(edges, numbers, side="right") * ~np.isnan(numbers)
-        for number in np.unique(found).tolist():
-            groups[names[number]] = [row for row, k in zip(rows, found, strict=True) if k == number]
+        groups = _group_by_class(rows, by)
     else:
+        groups = {}
         for row in rows:
             groups.setdefault("all" if by == "all" else str(row[by]), []).append(row)
     summaries = []
     for name, members in groups.items():
         means = {}
-        for key in MEANS:
-            column = np.array([row[key] for row in members], dtype=float)
-            means[key] = bootstrap(np.where(np.isinf(column), np.nan, column), seed=seed)
+        for measure in MEANS:
+            values = np.array([row[measure] for row in members], dtype=float)
+            means[measure] = bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
         summaries.append({"group": name, "episodes": len(members), **means})
     return summaries
+
+
+def _group_by_class(
+    rows: Sequence[Mapping[str, object]], by: str
+) -> dict[str, list[Mapping[str, object]]]:
+    """Group rows by classes of their distance or ratio; ``-`` for those without one."""
+    edges = (0.0, *EDGES["distance"]) if by == "distance" else EDGES["ratio"]
+    unit = " m" if by == "distance" else ""
+    classes = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
+    names = ["-", *classes, f"{edges[-1]:g} and more{unit}"]
+    measure = "shortest" if by == "distance" else by
+    values = np.array([math.nan if row[measure] is None else row[measure] for row in rows], float)
+    class_of_row = np.searchsorted(edges, values, side="right") * ~np.isnan(values)
+    groups: dict[str, list[Mapping[str, object]]] = {}
+    for number in np.unique(class_of_row).tolist():
+        groups[names[number]] = [
+            row for row, row_class in zip(rows, class_of_row, strict=True) if row_class == number
+        ]
+    return groups
