@@ -25,7 +25,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from navbake.errors import ConfigError, FormatError, shorten
 from navbake.files import check_regular
 from navbake.known_names import find_near
-from navbake.navgrid.lattice import find_fault
+from navbake.navgrid.lattice import find_outline_fault
 from navbake.yaml_text import override_key
 
 
@@ -142,7 +142,7 @@ def read_if_file(
 
 
 def _check_outline(points: list[list[float]]) -> list[list[float]]:
-    fault = find_fault(points)
+    fault = find_outline_fault(points)
     if fault:
         raise expected_error("a simple outline", got=fault)
     return points

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.formats.source import Files, import_extra, write_bytes
 from navbake.lazy import lazy
-from navbake.navgrid.door_states import find_ends
+from navbake.navgrid.door_states import find_leaf_ends
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.rooms import DOOR_REACH, Door, Room
@@ -268,7 +268,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
     for door in grid.doors:
         joined = sorted(number_of.get(room, 0) for room in door.rooms)
-        lines = [(k, find_ends(grid, door, k)) for k in door.levels]
+        lines = [(k, find_leaf_ends(grid, door, k)) for k in door.levels]
         lines = [(k, ends) for k, ends in lines if ends is not None]
         if not lines or len(joined) != 2 or joined[0] == joined[1]:
             continue  # the file names no two rooms for the door

@@ -332,7 +332,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         levels = []
         for k, level in enumerate(grid.grids):
             # a level that takes over the metadata of the whole, all dtypes included, has none
-            is_same = grid.takes_over(k, level)
+            is_same = grid.inherits_metadata(k, level)
             is_same &= all(entry in described for entry in level.cell_attributes)
             own = None if is_same else level.metadata
             levels.append(_level_fields(level, top["grids"][k], own))

@@ -195,7 +195,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         "levels": [],
     }
     for k, level in enumerate(grid.levels):
-        is_own = isinstance(grid, MultiLevelGrid) and not grid.takes_over(k, level)
+        is_own = isinstance(grid, MultiLevelGrid) and not grid.inherits_metadata(k, level)
         place = top["levels"][k]
         # arrays have their attributes' names if zip allows them
         names = {

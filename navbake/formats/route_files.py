@@ -43,7 +43,7 @@ from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
 from navbake.navgrid.links import SPEED
 from navbake.navgrid.metadata import read_table
-from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph, directed, entry_of, undirected
+from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph, directed, to_entry, undirected
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 
@@ -156,10 +156,10 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         )  # fmt: skip
     features = []
     for number, node in enumerate(graph.nodes):
-        own = {"id": number, "frame": "map", "metadata": entry_of(node, "position")}
+        own = {"id": number, "frame": "map", "metadata": to_entry(node, "position")}
         features.append(_feature("Point", list(node.position), own))
     for number, lane in enumerate(directed(graph.lanes), len(graph.nodes)):
-        more = entry_of(lane, "start", "end", "two_way", "cost", "speed")
+        more = to_entry(lane, "start", "end", "two_way", "cost", "speed")
         if lane.speed is not None:
             share = min(100.0, 100.0 * lane.speed / graph.speed)
             more |= {"abs_speed_limit": lane.speed, "speed_limit": share}
@@ -167,7 +167,7 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         own = {"id": number, "startid": lane.start, "endid": lane.end, "cost": lane.cost}
         own |= {"overridable": lane.kind == FLOOR, "metadata": more}
         features.append(_feature("MultiLineString", [ends], own))
-    content = {"type": "FeatureCollection", "navbake": entry_of(graph), "features": features}
+    content = {"type": "FeatureCollection", "navbake": to_entry(graph), "features": features}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
@@ -237,7 +237,7 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "mapId": graph.level_names[node.level],
                 "nodePosition": {"x": x, "y": y},
                 "vehicleTypeNodeProperties": [{"vehicleTypeId": vehicle}],
-                "navbake": {**entry_of(node), "number": number},
+                "navbake": {**to_entry(node), "number": number},
             }
         )
     for number, lane in enumerate(directed(graph.lanes)):
@@ -255,12 +255,12 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "startNodeId": start.name,
                 "endNodeId": end.name,
                 "vehicleTypeEdgeProperties": [moves],
-                "navbake": {**entry_of(lane, "start", "end", "two_way"), "number": number},
+                "navbake": {**to_entry(lane, "start", "end", "two_way"), "number": number},
             }
         )
     about = {"projectIdentification": graph.scene_id or "", "creator": "navbake"}
     about |= {"exportTimestamp": "1970-01-01T00:00:00Z", "lifVersion": "1.0.0"}
-    content = {"metaInformation": about, "layouts": layouts, "navbake": entry_of(graph)}
+    content = {"metaInformation": about, "layouts": layouts, "navbake": to_entry(graph)}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
@@ -331,10 +331,10 @@ def encode_rmf(graph: RouteGraph) -> bytes:
         vertices = levels[node.level]["vertices"]
         place.append(len(vertices))
         lift = {"lift": node.link} if node.link in lifts and node.link else {}
-        own = {**entry_of(node), "position": list(node.position), "number": number}
+        own = {**to_entry(node), "position": list(node.position), "number": number}
         vertices.append([x, y, {"name": node.name, **lift, "navbake": own}])
     for number, lane in enumerate(directed(graph.lanes)):
-        own = {**entry_of(lane, "start", "end", "two_way"), "number": number}
+        own = {**to_entry(lane, "start", "end", "two_way"), "number": number}
         known: Json = {"door_name": lane.door} if lane.door else {}
         known |= {} if lane.speed is None else {"speed_limit": lane.speed}
         level = graph.nodes[lane.start].level
@@ -344,7 +344,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
             levels[level]["lanes"].append([*ends, {**known, "navbake": own}])
         else:
             between.append([lane.start, lane.end, {"navbake": own}])
-    about = {**entry_of(graph), "level_names": list(graph.level_names), "lanes": between}
+    about = {**to_entry(graph), "level_names": list(graph.level_names), "lanes": between}
     content = {
         "building_name": graph.scene_id or "building",
         "levels": dict(zip(names, levels, strict=True)),
@@ -411,14 +411,14 @@ def _triples(content: Json, key: str, place: JsonPath) -> list[list[Any]]:
 def encode_graphml(graph: RouteGraph) -> bytes:
     """Encode a graph by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
     made = source.import_extra("networkx").MultiDiGraph()
-    about = entry_of(graph)
+    about = to_entry(graph)
     made.graph.update({**about, "level_names": orjson.dumps(about["level_names"]).decode()})
     for number, node in enumerate(graph.nodes):
         x, y, z = node.position
-        made.add_node(node.name, x=x, y=y, z=z, number=number, **entry_of(node, "position", "name"))
+        made.add_node(node.name, x=x, y=y, z=z, number=number, **to_entry(node, "position", "name"))
     for number, lane in enumerate(directed(graph.lanes)):
         ends = graph.nodes[lane.start].name, graph.nodes[lane.end].name
-        made.add_edge(*ends, number=number, **entry_of(lane, "start", "end", "two_way"))
+        made.add_edge(*ends, number=number, **to_entry(lane, "start", "end", "two_way"))
     return encode_networkx(made)
 
 

@@ -21,9 +21,9 @@ from navbake.files import encode_csv
 from navbake.formats.allowance import shown
 from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
-from navbake.navgrid.door_states import find_ends
+from navbake.navgrid.door_states import find_leaf_ends
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.lattice import Lattice, find_fault, rounded
+from navbake.navgrid.lattice import Lattice, find_outline_fault, rounded
 from navbake.types import Float, Int, Json
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     too; of a walkable area, round the free cells of a level. A cell's centre lies in a polygon if
     and only if the polygon has the cell. Cells that only touch at a corner are separate parts, so
     polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in its
-    current state); see `navbake.navgrid.door_states.find_ends`.
+    current state); see `navbake.navgrid.door_states.find_leaf_ends`.
 
     Returns for each level, lowest first, those of `kinds`: its rooms by index, its walkable area
     (none without free cells), and its doors. A door of two levels is on both. Raises a QueryError
@@ -113,7 +113,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
             area = rounded(int(np.count_nonzero(level.free)) * square)
             shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
         for door in grid.doors if DOOR in kinds else ():
-            ends = find_ends(grid, door, number)
+            ends = find_leaf_ends(grid, door, number)
             if ends is not None:
                 more = {"state": door.state, "rooms": list(door.rooms)}
                 shapes.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
@@ -346,7 +346,7 @@ def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]
             points.pop()
         if len(points) < 3:
             raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
-        if fault := find_fault(points):
+        if fault := find_outline_fault(points):
             raise FormatError(f"expected a simple outline, got {fault} in {where}")
         rings.append(points)
     _check(bool(rings), "an outline", None, where)

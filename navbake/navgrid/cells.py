@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.navgrid.block_state import BLOCKED
 from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK, clearance, islands_of
 from navbake.navgrid.lattice import Cell as Cell
 from navbake.navgrid.lattice import Cells as Cells
+from navbake.navgrid.obstacle_state import BLOCKED
 from navbake.types import Float, Int
 
 ROUNDING = 1e-6  # relative rounding of float32
@@ -202,8 +202,8 @@ class Place:
     def is_blocked(self) -> bool:
         """Whether `grid.block` currently blocks the cell."""
         level, row, col = self.cell
-        state = self.grid.levels[level].block_state
-        return state is not None and bool(state.held(BLOCKED)[row, col])
+        state = self.grid.levels[level].obstacle_state
+        return state is not None and bool(state.mask_of(BLOCKED)[row, col])
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:

@@ -48,7 +48,7 @@ def to_linear(color: NDArray[Any]) -> NDArray[Any]:
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
 
 
-def darkened(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def darken_rooms(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The colours of rooms, shape (…, 3), for occupied cells."""
     mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE
     return np.round(mixed).astype(np.uint8)

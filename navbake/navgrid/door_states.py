@@ -11,10 +11,10 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.navgrid.islands import add_layers, renew_islands
 from navbake.navgrid.links import LINK_STATES
+from navbake.navgrid.obstacle_state import BLOCKED, OCCUPIED
 from navbake.navgrid.rooms import STATES, Door
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Bool, Float, Json
@@ -64,16 +64,16 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
         is_occupied = mask.reshape(level.shape)
         was_occupied = level.occupancy.astype(np.bool_)
         is_solid = solid[number].reshape(level.shape)
-        blocks = level.block_state
+        blocks = level.obstacle_state
         if blocks is not None:
-            is_occupied |= blocks.held(OCCUPIED)
-            is_solid |= blocks.held(OCCUPIED)
+            is_occupied |= blocks.mask_of(OCCUPIED)
+            is_solid |= blocks.mask_of(OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
         if blocks is not None:
-            weights[blocks.held(BLOCKED)] = np.inf
+            weights[blocks.mask_of(BLOCKED)] = np.inf
         named = None
         if grid.navbake.get("names", True):
             named = with_door_names(UserData.of(level.user_data), after, number, len(occupied))
@@ -183,8 +183,8 @@ class DoorLine(NamedTuple):
 
 
 def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
-    """The lines of a level's doors; see `find_ends`."""
-    ends = [(door, find_ends(grid, door, number)) for door in grid.doors]
+    """The lines of a level's doors; see `find_leaf_ends`."""
+    ends = [(door, find_leaf_ends(grid, door, number)) for door in grid.doors]
     return tuple(
         DoorLine(door.id, door.like or door.state, *found) for door, found in ends if found
     )
@@ -203,7 +203,7 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 """Both ends of a line, world x, y [m]."""
 
 
-def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
+def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     """The ends of a door's leaf on a level when closed, else in its current state.
 
     With a layer ``solid``, the cells of the leaf itself are known: the line follows their longer

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
 from navbake.navgrid.grid_methods import GridMethods
 from navbake.navgrid.lattice import FARTHEST, Lattice
 from navbake.navgrid.links import (
@@ -32,6 +31,7 @@ from navbake.navgrid.links import (
     parse_steps,
 )
 from navbake.navgrid.metadata import cut_metadata, describe_attributes
+from navbake.navgrid.obstacle_state import BLOCKED, CHANGING, OCCUPIED, ObstacleState
 from navbake.navgrid.rooms import Door, Room, measure_rooms, parse_doors, parse_rooms
 from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
@@ -60,16 +60,21 @@ class GridBase(GridMethods):
     #: Fields of the file that are not the format's own; they are written back.
     extra: Json = field(default_factory=dict, repr=False)
     #: The last result of `navbake.navgrid.islands.islands_of`, after its digest.
-    found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
+    cached_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
     #: The current blocks, and grids made of this one for agents of other sizes, which follow them.
-    blocks: list[Any] = field(default_factory=list, init=False, repr=False)
-    fitted: WeakSet[Any] | None = field(default=None, init=False, repr=False)
+    obstacles: list[Any] = field(default_factory=list, init=False, repr=False)
+    fitted_grids: WeakSet[Any] | None = field(default=None, init=False, repr=False)
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
         """Leave out caches and blocks in copies and pickles."""
-        without: Json = {"found_islands": None, "_tables": {}, "blocks": [], "fitted": None}
-        return {**self.__dict__, **without, "block_state": None}
+        without: Json = {
+            "cached_islands": None,
+            "_tables": {},
+            "obstacles": [],
+            "fitted_grids": None,
+        }
+        return {**self.__dict__, **without, "obstacle_state": None}
 
     @property
     def levels(self) -> list[SceneGrid2D]:
@@ -86,7 +91,9 @@ class GridBase(GridMethods):
     @property
     def is_blocked(self) -> bool:
         """Whether any cell is currently blocked."""
-        return any(level.block_state and level.block_state.is_blocked for level in self.levels)
+        return any(
+            level.obstacle_state and level.obstacle_state.is_blocked for level in self.levels
+        )
 
     def without_blocks(self) -> Self:
         """The grid without blocks; itself if it has none."""
@@ -275,7 +282,7 @@ class SceneGrid2D(GridBase):
     #: The file's data of single cells, by cell id; parsed on first use.
     user_data: MutableMapping[int, Json] = field(default_factory=UserData, repr=False)
     #: The blocks of its cells, None before the first.
-    block_state: BlockState | None = field(default=None, init=False, repr=False)
+    obstacle_state: ObstacleState | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         given = {"weights": self.__dict__["weights"], **self.attributes}
@@ -314,7 +321,7 @@ class SceneGrid2D(GridBase):
         except those that `block` changes in place once it was called here.
         """
         kept = dict(self.attributes)
-        if self.block_state is not None:
+        if self.obstacle_state is not None:
             kept |= {name: kept[name].copy() for name in CHANGING & kept.keys()}
             weights = self.weights.copy() if weights is None else weights
         if weights is None:
@@ -331,14 +338,14 @@ class SceneGrid2D(GridBase):
 
     def unblocked(self) -> Self:
         """The level without blocks; itself if it has none."""
-        state = self.block_state
+        state = self.obstacle_state
         if state is None or not state.is_blocked:
             return self
         occupied = {
-            name: np.where(state.held(OCCUPIED), clean, self.attributes[name])
+            name: np.where(state.mask_of(OCCUPIED), clean, self.attributes[name])
             for name, clean in state.occupied.items()
         }
-        weights = np.where(state.held(BLOCKED), state.weights, self.weights)
+        weights = np.where(state.mask_of(BLOCKED), state.weights, self.weights)
         return self.with_layers(weights=weights, attributes=occupied)
 
     @property
@@ -428,8 +435,8 @@ class SceneGrid2D(GridBase):
         if "solid" not in self.attributes or not self.navbake or "inflation" in self.metadata:
             return free
         by_radius = self.occupancy != 0
-        if self.block_state is not None:
-            by_radius |= self.block_state.held(BLOCKED)
+        if self.obstacle_state is not None:
+            by_radius |= self.obstacle_state.mask_of(BLOCKED)
         return np.asarray(free | (by_radius & (self.solid == 0)))
 
     @property
@@ -475,7 +482,7 @@ class MultiLevelGrid(GridBase):
     """
 
     grids: list[SceneGrid2D]  #: The levels, lowest first, at least one.
-    _handed_down: list[Json] = field(default_factory=list, init=False, repr=False)
+    _inherited_metadata: list[Json] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not self.grids:
@@ -484,19 +491,19 @@ class MultiLevelGrid(GridBase):
             if not grid.metadata or grid.metadata == self.metadata:
                 grid.metadata = cut_metadata(self.metadata, number)
             # for comparison with a level's metadata, which are writable
-            self._handed_down.append(cut_metadata(self.metadata, number))
+            self._inherited_metadata.append(cut_metadata(self.metadata, number))
 
     @property
     def levels(self) -> list[SceneGrid2D]:
         return self.grids
 
-    def takes_over(self, number: int, level: SceneGrid2D) -> bool:
+    def inherits_metadata(self, number: int, level: SceneGrid2D) -> bool:
         """Whether a level still has the metadata taken over as level `number` of this grid."""
-        return level.metadata == self._handed_down[number]
+        return level.metadata == self._inherited_metadata[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
         grids = [
-            level.with_layers(metadata={}) if self.takes_over(number, level) else level
+            level.with_layers(metadata={}) if self.inherits_metadata(number, level) else level
             for number, level in enumerate(levels)
         ]
         return replace(self, grids=grids, metadata=self.metadata if metadata is None else metadata)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.block_state import Window
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.links import MAX_AREAS, find_arcs
+from navbake.navgrid.obstacle_state import Window
 from navbake.types import Bool, Int, Int32
 
 STEP_SLACK = 1e-6  # [m] tolerance of the highest step
@@ -151,9 +151,9 @@ def islands_of(grid: GridBase) -> list[Int32]:
         digest.update(level.area_index.data if grid.areas else b"")
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)
-    if grid.found_islands is None or grid.found_islands[0] != digest.digest():
-        grid.found_islands = (digest.digest(), find_islands(grid))
-    return grid.found_islands[1]
+    if grid.cached_islands is None or grid.cached_islands[0] != digest.digest():
+        grid.cached_islands = (digest.digest(), find_islands(grid))
+    return grid.cached_islands[1]
 
 
 def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:

@@ -148,7 +148,7 @@ class Lattice(NamedTuple):
 # ---------------------------------------------------------------- polygons
 
 
-def find_fault(points: ArrayLike) -> str | None:
+def find_outline_fault(points: ArrayLike) -> str | None:
     """Describe the fault of an outline; None if it is valid.
 
     Faults are no area, crossing sides, more than 10,000 corners, and corners beyond 1e10 m.

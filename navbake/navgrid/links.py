@@ -21,8 +21,8 @@ from navbake.navgrid.metadata import (
     Name,
     NonNegative,
     Positive,
-    entry_of,
     read_table,
+    to_entry,
     unflatten,
 )
 from navbake.types import Bool, Float, Int, Json, Vector3
@@ -57,7 +57,7 @@ class Agent:
 
     def to_json(self) -> Json:
         """The agent's entry in the file's table, without its name."""
-        return entry_of(self, "name")
+        return to_entry(self, "name")
 
 
 def parse_agents(stated: Any) -> dict[str, Agent]:
@@ -84,7 +84,7 @@ class Area:
 
     def to_json(self) -> Json:
         """The area's entry in the file's table."""
-        return {**entry_of(self), "cost": "inf" if math.isinf(self.cost) else self.cost}
+        return {**to_entry(self), "cost": "inf" if math.isinf(self.cost) else self.cost}
 
 
 class _AreaEntry(msgspec.Struct):
@@ -182,7 +182,7 @@ class Link:
             "kind": self.kind,
             "stops": [[stop.level, stop.cell] for stop in self.stops],
             "positions": [list(stop.position) for stop in self.stops],
-            **entry_of(self, "name", "kind", "stops", "state", "auto"),
+            **to_entry(self, "name", "kind", "stops", "state", "auto"),
             "state": self.state,
             **({"auto": True} if self.auto else {}),
         }

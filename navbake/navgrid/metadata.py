@@ -64,7 +64,7 @@ def read_table(stated: Any, kind: Any, where: str) -> Any:
         raise FormatError(f"{text[0].lower()}{text[1:]}", place=place) from error
 
 
-def entry_of(thing: Any, *left_out: str) -> Json:
+def to_entry(thing: Any, *left_out: str) -> Json:
     """The fields of a dataclass as JSON, without those that are None."""
     names = (name for name in thing.__dataclass_fields__ if name not in left_out)
     fields = {name: getattr(thing, name) for name in names}

@@ -21,7 +21,7 @@ NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list na
 
 
 @contextmanager
-def collector_off() -> Iterator[None]:
+def without_garbage_collection() -> Iterator[None]:
     """Pause the garbage collector while many objects are made: it would scan them repeatedly."""
     was_on = gc.isenabled()
     gc.disable()
@@ -67,7 +67,7 @@ class UserData(MutableMapping[int, Json]):
     def source(self) -> Entries:
         """The dictionary, or the entries that cells share."""
         if callable(self._source):
-            with collector_off():
+            with without_garbage_collection():
                 self._source = self._source()
         source: Entries = self._source
         return source
@@ -77,7 +77,7 @@ class UserData(MutableMapping[int, Json]):
         """The dictionary; shared entries are copied into one for each cell."""
         source = self.source
         if isinstance(source, Shared):
-            with collector_off():
+            with without_garbage_collection():
                 entries = [_copy_json(source.entries[k]) for k in source.number.tolist()]
                 source = dict(zip(source.cells.tolist(), entries, strict=True))
             self._source = source

@@ -187,7 +187,7 @@ def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
     return tuple(joined)
 
 
-def entry_of(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
+def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
     """The fields of a node, a lane or a graph as JSON.
 
     Args:

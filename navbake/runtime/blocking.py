@@ -15,19 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.navgrid.block_state import (
+from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.islands import clearance, renew_islands, step_limit
+from navbake.navgrid.links import Agent
+from navbake.navgrid.obstacle_state import (
     BLOCKED,
     CHANGING,
     NUM_LAYERS,
     OCCUPIED,
     OCCUPIED_LAYERS,
-    BlockState,
     Layers,
+    ObstacleState,
 )
-from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.islands import clearance, renew_islands, step_limit
-from navbake.navgrid.links import Agent
 from navbake.runtime.inflation import check_radius, ledges_of, margins_of
 from navbake.types import Float, Int
 
@@ -54,13 +54,13 @@ class AddedObstacle:
         self._grid = grid
         self.copies: list[AddedObstacle] = []  # on grids for agents of other sizes
         self.cells = [of_level[BLOCKED] for of_level in layers]
-        self._held: list[tuple[SceneGrid2D, BlockState, Layers]] = []
+        self._held: list[tuple[SceneGrid2D, ObstacleState, Layers]] = []
         for level, of_level in zip(grid.levels, layers, strict=True):
             if any(len(ids) for ids in of_level):
-                state = level.block_state = level.block_state or _begin(level)
+                state = level.obstacle_state = level.obstacle_state or _begin(level)
                 _change(level, state, of_level, is_held=True)
                 self._held.append((level, state, of_level))
-        grid.blocks.append(self)
+        grid.obstacles.append(self)
 
     def free(self) -> None:
         """Free the cells, except those held by other blocks. Further calls do nothing."""
@@ -69,8 +69,8 @@ class AddedObstacle:
         self._held.clear()
         for copied in self.copies:
             copied.free()
-        if self in self._grid.blocks:
-            self._grid.blocks.remove(self)
+        if self in self._grid.obstacles:
+            self._grid.obstacles.remove(self)
 
     def __enter__(self) -> Self:
         return self
@@ -79,7 +79,7 @@ class AddedObstacle:
         self.free()
 
 
-def _begin(level: SceneGrid2D) -> BlockState:
+def _begin(level: SceneGrid2D) -> ObstacleState:
     """The state of an unblocked level; the level gets writable copies of its arrays."""
     # others may share the level's arrays, or they may be read-only
     level.weights = np.array(level.weights, order="C")
@@ -89,10 +89,10 @@ def _begin(level: SceneGrid2D) -> BlockState:
     occupied = {
         name: level.attributes[name].copy() for name in OCCUPIED_LAYERS if name in level.attributes
     }
-    return BlockState(level.weights.copy(), occupied, _farthest(level))
+    return ObstacleState(level.weights.copy(), occupied, _farthest(level))
 
 
-def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bool) -> None:
+def _change(level: SceneGrid2D, state: ObstacleState, cells: Layers, *, is_held: bool) -> None:
     """AddedObstacle or free cells."""
     count = state.count.reshape(len(cells), -1)
     for number, ids in zip(count, cells, strict=True):
@@ -119,7 +119,7 @@ def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bo
     # one window for all layers
     rows, cols = np.divmod(np.concatenate(cells), level.width)
     window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
-    state.note(window)
+    state.log_change(window)
     if state.farthest is None:
         return
     # No clearance exceeds that without blocks, so cells farther from the window keep theirs; the
@@ -185,7 +185,7 @@ def block(
         "cells": cells, "disc": disc, "box": box, "level": level, "height": height, "margin": margin
     }  # fmt: skip
     made = AddedObstacle(grid, _find_layers(grid, **given), given)
-    made.copies += [block(fitted, **given) for fitted in grid.fitted or ()]
+    made.copies += [block(fitted, **given) for fitted in grid.fitted_grids or ()]
     return made
 
 
@@ -318,8 +318,8 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
         fitted = fitted.inflate(radius, ledges=ledges_of(grid))
     if fitted is clean:
         return grid
-    grid.fitted = grid.fitted or WeakSet()
-    grid.fitted.add(fitted)
-    for held in grid.blocks:
+    grid.fitted_grids = grid.fitted_grids or WeakSet()
+    grid.fitted_grids.add(fitted)
+    for held in grid.obstacles:
         held.copies.append(block(fitted, **held.arguments))
     return fitted

@@ -23,7 +23,7 @@ from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.lattice import Lattice, find_fault, touch_cells
+from navbake.navgrid.lattice import Lattice, find_outline_fault, touch_cells
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import find_blocked
@@ -274,7 +274,7 @@ def inflate_footprint(
         raise QueryError(f"{wanted}, n >= 3, got {outline.shape}")
     if not np.isfinite(outline).all():
         raise QueryError("expected a polygon of finite numbers [m]")
-    fault = find_fault(outline)
+    fault = find_outline_fault(outline)
     if fault:
         raise QueryError(f"expected the outline of an area, got {fault}")
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:

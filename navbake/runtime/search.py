@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
-from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, Window
 from navbake.navgrid.cells import Cells, check_level
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
+from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, Window
 from navbake.runtime import flat_grid
 from navbake.runtime.blocking import find_agent, fit_grid
 from navbake.runtime.flat_grid import octile
@@ -145,7 +145,7 @@ class Search:
     def update(self) -> None:
         """Take over cells that were blocked or freed since the last call."""
         for number, level in enumerate(self.grid.levels):
-            state = level.block_state
+            state = level.obstacle_state
             if state is None or state.revision == self._seen[number]:
                 continue
             whole = [(0, level.height, 0, level.width)]

@@ -287,7 +287,7 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
     """Colours of cells by room, darker where occupied, and of doors, shape (height, width, 3)."""
     level = grid.levels[number]
     rooms = colors.color_rooms(grid, number)
-    palette = np.stack([colors.darkened(rooms), rooms], axis=1).reshape(-1, 3)
+    palette = np.stack([colors.darken_rooms(rooms), rooms], axis=1).reshape(-1, 3)
     palette[:2] = colors.rgb_of(colors.OCCUPIED), colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
     rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
@@ -403,7 +403,7 @@ def _show_areas(grid: NavGrid, number: int) -> Panel:
         here = index == place
         tint = np.array(colors.rgb_of(color), dtype=np.uint8)
         rgb[here & level.free] = tint
-        rgb[here & ~level.free] = colors.darkened(tint)
+        rgb[here & ~level.free] = colors.darken_rooms(tint)
         entries += [(describe_area(area), color)] if here.any() else []
         names.append((place, area.name, str(place)))
     return Panel("areas", rgb, legend=(*entries, *legend), labels=_label_parts(level, index, names))

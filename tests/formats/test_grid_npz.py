@@ -103,7 +103,8 @@ def test_levels_keep_metadata_of_their_own(tmp_path):
     house.to_npz(tmp_path / "a.npz")
     back = navbake.from_npz(tmp_path / "a.npz")
     assert [level.metadata for level in back.levels] == [level.metadata for level in house.levels]
-    assert back.takes_over(0, back.levels[0]) and not back.takes_over(1, back.levels[1])
+    assert back.inherits_metadata(0, back.levels[0])
+    assert not back.inherits_metadata(1, back.levels[1])
 
 
 def test_numpy_finds_the_layers_by_name(tmp_path):

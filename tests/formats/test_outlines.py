@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from navbake.formats.shapes import trace_polygons
-from navbake.navgrid.lattice import Lattice, cover_cells, find_fault
+from navbake.navgrid.lattice import Lattice, cover_cells, find_outline_fault
 
 SIDES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 LABELS = arrays(np.int32, SIDES, elements=st.integers(0, 3))
@@ -54,7 +54,7 @@ def test_outlines_hold_the_cells_of_their_label(labels):
         # by the rule of the settings, too
         rings = [ring for part in own for ring in part]
         np.testing.assert_array_equal(cover_cells(rings, lattice), labels == label)
-        assert not any(find_fault(ring) for ring in rings)
+        assert not any(find_outline_fault(ring) for ring in rings)
         assert joined.area == pytest.approx(np.count_nonzero(labels == label) * 0.01)
 
 

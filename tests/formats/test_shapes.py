@@ -10,7 +10,7 @@ import navbake
 from grid_maps import house_from, level_from
 from level_maps import level_of
 from navbake.errors import QueryError
-from navbake.navgrid.door_states import find_ends
+from navbake.navgrid.door_states import find_leaf_ends
 from project_paths import GOLDEN
 
 SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")
@@ -77,7 +77,7 @@ def grid_with_door(cells, width=8, height=6, **entry):
 )
 def test_a_door_is_a_line_through_its_cells(cells, ends):
     grid = grid_with_door(cells)
-    line = np.array(find_ends(grid, grid.doors[0], 0))
+    line = np.array(find_leaf_ends(grid, grid.doors[0], 0))
     assert sorted(line.tolist()) == pytest.approx(np.array(ends))
 
 
@@ -93,14 +93,14 @@ def test_a_door_runs_from_wall_to_wall_however_deep_its_cells_are(is_turned):
     grid = grid_with_door(cells, *walls.shape[::-1])
     grid.weights[walls] = np.inf
     grid.metadata["agentRadius"] = 0.2
-    line = np.array(find_ends(grid, grid.doors[0], 0))
+    line = np.array(find_leaf_ends(grid, grid.doors[0], 0))
     along = [0.0, 0.6] if is_turned else [0.6, 0.0]
     assert np.abs(line[1] - line[0]) == pytest.approx(np.array(along))
 
 
 def test_a_slanting_door_is_a_slanting_line():
     grid = grid_with_door([(k, k) for k in range(5)])
-    line = np.array(find_ends(grid, grid.doors[0], 0))
+    line = np.array(find_leaf_ends(grid, grid.doors[0], 0))
     assert sorted(line.tolist()) == pytest.approx(np.array([[0.0, 0.0], [0.5, -0.5]]))
 
 
@@ -108,10 +108,10 @@ def test_a_door_without_closed_cells_is_where_it_is_now():
     grid = grid_with_door([(2, 1), (2, 2)], state="open")
     doors = grid.metadata["navbake"]["doors"]
     doors[0]["cells"] = {"open": doors[0]["cells"]["closed"], "closed": []}
-    assert find_ends(grid, grid.doors[0], 0) is not None
+    assert find_leaf_ends(grid, grid.doors[0], 0) is not None
     doors[0]["cells"] = {}
     grid.metadata["navbake"]["doors"] = list(doors)
-    assert find_ends(grid, grid.doors[0], 0) is None
+    assert find_leaf_ends(grid, grid.doors[0], 0) is None
     assert grid.to_polygons(["door"]) == []
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from color_vision import VISIONS, contrast, difference, lab_difference
 from navbake.navgrid import colors
-from navbake.navgrid.colors import choose_colors, darkened, find_neighbours, rgb_of
+from navbake.navgrid.colors import choose_colors, darken_rooms, find_neighbours, rgb_of
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.views.layers import (
     HEIGHT_STEP,
@@ -53,7 +53,7 @@ def test_rooms_stay_apart_from_each_other_and_from_what_is_no_room(vision):
     for one in rooms:
         for name in ("OCCUPIED", "NO_FLOOR", "DOOR", "DOORWAY", "ROUTE"):
             assert difference(rgb_of(one), rgb_of(KINDS[name]), vision) > AT_A_GLANCE, (one, name)
-        dark = darkened(np.array(rgb_of(one), dtype=np.uint8))
+        dark = darken_rooms(np.array(rgb_of(one), dtype=np.uint8))
         assert difference(rgb_of(one), dark, vision) > 15
         assert difference(dark, rgb_of(colors.OCCUPIED), vision) > 10
 

@@ -359,8 +359,8 @@ def test_blocks_and_caches_stay_with_their_grid():
     with level.block(cells=(0, 1, 1)):
         twins = [copy.copy(level), copy.deepcopy(level), pickle.loads(pickle.dumps(level))]
         twins.append(level.with_layers())
-        assert level.block_state is not None and level.block_state.is_blocked
-        assert all(twin.block_state is None and not twin.free[1, 1] for twin in twins)
+        assert level.obstacle_state is not None and level.obstacle_state.is_blocked
+        assert all(twin.obstacle_state is None and not twin.free[1, 1] for twin in twins)
         assert level.without_blocks().free[1, 1]
     assert level.free[1, 1]
     assert level.without_blocks() is level

@@ -91,7 +91,7 @@ def test_what_a_level_takes_over():
 def test_derived_grids_hand_down_their_own_metadata(tmp_path):
     house = make_house()
     for derived in (house.inflate(0.06), house.with_doors("closed")):
-        assert all(derived.takes_over(k, level) for k, level in enumerate(derived.levels))
+        assert all(derived.inherits_metadata(k, level) for k, level in enumerate(derived.levels))
         assert b'"metadata"' not in dumps_navgrid(derived).partition(b'"grids"')[2]
     assert [door.state for door in house.with_doors("closed").levels[1].doors] == ["closed"]
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from navbake.navgrid.lattice import Lattice, cover_cells, find_fault
+from navbake.navgrid.lattice import Lattice, cover_cells, find_outline_fault
 
 LATTICE = Lattice(x_min=-1.03, y_max=2.1, cell_size=0.1, width=40, height=33)
 
@@ -67,7 +67,7 @@ def test_a_centre_on_a_common_side_is_in_one_polygon():
     ],
 )
 def test_faults(points, fault):
-    found = find_fault(points)
+    found = find_outline_fault(points)
     assert found is not None
 
     assert re.search(fault, found)
@@ -83,7 +83,7 @@ def test_faults(points, fault):
     ],
 )
 def test_no_fault(points):
-    assert find_fault(points) is None
+    assert find_outline_fault(points) is None
 
 
 def crossing(points):
@@ -108,7 +108,7 @@ def test_crossings_are_those_that_comparing_all_sides_finds(seed):
     points = np.stack([np.cos(angle), np.sin(angle)], axis=1).round(2)  # crosses only by rounding
     if seed % 3:
         points = rng.integers(0, 5, (count, 2)).astype(float)
-    found, expected = find_fault(points), crossing(points.tolist())
+    found, expected = find_outline_fault(points), crossing(points.tolist())
     if expected is None:
         assert found is None or "in a line" in found
     else:
@@ -125,7 +125,7 @@ def comb(teeth, slant):
 
 
 def test_outlines_of_many_long_sides_are_refused_before_they_are_compared():
-    assert find_fault(comb(2400, 0)) is None
-    assert find_fault(comb(400, 1)) is None
-    assert find_fault(comb(2400, 1)) is None
-    assert "10001 corners" in find_fault(np.ones((10_001, 2)))
+    assert find_outline_fault(comb(2400, 0)) is None
+    assert find_outline_fault(comb(400, 1)) is None
+    assert find_outline_fault(comb(2400, 1)) is None
+    assert "10001 corners" in find_outline_fault(np.ones((10_001, 2)))

@@ -210,7 +210,7 @@ def test_islands_follow_although_the_file_tells_of_them():
 
 
 def test_who_missed_too_much_looks_at_all(monkeypatch):
-    monkeypatch.setattr("navbake.navgrid.block_state.MAX_JOURNAL", 2)
+    monkeypatch.setattr("navbake.navgrid.obstacle_state.MAX_LOG", 2)
     grid = open_level(6)
     finder = PathFinder(grid)
     for k in range(5):

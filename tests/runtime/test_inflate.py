@@ -222,8 +222,8 @@ def test_levels_share_the_metadata_of_the_whole():
     grid = stack(level_of("00", "00"), level_of("00", "00"))
     grid.levels[1].metadata = {"sceneId": "attic", **AGENT}
     inflated = grid.inflate(0.1)
-    assert inflated.takes_over(0, inflated.levels[0])
-    assert not inflated.takes_over(1, inflated.levels[1])
+    assert inflated.inherits_metadata(0, inflated.levels[0])
+    assert not inflated.inherits_metadata(1, inflated.levels[1])
     assert inflated.levels[1].metadata["sceneId"] == "attic"
     assert inflated.levels[1].metadata["inflation"] == inflated.metadata["inflation"]
 

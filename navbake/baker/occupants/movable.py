@@ -37,7 +37,7 @@ from navbake.baker.occupants.standing import (
 )
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import Shared, UserData, collector_off
+from navbake.navgrid.user_data import Shared, UserData, without_garbage_collection
 from navbake.types import Bool, Float, Int, Int32
 
 # Rows of cells whose entries lie together
@@ -314,7 +314,7 @@ def _name_cells(
     moving_bits = np.where(moving.flags & BLOCKING, BLOCKERS, 0)
     moving_bits |= np.where(moving.flags & OCCUPYING, standing_as, 0)
     carried = np.full(len(below), OBJECTS)
-    with collector_off():
+    with without_garbage_collection():
         return Shared(
             *name_cells(
                 np.concatenate([cell, below, moving.cell]),

@@ -40,7 +40,7 @@ from navbake.config.settings import (
 )
 from navbake.errors import SceneError
 from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES
-from navbake.navgrid.user_data import collector_off
+from navbake.navgrid.user_data import without_garbage_collection
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int
 
@@ -114,7 +114,7 @@ class Scene:
         return self.shapes.only(self.is_structure)
 
 
-@collector_off()
+@without_garbage_collection()
 def load_scene(
     config: BakeConfig,
     *,
