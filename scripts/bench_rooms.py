@@ -5,7 +5,7 @@
 Each plan is baked as boxes and as one mesh, with a fixed `rooms.door_width`, and with `auto`. A
 room is found where one of the grid's rooms reaches an intersection over union of 0.8 with it;
 floor that got no room counts against it. A window leaks where one room is connected through its
-opening. The constants of `navbake/baker/rooms/gaps.py` were chosen on plans 0 to 99.
+opening. The constants of `navbake/baker/rooms/gap_limits.py` were chosen on plans 0 to 99.
 
     python scripts/bench_rooms.py --flats --count 400
 

@@ -29,6 +29,7 @@ KERNELS_ONLY += (
     "navbake.baker.core.tolerances",
     "navbake.baker.core.area_test",
     "navbake.baker.core.limits",
+    "navbake.baker.rooms.gap_limits",
 )
 # the methods of a grid whose code stands in modules above: it alone may import upwards, for types
 # and inside of these methods, and each of them does nothing but call one function

@@ -1,4 +1,9 @@
-"""The input of rooms: flags of each level's cells, and what geoms, sites and polygons mark."""
+"""The flags that rooms follow from: what each cell of a level is, and which rooms are marked in it.
+
+`gather_flags` combines what earlier stages found: floors, the flags of columns, the occupants that
+stand, and the rooms that geoms, sites and polygons mark. Rooms depend on these flags, on settings
+and on closed leaves alone.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from fnmatch import translate
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +23,9 @@ from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.geometry.shapes import Shapes, Solids, solid_bounds
-from navbake.baker.occupants.list_kernels import COLUMN_FLAGS
+from navbake.baker.occupants.list_kernels import BANK, EMPTY, HOLE, SKY, TALL
 from navbake.baker.occupants.standing import StandingOccupants
-from navbake.baker.rooms.gaps import WIDEST
+from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
 from navbake.baker.rooms.walls import find_windows
 from navbake.baker.scene.collect import Choice, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
@@ -30,66 +35,102 @@ from navbake.errors import ConfigError
 from navbake.navgrid.lattice import Lattice, cover_cells
 from navbake.types import Bool, Float, Int, Int32
 
-# The scene goes on beyond the lattice where it does so by more than this share of a cell
-BEYOND = 0.5
+if TYPE_CHECKING:  # a caller that has a model has imported it
+    import mujoco
+
+# The scene goes on beyond the lattice where it does so by more than this [cells]
+MAX_SCENE_EXCESS = 0.5
 # What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
 # edge is so wide [m]
-EDGE_LENGTH = WIDEST
-EVERY_SIDE = np.ones((2, 2), dtype=np.bool_)
+MIN_OUTDOOR_EDGE = MAX_GAP_WIDTH
+# All sides of a lattice, [[upper, lower], [left, right]]
+ALL_SIDES = np.ones((2, 2), dtype=np.bool_)
 
-# A room's floor geom lies at most this far below the walkable floor, as under a rug [m]
-BELOW = 0.05
-# Or this far above it, as a floor that is only drawn over the one that collides [m]
-ABOVE = 0.005
-# A site's volume may begin this far above the floor [m]
-OFF_FLOOR = 0.05
+# A room's floor geom lies at most this far below the walkable floor, as under a rug [m], …
+MAX_MARKER_DEPTH = 0.05
+# … or this far above it, as a floor that is only drawn over the one that collides [m]
+MAX_MARKER_HEIGHT = 0.005
 # A geom is a floor where at least this share of its upper side is one
-FLOOR_SHARE = 0.5
-# Share of itself, or of the agent, that a site's volume has at least between floor and head
-STANDING_SHARE = 0.5
-DEFAULTS = {"geoms": DEFAULT_GEOMS, "sites": DEFAULT_SITES}
+MIN_FLOOR_SHARE = 0.5
 # What stands before a room's name in that of its floor
 FLOOR_PREFIXES = ("floor|", "floor_")
+# A site's volume may begin this far above the floor [m]
+MAX_SITE_GAP = 0.05
+# Share of itself, or of the agent, that a site's volume has at least between floor and head
+MIN_STANDING_SHARE = 0.5
+# Patterns that users did not write are not warned of, by setting
+DEFAULT_PATTERNS = {"geoms": DEFAULT_GEOMS, "sites": DEFAULT_SITES}
+# Names that a warning lists
+NUM_LISTED_SITES = 5
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms that one source marks, by level; room k + 1 is called ``names[k]``."""
+    """The rooms that one source marks.
+
+    Attributes:
+        names: of the rooms, None for none; room k + 1 is called ``names[k]``.
+        labels: by level, the number of each cell's room, shape (height, width), 0 for none.
+        warnings: what the user should know, one line each.
+        covered: the same as `labels`, with cells whose floor lies up to a step over the room's, as
+            on a podium; empty where it is no different.
+        outdoors: the numbers of the rooms that are outdoors.
+    """
 
     names: Sequence[str | None]
-    labels: Sequence[Int32]  # the number of each cell's room, shape (height, width), 0 for none
-    warnings: Sequence[str] = ()  # what the user should know, one line each
-    # the same with cells whose floor lies up to a step over the room's, as on a podium, if any
+    labels: Sequence[Int32]
+    warnings: Sequence[str] = ()
     covered: Sequence[Int32] = ()
-    outdoors: Set[int] = frozenset()  # the numbers of those that are
+    outdoors: Set[int] = frozenset()
 
 
 class LevelFlags(NamedTuple):
-    """Flags of a level's cells, shape (height, width) of the whole lattice."""
+    """Flags of a level's cells, shape (height, width) of the whole lattice.
 
-    floor: Float  # heights, NaN for none [m]
-    open: Bool  # with a floor, and no wall or window
-    hole: Bool  # without a floor, and nothing stands at the height of an agent's body
-    # open cells beside which there is nothing up to the edge of the grid, or ground too steep to
-    # stand on, such as the bank of a ditch; no walls and pillars, which reach above heads
-    edge: Bool
-    # with a floor, and nothing above an agent's head; no cells of a level where too few are at the
-    # edge for anything to be outdoors: nothing else depends on it
-    sky: Bool
-    bank: Bool  # without a floor, and the ground under the sky is too steep to stand on
-    occupied: Bool  # without a floor, or what stands meets the square in an agent's way
+    Attributes:
+        floor: heights, NaN for none [m].
+        is_open: with a floor, and no wall or window.
+        is_hole: without a floor, and nothing stands at the height of an agent's body.
+        at_edge: open cells beside which there is nothing up to the edge of the grid, or ground too
+            steep to stand on, such as the bank of a ditch; no walls and pillars, which reach above
+            heads.
+        under_sky: with a floor, and nothing above an agent's head; no cells of a level where too
+            few are at the edge for anything to be outdoors: nothing else depends on it.
+        is_bank: without a floor, and the ground under the sky is too steep to stand on.
+        occupied: without a floor, or what stands meets the square in an agent's way.
+    """
+
+    floor: Float
+    is_open: Bool
+    is_hole: Bool
+    at_edge: Bool
+    under_sky: Bool
+    is_bank: Bool
+    occupied: Bool
 
 
 class RoomFlags(NamedTuple):
-    """All that rooms depend on besides settings and closed leaves."""
+    """All that rooms depend on besides settings and closed leaves.
+
+    Attributes:
+        lattice: the whole lattice.
+        levels: the flags of each level, lowest first.
+        is_empty: cells in whose columns there is nothing, shape (height, width).
+        scene_ends: the sides of the lattice at which the scene ends, [[upper, lower], [left,
+            right]].
+        walls: the geometry of walls and of meshes that hold a building.
+        has_ground: whether endless ground goes on beyond the lattice.
+        links: steps between cells, see `Floors`, shape (n, 4).
+        marks: the rooms that each source marks.
+    """
 
     lattice: Lattice
     levels: list[LevelFlags]
-    empty: Bool  # cells in whose columns there is nothing, shape (height, width)
-    ends: Bool  # the sides of the lattice at which the scene ends, [[upper, lower], [left, right]]
-    walls: Shapes  # the geometry of walls and of meshes that hold a building
-    has_ground: bool  # endless ground goes on beyond the lattice
-    links: Int  # steps between cells, see `Floors`, shape (n, 4)
-    marks: Mapping[str, MarkedRooms]  # the rooms that each source marks
+    is_empty: Bool
+    scene_ends: Bool
+    walls: Shapes
+    has_ground: bool
+    links: Int
+    marks: Mapping[str, MarkedRooms]
 
 
 def gather_flags(
@@ -102,51 +143,99 @@ def gather_flags(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Read all that rooms depend on, but settings and closed leaves.
+    """Gather all that rooms depend on, but settings and closed leaves.
 
-    `occupied` are the cells of each level, of the whole lattice, that have no floor, or whose
-    squares are met by what stands in an agent's way.
+    Args:
+        scene: whose geoms and sites mark rooms.
+        columns: of what stands.
+        floors: of all levels, at least one.
+        column_flags: of each level's cells, see `flag_columns`, shape (cells,), uint8.
+        standing_occupants: what stands in the cells; None where no walls are known.
+        occupied: the cells of each level, of the whole lattice, that have no floor, or whose
+            squares are met by what stands in an agent's way.
+        settings: how rooms are marked.
+        agent: who stands in the volumes of sites.
     """
     lattice = columns.lattice
     levels = list[LevelFlags]()
-    wall = low = np.zeros(lattice.shape, dtype=np.bool_)
+    is_empty = np.zeros(lattice.shape, dtype=np.bool_)
+    wall_cells = np.zeros(lattice.shape, dtype=np.bool_)
+    low_cells = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
         if standing_occupants is not None:
-            wall, low = standing_occupants.mark_walls(number)
-        marked = column_flags[number].reshape(lattice.shape)
-        empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in COLUMN_FLAGS)
-        open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
-        edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells
-        edge &= ~tall
-        longest = np.sqrt(2) * np.count_nonzero(edge) * lattice.cell_size  # if all touch
-        if longest <= EDGE_LENGTH:
-            sky[:] = False
-        levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank, occupied[number]))
-    ends = ~EVERY_SIDE
-    if scene.bounds is not None:
-        x0, y0, x1, y1 = lattice.bounds
-        (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
-        more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-        ends = more <= BEYOND * lattice.cell_size
-    has_ground = len(scene.structure.planes.geom) > 0
+            wall_cells, low_cells = standing_occupants.mark_walls(number)
+        flags = column_flags[number].reshape(lattice.shape)
+        is_empty = (flags & EMPTY) > 0  # the same on all levels
+        is_bank = (flags & BANK) > 0
+        under_sky = (flags & SKY) > 0
+        is_window = find_windows(low_cells, wall_cells, lattice.cell_size)
+        is_open = ~np.isnan(level.floor) & ~wall_cells & ~is_window
+        at_edge = mark_edge(is_empty | is_bank, ALL_SIDES) & is_open
+        at_edge &= (flags & TALL) == 0
+        # if all cells at the edge touch
+        max_extent = np.sqrt(2) * np.count_nonzero(at_edge) * lattice.cell_size
+        if max_extent <= MIN_OUTDOOR_EDGE:
+            under_sky[:] = False
+        levels.append(
+            LevelFlags(
+                floor=level.floor,
+                is_open=is_open,
+                is_hole=(flags & HOLE) > 0,
+                at_edge=at_edge,
+                under_sky=under_sky,
+                is_bank=is_bank,
+                occupied=occupied[number],
+            )
+        )
     is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
     if standing_occupants is not None:
         is_wall = np.isin(standing_occupants.partitions, (WALL, BUILDING))
-    marks = mark_rooms(scene, columns, floors.levels, settings, agent)
-    walls = scene.structure.only(is_wall)
-    return RoomFlags(lattice, levels, empty, ends, walls, has_ground, floors.links, marks)
+    return RoomFlags(
+        lattice=lattice,
+        levels=levels,
+        is_empty=is_empty,
+        scene_ends=_find_scene_ends(scene, lattice),
+        walls=scene.structure.only(is_wall),
+        has_ground=len(scene.structure.planes.geom) > 0,
+        links=floors.links,
+        marks=mark_rooms(scene, columns, floors.levels, settings, agent),
+    )
 
 
-def edge_cells(is_open: Bool, sides: Bool) -> Bool:
-    """Closed cells at some `sides` of the lattice, or beside open cells connected to these."""
-    empty = np.pad(is_open, 1)
-    empty[[0, -1]] |= sides[0][:, None]
-    empty[:, [0, -1]] |= sides[1]
-    part, _ = label_components_2d(empty)
+def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
+    """Find the sides of the lattice at which the scene ends, [[upper, lower], [left, right]]."""
+    if scene.bounds is None:
+        return ~ALL_SIDES
+    x0, y0, x1, y1 = lattice.bounds
+    (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
+    excess = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
+    ends: Bool = excess <= MAX_SCENE_EXCESS * lattice.cell_size
+    return ends
+
+
+def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
+    """Mark the cells at the outer edge of what there is.
+
+    Args:
+        is_empty: cells with nothing, shape (height, width).
+        sides: of the lattice beyond which there is nothing, [[upper, lower], [left, right]].
+
+    Returns:
+        The other cells at these sides, or beside empty cells that are connected to them.
+    """
+    padded = np.pad(is_empty, 1)
+    padded[[0, -1]] |= sides[0][:, None]
+    padded[:, [0, -1]] |= sides[1]
+    part, _ = label_components_2d(padded)
     outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
     beyond = np.isin(part, outer[outer > 0])
-    edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
+    beside_rows = beyond[:-2, 1:-1] | beyond[2:, 1:-1]
+    beside_cols = beyond[1:-1, :-2] | beyond[1:-1, 2:]
+    edge: Bool = beside_rows | beside_cols
     return edge & ~beyond[1:-1, 1:-1]
+
+
+# ---------------------------------------------------------------- rooms that are marked
 
 
 def mark_rooms(
@@ -156,19 +245,35 @@ def mark_rooms(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> dict[str, MarkedRooms]:
-    """Find the rooms that geoms, sites and polygons mark in a scene, by source."""
-    found = {}
+    """Find the rooms that geoms, sites and polygons mark in a scene, by source.
+
+    Args:
+        scene: whose geoms and sites mark rooms.
+        columns: of what stands.
+        levels: the floors of all levels.
+        settings: which sources there are, and their patterns and polygons.
+        agent: who stands in the volumes of sites.
+    """
+    marks = {}
     if "geoms" in settings.sources:
-        found["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)
+        marks["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)
     if "sites" in settings.sources:
-        found["sites"] = _mark_by_sites(scene, columns.lattice, levels, settings, agent)
+        marks["sites"] = _mark_by_sites(scene, columns.lattice, levels, settings, agent)
     if "polygons" in settings.sources:
-        found["polygons"] = _mark_by_polygons(columns.lattice, levels, settings)
-    return found
+        marks["polygons"] = _mark_by_polygons(columns.lattice, levels, settings)
+    return marks
 
 
-def find_markers(model: Any, settings: RoomSettings) -> tuple[list[int], list[int]]:
-    """The geoms and the sites of a model that mark rooms by name, if their bodies stand."""
+def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[int], list[int]]:
+    """Find the geoms and the sites of a model that mark rooms by name, if their bodies stand.
+
+    Args:
+        model: whose names are compared with the patterns.
+        settings: which sources there are, and their patterns.
+
+    Returns:
+        Ids of geoms, and ids of sites, ascending.
+    """
     geoms = list[int]()
     if "geoms" in settings.sources:
         geoms, _ = _match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")
@@ -191,38 +296,45 @@ def _mark_by_geoms(
     the first counts. Furniture may be named like a room: so half of its upper side has to be floor,
     or lie up to a step under one (a carpet, a podium), which then is `covered`.
     """
-    num = scene.model.ngeom
+    num_geoms = scene.model.ngeom
     names = all_names(scene.model).own_geoms
     matching, warnings = _match(names, tuple(settings.geoms), "geoms")
     # what can move marks no room
     stands = scene.stands[scene.model.geom_bodyid]
-    chosen = [geom for geom in matching if stands[geom]]
-    labels, covered = ([np.zeros(columns.lattice.shape, np.int32) for _ in levels] for _ in "ab")
-    if not chosen:
+    marking = [geom for geom in matching if stands[geom]]
+    labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
+    covered = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
+    if not marking:
         return MarkedRooms([], labels, warnings)
-    number = np.zeros(num + 1, dtype=np.int32)
-    number[chosen] = np.arange(1, len(chosen) + 1)
-    cell, z, geom = _upward_surfaces(scene, columns, set(chosen))
+    room_of = np.zeros(num_geoms + 1, dtype=np.int32)  # the last entry is for no geom
+    room_of[marking] = np.arange(1, len(marking) + 1)
+    surfaces = _find_upward_surfaces(scene, columns, set(marking))
     lowest = -agent.traversable_floor_height - SAME_HEIGHT
-    # NaN where there is no floor, which compares as False
-    heights = [z - level.floor.ravel()[cell] for level in levels]
-    at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME_HEIGHT) for h in heights], axis=0)
-    sides = np.bincount(geom, minlength=num)
-    is_floor = np.bincount(geom[at_floor], minlength=num) >= FLOOR_SHARE * sides
-    for found, reach in ((labels, -BELOW - SAME_HEIGHT), (covered, lowest)):
-        for label, height in zip(found, heights, strict=True):
-            here = (height >= reach) & (height <= ABOVE + SAME_HEIGHT) & is_floor[geom]
-            highest = np.full(label.size, -np.inf)
-            np.maximum.at(highest, cell[here], z[here])
-            here &= z >= highest[cell] - SAME_HEIGHT
-            first = np.full(label.size, num, dtype=np.int32)
-            np.minimum.at(first, cell[here], geom[here])
-            label[:] = number[first].reshape(label.shape)
-    called: list[str | None] = []
-    for name in (names[geom] for geom in chosen):
-        without = (name[len(prefix) :] for prefix in FLOOR_PREFIXES if name.startswith(prefix))
-        called.append(next(filter(None, without), name))
-    return MarkedRooms(called, labels, warnings, covered)
+    highest = MAX_MARKER_HEIGHT + SAME_HEIGHT
+    # over the floor of each level; NaN where there is none, which compares as False
+    heights = [surfaces.z - level.floor.ravel()[surfaces.cell] for level in levels]
+    at_floor = np.any([(height >= lowest) & (height <= highest) for height in heights], axis=0)
+    num_surfaces = np.bincount(surfaces.geom, minlength=num_geoms)
+    num_at_floor = np.bincount(surfaces.geom[at_floor], minlength=num_geoms)
+    is_floor = num_at_floor >= MIN_FLOOR_SHARE * num_surfaces
+    for level_labels, min_height in (
+        (labels, -MAX_MARKER_DEPTH - SAME_HEIGHT),
+        (covered, lowest),
+    ):
+        for label, height in zip(level_labels, heights, strict=True):
+            marks = (height >= min_height) & (height <= highest) & is_floor[surfaces.geom]
+            geom = _find_highest(surfaces, marks, label.size, no_geom=num_geoms)
+            label[:] = room_of[geom].reshape(label.shape)
+    room_names = [_remove_prefix(names[geom]) for geom in marking]
+    return MarkedRooms(room_names, labels, warnings, covered)
+
+
+def _remove_prefix(name: str) -> str:
+    """The name of a room by that of its floor: without a prefix, unless nothing else is left."""
+    for prefix in FLOOR_PREFIXES:
+        if name.startswith(prefix) and name != prefix:
+            return name[len(prefix) :]
+    return name
 
 
 def _mark_by_sites(
@@ -232,62 +344,68 @@ def _mark_by_sites(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room of the first site in which an agent stands there, see `_stand_in`.
+    """Give each cell the room of the first site in which an agent on it stands.
 
     A site with less than `rooms.min_area` of floor, on all levels together, is no room.
     """
     names = all_names(scene.model).sites
-    chosen, warnings = _match(names, tuple(settings.sites), "sites")
+    matching, warnings = _match(names, tuple(settings.sites), "sites")
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
-    kept = list[str | None]()
-    small = list[str]()
-    for site in chosen:
+    room_names = list[str | None]()
+    small_sites = list[str]()
+    for site in matching:
         if not scene.stands[scene.model.site_bodyid[site]]:
             continue
-        masks = _stand_in(site, scene, lattice, levels, agent)
+        masks = _mark_standing_in_site(site, scene, lattice, levels, agent)
         if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
-            small.append(names[site])
+            small_sites.append(names[site])
             continue
-        kept.append(names[site])
+        room_names.append(names[site])
         for label, mask in zip(labels, masks, strict=True):
-            label[mask & (label == 0)] = len(kept)
-    if small:
-        listed = ", ".join(small[:5]) + (", …" if len(small) > 5 else "")
-        told = f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`)"
-        warnings = [*warnings, f"{told} are no rooms: {listed}"]
-    return MarkedRooms(kept, labels, warnings)
+            label[mask & (label == 0)] = len(room_names)
+    if small_sites:
+        listed = ", ".join(small_sites[:NUM_LISTED_SITES])
+        more = ", …" if len(small_sites) > NUM_LISTED_SITES else ""
+        warnings = [
+            *warnings,
+            f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`) are "
+            f"no rooms: {listed}{more}",
+        ]
+    return MarkedRooms(room_names, labels, warnings)
 
 
-def _stand_in(
+def _mark_standing_in_site(
     site: int, scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], agent: AgentSettings
 ) -> list[Bool]:
-    """The cells of each level whose agent stands in a site's volume.
+    """Mark the cells of each level on which an agent stands in a site's volume.
 
     The cell's line meets the volume over a length, of which at least half, or half of an agent,
     lies between 5 cm below the floor and the agent's height.
     """
     model = scene.model
-    data = scene.data
-    kind = model.site_type[[site]].astype(np.int32)
-    place = np.zeros(1, dtype=np.int32)
-    pose = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
-    solid = Solids(place, kind, *pose, solid_bounds(kind, *pose))
+    kind = model.site_type[[site]].astype(np.int32)  # sites have the types of geoms
+    position = scene.data.site_xpos[[site]]
+    rotation = scene.data.site_xmat[[site]]
+    size = model.site_size[[site]]
+    bounds = solid_bounds(kind, position, rotation, size)
+    solid = Solids(np.zeros(1, dtype=np.int32), kind, position, rotation, size, bounds)
     masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
     window = lattice.window(solid.bounds.reshape(2, 3))
     if window is None:
         return masks
-    nothing = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
-    cut = lattice.cut(*window)
-    surfaces = cast_columns(tile_shapes(replace(nothing, solids=solid), cut, 0.0))
-    low, high = np.full((2, *cut.shape), np.nan)
-    hit = np.diff(surfaces.start).reshape(cut.shape) > 1
-    low[hit] = surfaces.z[surfaces.start[:-1][hit.ravel()]]
-    high[hit] = surfaces.z[surfaces.start[1:][hit.ravel()] - 1]
+    no_shapes = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
+    window_lattice = lattice.cut(*window)
+    surfaces = cast_columns(tile_shapes(replace(no_shapes, solids=solid), window_lattice, 0.0))
+    low = np.full(window_lattice.shape, np.nan)
+    high = np.full(window_lattice.shape, np.nan)
+    is_hit = np.diff(surfaces.start).reshape(window_lattice.shape) > 1
+    low[is_hit] = surfaces.z[surfaces.start[:-1][is_hit.ravel()]]
+    high[is_hit] = surfaces.z[surfaces.start[1:][is_hit.ravel()] - 1]
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window]
-        inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - OFF_FLOOR)
-        enough = STANDING_SHARE * np.minimum(high - low, agent.height)
-        mask[window] = inside >= enough - SAME_HEIGHT
+        inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - MAX_SITE_GAP)
+        min_inside = MIN_STANDING_SHARE * np.minimum(high - low, agent.height)
+        mask[window] = inside >= min_inside - SAME_HEIGHT
     return masks
 
 
@@ -299,51 +417,86 @@ def _mark_by_polygons(
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     warnings = []
     for number, polygon in enumerate(polygons):
-        called = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
-        on = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
-        if not on:
+        description = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
+        matching = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
+        if not matching:
             listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
             raise ConfigError(
-                f"no level {polygon.level!r} for {called} of `rooms.polygons`: there are {listed}"
+                f"no level {polygon.level!r} for {description} of `rooms.polygons`: there are "
+                f"{listed}"
             )
-        level = levels[on[0]]
-        label = labels[on[0]]
+        level = levels[matching[0]]
+        label = labels[matching[0]]
         mask = cover_cells([polygon.points, *polygon.rings], lattice)
-        known = ~np.isnan(level.floor)
-        if not (mask & known).any():
-            rows, cols = np.nonzero(known)
+        has_floor = ~np.isnan(level.floor)
+        if not (mask & has_floor).any():
+            rows, cols = np.nonzero(has_floor)
             x = lattice.center_x()[cols]
             y = lattice.center_y()[rows]
             warnings.append(
-                f"{called} of `rooms.polygons` has no floor on {level.name}, whose floor spans "
-                f"x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
+                f"{description} of `rooms.polygons` has no floor on {level.name}, whose floor "
+                f"spans x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
             )
         label[mask & (label == 0)] = number + 1
     outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
     return MarkedRooms([polygon.name for polygon in polygons], labels, warnings, outdoors=outdoors)
 
 
-def _upward_surfaces(
-    scene: Scene, columns: ColumnSource, chosen: set[int]
-) -> tuple[Int, Float, Int32]:
-    """Cells, heights and geoms of surfaces that face up; of hulls, those of their mesh."""
-    num = len(scene.geoms)
-    known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
-    parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
-    if others := chosen - known:
-        choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
+class _Surfaces(NamedTuple):
+    """Surfaces of geoms in columns, as parallel arrays.
+
+    Attributes:
+        cell: the column's cell.
+        z: the height [m].
+        geom: the geom's id.
+    """
+
+    cell: Int
+    z: Float
+    geom: Int32
+
+
+def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) -> _Surfaces:
+    """Find the surfaces of geoms that face up; of hulls, those of the meshes that they are of."""
+    num_geoms = len(scene.geoms)
+    in_columns = {geom for geom in geoms if scene.geoms[geom].shape not in ("", "hull")}
+    sources: list[tuple[ColumnSource, set[int]]] = [(columns, in_columns)]
+    only_as_meshes = geoms - in_columns
+    if only_as_meshes:
+        choices = [
+            Choice(geom in only_as_meshes, "marks a room", "surface") for geom in range(num_geoms)
+        ]
         shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts)
-        parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
-    found = []
-    for surfaces, geoms in parts:
-        is_meant = np.isin(np.arange(num), list(geoms))
-        for block in surfaces.row_chunks() if geoms else ():
+        mesh_columns = cast_columns(tile_shapes(shapes, columns.lattice, 0.0))
+        sources.append((mesh_columns, only_as_meshes))
+    cells = list[Int]()
+    heights = list[Float]()
+    geom_ids = list[Int32]()
+    for source, source_geoms in sources:
+        is_marking = np.isin(np.arange(num_geoms), list(source_geoms))
+        for block in source.row_chunks() if source_geoms else ():
             first, end = block.valid_rows.cell_range(block.lattice)
-            at = np.flatnonzero(is_meant[block.geom] & (block.normal[:, 2] > 0))
-            cell = first + np.searchsorted(block.start[first : end + 1], at, side="right") - 1
-            found.append((cell, block.z[at], block.geom[at]))
-    cells, heights, owners = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
-    return cells, heights, owners
+            at = np.flatnonzero(is_marking[block.geom] & (block.normal[:, 2] > 0))
+            column = np.searchsorted(block.start[first : end + 1], at, side="right") - 1
+            cells.append(first + column)
+            heights.append(block.z[at])
+            geom_ids.append(block.geom[at])
+    return _Surfaces(np.concatenate(cells), np.concatenate(heights), np.concatenate(geom_ids))
+
+
+def _find_highest(surfaces: _Surfaces, marks: Bool, num_cells: int, no_geom: int) -> Int32:
+    """Find the geom of each cell's highest surface, of those that mark; of several the first.
+
+    Returns:
+        The geom of each cell, `no_geom` for none, shape (num_cells,).
+    """
+    cell = surfaces.cell
+    highest = np.full(num_cells, -np.inf)
+    np.maximum.at(highest, cell[marks], surfaces.z[marks])
+    is_highest = marks & (surfaces.z >= highest[cell] - SAME_HEIGHT)
+    first_geom = np.full(num_cells, no_geom, dtype=np.int32)
+    np.minimum.at(first_geom, cell[is_highest], surfaces.geom[is_highest])
+    return first_geom
 
 
 @lru_cache(maxsize=8)  # each update calls it
@@ -351,12 +504,12 @@ def _match(
     names: tuple[str, ...], patterns: tuple[str, ...], setting: str
 ) -> tuple[list[int], list[str]]:
     """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
-    chosen = set[int]()
+    matching = set[int]()
     warnings = list[str]()
     for pattern in patterns:
-        matches = re.compile(translate(pattern)).match
-        found = [k for k, name in enumerate(names) if name and matches(name)]
-        chosen.update(found)
-        if not found and pattern not in DEFAULTS[setting]:
+        match = re.compile(translate(pattern)).match
+        ids = [k for k, name in enumerate(names) if name and match(name)]
+        matching.update(ids)
+        if not ids and pattern not in DEFAULT_PATTERNS[setting]:
             warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
-    return sorted(chosen), warnings
+    return sorted(matching), warnings

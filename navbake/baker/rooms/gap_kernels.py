@@ -2,73 +2,242 @@
 
 A direction is scanned along digital lines, which shear the lattice: cell (row, col) lies on line
 ``row - shift[col]``, so that the cells of a line are connected over edges and corners. Directions
-are at most 45° from the rows; steeper ones scan the lattice with its axes swapped.
+are at most 45° from the rows; steeper ones scan the lattice with its axes swapped. Lines run from
+column to column, so lengths along them are counted in columns; the rows above a line have lower
+numbers.
 
-Squared Euclidean distances are found in two passes, as they separate by axis (Saito and Toriwaki,
-1994). Only those up to a reach matter: the lowest of all parabolas within it, which vectorizes.
+`mark_gaps` finds gaps, `measure_gaps` measures the spaces behind them, `mark_sills` finds sills,
+`sweep_distances` distances; `gaps.py` and `walls.py` call them.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from navbake.baker.rooms.gap_limits import (
+    DECIDING_CELLS,
+    DECIDING_SHARES,
+    JAMB_JITTER,
+    LINE_REACH,
+    MAX_WALL_DISTANCE,
+)
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
-# Walls farther from the centres of lines' end cells are ignored [columns]
-FAR = 4.0
-# How far on either side of a gap the spaces behind it are measured [widths of the gap]
-REACH = 2
-# Two spaces are one where the gap between them is at least this share of both, or of the narrower;
-# but a passage is a space of its own where the other one is wider by this factor
-BOTH = 0.8
-NARROWER = 0.78
-WIDER = 1.5
-# Widths are measured on the walls' geometry where so many cells could decide about these shares
-WAVERING = 2.0
-DECIDING = (BOTH, NARROWER, 1 / WIDER)
-# A doorway's lines differ by so many columns, as its jambs waver in the lattice
-JITTER = 2.0
-# The bit of a way that follows its line exactly, see `_hold`
-EXACT = 8
-# The bits of the cells that are at most one line from the one above, on and below the line
-BESIDE = 0b011, 0b111, 0b110
+Marks = NDArray[np.uint8]
+"""What `mark_gaps` makes of each cell: 0, `ONE_SIDED` or `DOORWAY`."""
+
+# A line beside which the space widens on one side, and one in a doorway: it widens on both sides
+ONE_SIDED = 1
+DOORWAY = 2
+
+# The ends of a gap and of a line: at the first column, and at the last
+FIRST_END = 0
+LAST_END = 1
+# The sides of a gap
+ABOVE = 0
+BELOW = 1
+
+# Bits of a cell on a line: the cell above it, the cell itself, and the one below (0 to 2) end a
+# chain of low cells within a cell of the line; this bit: the cell ends one that is exactly on it
+EXACT_CHAIN = 8
+# For the cell above, on and below the line: the bits of the next column's cells that touch it
+TOUCHING_BITS = 0b011, 0b111, 0b110
+
+
+class GapLimits(NamedTuple):
+    """Which lines `mark_gaps` marks, with lengths in columns and rows of a scan.
+
+    Attributes:
+        max_width: the longest run that can be a gap [columns].
+        widening_factor: by which the space beside a gap is wider than the gap, > 1.
+        min_widening: by how much it is wider at least [columns].
+        max_thickness: how many rows a doorway has at most [rows].
+        only_doorways: whether only gaps beside which the space widens on both sides are marked.
+    """
+
+    max_width: int
+    widening_factor: float
+    min_widening: float
+    max_thickness: int
+    only_doorways: bool
 
 
 class Gaps(NamedTuple):
-    """All gaps found in one scan direction, as parallel arrays."""
+    """The gaps of one scan direction, as parallel arrays of n gaps.
 
-    first: Int  # column
-    last: Int
-    top: Int  # the first marked row in these two columns, (n, 2)
-    bottom: Int  # the last one
-    above: Int  # the labels of the regions on both sides
-    below: Int
-    is_doorway: Bool  # the space widens on both sides
+    A gap is a strip of marked cells that goes on from column to column, between two spaces.
+
+    Attributes:
+        first_col: the column that it begins in, shape (n,), int64.
+        last_col: the column that it ends in.
+        top_row: its first marked row in these two columns, shape (n, 2), int64.
+        bottom_row: its last marked row in these two columns.
+        label_above: the label of the space above it, shape (n,), int64.
+        label_below: the label of the space below it.
+        is_doorway: whether it has lines of a doorway, shape (n,).
+    """
+
+    first_col: Int
+    last_col: Int
+    top_row: Int
+    bottom_row: Int
+    label_above: Int
+    label_below: Int
+    is_doorway: Bool
 
 
 class Scan(NamedTuple):
-    """A lattice as it is scanned in a direction, shape (rows, cols)."""
+    """A lattice as it is scanned in a direction, shape (rows, cols).
 
-    label: Int32  # the region of each cell, 0 for none
+    Attributes:
+        label: the space of each cell before any were joined, 0 for none.
+        is_open: cells that a line can run through.
+        shift: the row of a line in each column less that in the first, shape (cols,).
+        depths: at which distances behind gaps spaces are measured, shape (depths,) [rows].
+        leans: by how many columns a line at right angles to the direction shifts over each of these
+            distances on its way up, shape (depths,).
+    """
+
+    label: Int32
     is_open: Bool
-    shift: Int  # the line's row in each column less that in the first, (cols,)
-    depths: Int  # how far behind gaps to measure [rows]
-    leans: Int  # how many columns a line at right angles goes along on the way up so far
+    shift: Int
+    depths: Int
+    leans: Int
+
+
+class GapWalls(NamedTuple):
+    """How far walls are from the cells where gaps and lines end, in a scan direction [columns].
+
+    Attributes:
+        beside: from the centres of gaps' first and last cells to the walls there, shape (gaps, 2).
+        max_distance: how far from an opening's last cell a wall may be, shape (gaps,).
+        coded_distance: by cell and end, what `WallRays.measure` returns: the distance to the wall
+            plus 1, inf for no wall, 0 where no ray was cast yet; shape (cells, 2).
+    """
+
+    beside: Float
+    max_distance: Float
+    coded_distance: Float
+
+
+class GapLines(NamedTuple):
+    """Lines behind gaps, by gap, side and depth; all is -1 where a gap parts nothing.
+
+    Attributes:
+        length: how long the line is, the gap's columns included, shape (gaps, 2, depths), int64
+            [columns].
+        opening_width: how much of it, before the gap (0) and after it (1), lies behind further
+            openings to the same space, shape (gaps, 2, depths, 2), int64 [columns].
+        wall_cell: the line's last cells at both ends, -1 where it ends at no wall, shape (gaps, 2,
+            depths, 2), int64.
+        opening_cell: the last cells of these openings at both ends, -1 where there are none, or
+            where the line ends at no wall; shape (gaps, 2, depths, 2), int64.
+    """
+
+    length: Int
+    opening_width: Int
+    wall_cell: Int
+    opening_cell: Int
+
+
+class LineBehindGap(NamedTuple):
+    """A line to be measured: parallel to a gap, and some rows behind it.
+
+    Attributes:
+        gap: the number of the gap.
+        side: of the gap, `ABOVE` or `BELOW`.
+        depth: how far behind the gap it is [rows].
+        lean: by how many columns a line at right angles shifts over that distance on its way up.
+        space: the space on its side of the gap.
+        opposite_space: the space on the gap's other side.
+    """
+
+    gap: np.int64
+    side: int
+    depth: np.int64
+    lean: np.int64
+    space: np.int64
+    opposite_space: np.int64
+
+
+class LineEnd(NamedTuple):
+    """How far a line behind a gap runs beyond one end of the gap.
+
+    Attributes:
+        reached: how far it runs in its space [columns].
+        openings: how many columns up to where the walk ended lie behind further openings.
+        passed_openings: how many of them lie behind the part that was reached.
+        last_cell: its last cell, -1 if it does not end at a wall.
+        opening_cell: the last cell of the openings, in the line of the gap; -1 without any.
+    """
+
+    reached: int
+    openings: int
+    passed_openings: int
+    last_cell: np.int64
+    opening_cell: np.int64
+
+
+# ---------------------------------------------------------------- finding gaps
+
+
+@kernel(nogil=True)
+def mark_gaps(is_open, shift, is_near_wall, limits, marks):
+    """Mark the lines of gaps: runs of few open cells beside runs of many more.
+
+    A doorway is a stack of such runs that widens at its top and at its bottom; all of its lines are
+    marked `DOORWAY` from end to end. Of a gap that widens on one side, only the cells beside the
+    wider run are marked `ONE_SIDED`, unless `limits` want doorways only.
+
+    Args:
+        is_open: shape (rows, cols), bool.
+        shift: see `Scan`.
+        is_near_wall: cells that are near to a wall along the line: a run without any is no gap.
+            It is spread to all cells of a run.
+        limits: a `GapLimits`.
+        marks: receives the marks, shape (rows, cols), uint8.
+    """
+    run = measure_runs(is_open, shift, is_near_wall)
+    rows, cols = run.shape
+    for col in range(cols):
+        for row in range(rows):
+            width = run[row, col]
+            if width == 0 or width > limits.max_width or not is_near_wall[row, col]:
+                continue
+            wider = _widen(width, limits)
+            if row > 0 and run[row - 1, col] >= wider:
+                if not limits.only_doorways:
+                    marks[row, col] = max(marks[row, col], ONE_SIDED)
+                end = _find_doorway_end(run, row, col, limits)
+                for doorway_row in range(row, end):
+                    if marks[doorway_row, col] < DOORWAY:
+                        _mark_doorway(run, shift, doorway_row, col, marks)
+            if not limits.only_doorways and row + 1 < rows and run[row + 1, col] >= wider:
+                marks[row, col] = max(marks[row, col], ONE_SIDED)
 
 
 @subkernel
 def measure_runs(is_open, shift, marked):
-    """The length of the run of open cells along a line through each cell, 0 for closed ones.
+    """Measure the run of open cells along a line through each cell.
 
-    Where one cell of a run is `marked`, all of the run is marked.
+    The first pass counts the cells of each run up to each column, the second one copies its length
+    back from its last cell to all others.
+
+    Args:
+        is_open: shape (rows, cols), bool.
+        shift: see `Scan`.
+        marked: bool; where one cell of a run is marked, all of the run is marked.
+
+    Returns:
+        The length of each cell's run, 0 for closed cells, shape (rows, cols), int32 [columns].
     """
     rows, cols = is_open.shape
     run = np.zeros((cols, rows), dtype=np.int32).T
     length = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
-    base = cols
     for col in range(cols):
-        offset = base - shift[col]
+        offset = cols - shift[col]
         for row in range(rows):
             line = row + offset
             # a line that leaves the lattice at its upper or lower edge ends there
@@ -91,312 +260,414 @@ def measure_runs(is_open, shift, marked):
     return run
 
 
-@kernel(nogil=True)
-def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
-    """Mark the cells of gaps: runs along lines of at most `widest` cells next to much longer ones.
-
-    A run counts if a cell of it is `near` a wall along the line, which is spread to all its cells.
-    Much longer is by the factor `growth` and by `rise` cells. Between two such steps at most
-    `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8, from end to
-    end; else the last one is marked 1, unless only gaps with steps on `both` sides are wanted.
-    """
-    run = measure_runs(is_open, shift, near)
-    rows, cols = run.shape
-    for col in range(cols):
-        for row in range(rows):
-            here = run[row, col]
-            if here == 0 or here > widest or not near[row, col]:
-                continue
-            least = max(growth * here, here + rise)
-            if row > 0 and run[row - 1, col] >= least:
-                gap[row, col] = max(gap[row, col], 0 if both else 1)
-                # does it widen again on the other side, a wall's thickness from here?
-                for other in range(row, min(row + thickness, rows)):
-                    there = run[other, col]
-                    # a step to a narrower one ends it, too: the doorway begins there
-                    narrower = max(growth * there, there + rise + JITTER) < here
-                    if there == 0 or there > widest or narrower:
-                        break
-                    if other + 1 < rows and run[other + 1, col] >= max(
-                        growth * there, there + rise
-                    ):
-                        for between in range(row, other + 1):
-                            if gap[between, col] < 2:
-                                _mark_doorway(run, shift, between, col, gap)
-                        break
-            if not both and row + 1 < rows and run[row + 1, col] >= least:
-                gap[row, col] = max(gap[row, col], 1)
-
-
-@subkernel
-def _mark_doorway(run, shift, row, col, gap):
-    """Mark all of a cell's run as a doorway's, see `measure_runs`."""
-    gap[row, col] = 2
-    for way in (-1, 1):
-        here = row
-        end = col + way
-        while 0 <= end < len(shift):
-            there = here - shift[end - way] + shift[end]
-            if not 0 <= there < len(run) or run[there, end] == 0 or gap[there, end] == 2:
-                break
-            if run[there, end - way] == 0 and run[here, end] == 0:
-                break  # between two closed cells that touch at their corners
-            gap[there, end] = 2
-            here = there
-            end = end + way
-
-
-@kernel(nogil=True)
-def mark_bridges(low, wall, shift, bridge):
-    """Mark in `bridge` the `low` cells of ways along a line, which begin and end at a wall.
-
-    A way follows its line exactly, or within a cell where no wall is beside it and the line itself
-    meets the walls at its ends. So ways follow thin sills that alternate between two lines of
-    cells, but not furniture along a wall.
-    """
-    rows, cols = low.shape
-    low = low.T
-    wall = wall.T
-    held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
-    for col in range(1, cols):
-        to_before = shift[col - 1] - shift[col]
-        _hold(low[col], wall[col], to_before, wall[col - 1], held[col - 1], held[col])
-    ends = np.zeros((cols, rows), dtype=np.uint8)
-    for col in range(cols - 2, -1, -1):
-        to_after = shift[col + 1] - shift[col]
-        _hold(low[col], wall[col], to_after, wall[col + 1], ends[col + 1], ends[col])
-        for row in range(rows):
-            both = held[col, row] & ends[col, row]
-            if both == 0:
-                continue
-            for side in range(3):
-                if both & (1 << side):
-                    bridge[row + side - 1, col] = True
-            if both & EXACT:
-                bridge[row, col] = True
+@subkernel(**NO_REFCOUNT)
+def _widen(width, limits):
+    """How long a run has to be for the space to widen from a run of a width [columns]."""
+    return max(limits.widening_factor * width, width + limits.min_widening)
 
 
 @subkernel(**NO_REFCOUNT)
-def _hold(low, wall, to_next, next_wall, held, found):
-    """Which cells above, on and below a line (bits 0 to 2) are low and held by a wall; or `EXACT`.
+def _find_doorway_end(run, first_row, col, limits):
+    """The row past the last one of a doorway whose first row is given; the first if it is none.
 
-    `found` receives the bits of a column; the next column of the lines is `to_next` rows down.
+    The doorway ends where the space widens again, a wall's thickness away at most.
     """
-    rows = low.shape[0]
-    for row in range(max(0, -to_next), min(rows, rows - to_next)):
-        at_wall = next_wall[row + to_next]
-        there = held[row + to_next]
-        first = max(row - 1, 0)
-        last = min(row + 1, rows - 1)
-        if there == 0 and not at_wall:  # most cells: nothing there holds anything
-            continue
-        bits = EXACT if low[row] and (at_wall or there & EXACT) else 0
-        if not (wall[first] or wall[row] or wall[last]):
-            for other in range(first, last + 1):
-                side = other - row + 1
-                if low[other] and (at_wall or there & BESIDE[side]):
-                    bits |= 1 << side
-        found[row] = bits
+    rows = run.shape[0]
+    width = run[first_row, col]
+    for row in range(first_row, min(first_row + limits.max_thickness, rows)):
+        row_width = run[row, col]
+        if row_width == 0 or row_width > limits.max_width:
+            break
+        # a run that is clearly narrower than the first one ends it, too: the doorway begins there
+        least = row_width + limits.min_widening + JAMB_JITTER
+        if max(limits.widening_factor * row_width, least) < width:
+            break
+        if row + 1 < rows and run[row + 1, col] >= _widen(row_width, limits):
+            return row + 1
+    return first_row
+
+
+@subkernel
+def _mark_doorway(run, shift, row, col, marks):
+    """Mark all cells of a cell's run as a doorway's."""
+    marks[row, col] = DOORWAY
+    for step in (-1, 1):
+        last_row = row
+        next_col = col + step
+        while 0 <= next_col < len(shift):
+            next_row = last_row - shift[next_col - step] + shift[next_col]
+            if not 0 <= next_row < len(run) or run[next_row, next_col] == 0:
+                break
+            if marks[next_row, next_col] == DOORWAY:
+                break
+            if run[next_row, next_col - step] == 0 and run[last_row, next_col] == 0:
+                break  # between two closed cells that touch at their corners
+            marks[next_row, next_col] = DOORWAY
+            last_row = next_row
+            next_col = next_col + step
+
+
+# ---------------------------------------------------------------- measuring gaps
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen, whole, walls):
-    """Measure lines behind some gaps, parallel to them, in the regions above and below.
+def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
+    """Measure which share of the width of the spaces on both sides some gaps have.
 
-    At each depth a line runs as far as the region reaches, but beyond the gap's ends at most
-    `REACH` times its width. Other openings in the gap's line to the same region count as its width.
-    A region that ends before the first depth is measured where it ends. `whole` is the current
-    region of each label.
+    On each side a space is measured along lines parallel to the gap, at each of the scan's depths.
+    A line runs as far as the space reaches, but beyond the gap's ends at most `LINE_REACH` times
+    its width. Further openings in the gap's line to the same space count as the gap's width, so
+    that a row of pillars parts nothing. A space that ends before the first depth is measured where
+    it ends.
 
-    Widths are measured up to walls; lengths in cells, or up to walls where at most `WAVERING` cells
-    keep the least share from one of the `DECIDING` ones. `walls`: how far they are from the centres
-    of gaps' end cells, (gaps, 2), and at most from those of openings, (gaps,) [columns]; and what
-    is known of them by cell and end, see `WallRays.look`.
+    Gaps are measured up to the walls at their ends; lines in columns, or up to walls where at most
+    `DECIDING_CELLS` cells keep the least share from one of the `DECIDING_SHARES`.
+
+    Args:
+        scan: a `Scan`.
+        gaps: all `Gaps` of the scan.
+        chosen_gaps: the numbers of those that are measured, shape (n,), int64.
+        space_of: by label, the space that it is part of by now, int32.
+        walls: a `GapWalls`.
 
     Returns:
-        By gap, side and depth, int64: the length of the line, the width of the gap, and that of
-        such openings before and after it [columns]; the cells at which it ends at a wall before
-        and after, and the last cells of such openings, -1 for none; of these also where the line
-        ends at no wall. Nothing is measured if both sides are one region.
-        By gap and side, the least share of a line that is the gap's width and such openings.
-        By gap, whether its shares wait for walls that are not known yet.
-        Pairs of gaps and other regions that their lines met: only if one of these is joined, the
-        lines change.
+        The lines that were measured, a `GapLines` of n gaps.
+        By gap and side, the least share that the gap has of a line's length, shape (n, 2), float64;
+        1 on both sides where both are one space.
+        By gap, whether its shares wait for rays to walls that were not cast yet, shape (n,), bool.
+        Pairs of gaps and further spaces that their lines met: only if one of these is joined to a
+        space of the gap, the lines change.
     """
-    beside, far, known = walls
-    lines = np.empty((len(chosen), 2, len(scan.depths), 8), np.int64)
-    shares = np.empty((len(chosen), 2))
-    waits = np.empty(len(chosen), np.bool_)
-    openings = np.empty((2, len(scan.depths)))
-    met = [(np.int64(-1), np.int64(-1))]
-    for i in range(len(chosen)):
-        k = chosen[i]
-        above = np.int64(whole[gaps.above[k]])
-        below = np.int64(whole[gaps.below[k]])
-        wavers = False
-        waits[i] = False
+    num = len(chosen_gaps)
+    num_depths = len(scan.depths)
+    lines = GapLines(
+        length=np.full((num, 2, num_depths), np.int64(-1)),
+        opening_width=np.full((num, 2, num_depths, 2), np.int64(-1)),
+        wall_cell=np.full((num, 2, num_depths, 2), np.int64(-1)),
+        opening_cell=np.full((num, 2, num_depths, 2), np.int64(-1)),
+    )
+    shares = np.ones((num, 2))
+    waits = np.zeros(num, np.bool_)
+    widths = np.empty((2, num_depths))  # of one gap and its openings, up to walls [columns]
+    met = [(np.int64(-1), np.int64(-1))]  # the entry gives the list its type
+    for i in range(num):
+        gap = chosen_gaps[i]
+        above = np.int64(space_of[gaps.label_above[gap]])
+        below = np.int64(space_of[gaps.label_below[gap]])
+        if above == below:
+            continue
+        needs_walls = False
         for side in range(2):
-            shares[i, side] = 1.0
-            for depth in range(len(scan.depths)):
-                for number in range(lines.shape[3]):
-                    lines[i, side, depth, number] = -1
-        for side in range(0 if above == below else 2):
-            own, other = (above, below) if side == 0 else (below, above)
-            # how many open rows lie behind the gap in its middle, up to the first depth
-            ends, way = (gaps.top[k], -1) if side == 0 else (gaps.bottom[k], 1)
-            row = (ends[0] + ends[1]) // 2
-            col = (gaps.first[k] + gaps.last[k]) // 2
-            deep = 0
-            while deep < scan.depths[0] and 0 <= row + way * (deep + 1) < len(scan.is_open):
-                if not scan.is_open[row + way * (deep + 1), col]:
-                    break
-                deep += 1
             shortest = len(scan.shift)
-            for depth in range(len(scan.depths)):
-                measured = lines[i, side, depth]
-                rows = scan.depths[depth]
-                lean = scan.leans[depth]
-                if depth == 0 and deep < rows:
-                    rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
-                _measure_line(scan, gaps, k, (side, rows, lean, own, other), whole, met, measured)
+            for number in range(num_depths):
+                depth, lean = _limit_depth(scan, gaps, gap, side, number)
+                line = LineBehindGap(
+                    gap=gap,
+                    side=side,
+                    depth=depth,
+                    lean=lean,
+                    space=above if side == ABOVE else below,
+                    opposite_space=below if side == ABOVE else above,
+                )
+                _measure_line(scan, gaps, line, space_of, met, lines, i, number)
                 width = 0.0
                 for end in range(2):
                     # up to the wall at the gap's end, or at that of openings beyond it
-                    passed = measured[2 + end]
-                    cell = measured[6 + end]
-                    if passed > 0:
-                        waits[i] |= cell >= 0 and known[cell, end] == 0.0
-                        width += passed + _beyond(known, cell, end, far[k])
+                    opening_width = lines.opening_width[i, side, number, end]
+                    cell = lines.opening_cell[i, side, number, end]
+                    if opening_width > 0:
+                        waits[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                        width += opening_width + _distance_to_wall(
+                            walls.coded_distance, cell, end, walls.max_distance[gap]
+                        )
                     else:
-                        width += beside[k, end]
-                openings[side, depth] = measured[1] - 1 + width
-                shares[i, side] = min(shares[i, side], openings[side, depth] / measured[0])
-                shortest = min(shortest, measured[0])
-            for share in DECIDING:
-                wavers |= abs(shares[i, side] - share) * shortest <= WAVERING
-        # for others it makes no difference where in the last cells the walls begin
-        for side in range(2 if wavers else 0):
+                        width += walls.beside[gap, end]
+                widths[side, number] = gaps.last_col[gap] - gaps.first_col[gap] + width
+                length = lines.length[i, side, number]
+                shares[i, side] = min(shares[i, side], widths[side, number] / length)
+                shortest = min(shortest, length)
+            for share in DECIDING_SHARES:
+                needs_walls |= abs(shares[i, side] - share) * shortest <= DECIDING_CELLS
+        if not needs_walls:
+            # it makes no difference where in the last cells the walls begin
+            continue
+        for side in range(2):
             shares[i, side] = 1.0
-            for depth in range(len(scan.depths)):
-                measured = lines[i, side, depth]
+            for number in range(num_depths):
                 length = 0.0
                 for end in range(2):
-                    cell = measured[4 + end]
-                    waits[i] |= cell >= 0 and known[cell, end] == 0.0
-                    length += _beyond(known, cell, end, FAR)
-                share = openings[side, depth] / (measured[0] - 1 + length)
+                    cell = lines.wall_cell[i, side, number, end]
+                    waits[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                    length += _distance_to_wall(walls.coded_distance, cell, end, MAX_WALL_DISTANCE)
+                share = widths[side, number] / (lines.length[i, side, number] - 1 + length)
                 shares[i, side] = min(shares[i, side], share)
     return lines, shares, waits, met[1:]
 
 
-@subkernel
-def _beyond(known, cell, end, far):
-    """How far the wall is from a cell's centre; half a column without a cell or a wall so near."""
-    if cell < 0 or not 1.0 <= known[cell, end] <= far + 1.0:
-        return 0.5
-    return known[cell, end] - 1.0
+@subkernel(**NO_REFCOUNT)
+def _limit_depth(scan, gaps, gap, side, number):
+    """The depth and the lean of a gap's line, by its number; the first line stays in its space.
 
-
-@subkernel
-def _meet(met, k, region):
-    """List that lines of gap k met a region, once."""
-    for n in range(len(met) - 1, 0, -1):
-        if met[n][0] != k:
-            break
-        if met[n][1] == region:
-            return
-    met.append((k, region))
-
-
-@subkernel
-def _measure_line(scan, gaps, k, line, whole, met, measured):
-    """Measure a line behind gap k; `met` receives the regions that it meets.
-
-    `line` is its side (0 above, 1 below), how many rows behind the gap it is and how many columns
-    it leans on the way up so far, and the regions on its side and on the other one.
+    A space that ends before the first depth, as seen from the middle of the gap, is measured where
+    it ends.
     """
-    side, depth, rise, own, other = line
-    label = scan.label
-    is_open = scan.is_open
+    depth = scan.depths[number]
+    lean = scan.leans[number]
+    if number > 0:
+        return depth, lean
+    # the middle of the gap on this side
+    if side == ABOVE:
+        step = -1
+        row = (gaps.top_row[gap, 0] + gaps.top_row[gap, 1]) // 2
+    else:
+        step = 1
+        row = (gaps.bottom_row[gap, 0] + gaps.bottom_row[gap, 1]) // 2
+    col = (gaps.first_col[gap] + gaps.last_col[gap]) // 2
+    num_open = 0
+    while num_open < depth and 0 <= row + step * (num_open + 1) < len(scan.is_open):
+        if not scan.is_open[row + step * (num_open + 1), col]:
+            break
+        num_open += 1
+    if num_open < depth:
+        if depth > 1:
+            lean = np.int64(0)
+        depth = np.int64(max(num_open, 1))
+    return depth, lean
+
+
+@subkernel(**NO_REFCOUNT)
+def _distance_to_wall(coded_distance, cell, end, max_distance):
+    """How far the wall is from a cell's centre; half a column without a cell or a wall so near."""
+    if cell < 0 or not 1.0 <= coded_distance[cell, end] <= max_distance + 1.0:
+        return 0.5
+    return coded_distance[cell, end] - 1.0
+
+
+@subkernel
+def _measure_line(scan, gaps, line, space_of, met, lines, entry, number):
+    """Measure a `LineBehindGap` into an entry of `lines`; `met` receives the spaces that it meets.
+
+    How far a line may run depends on how wide the opening is that this gap is a part of: so the
+    openings next to the gap are counted first.
+    """
+    gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
+    opening_width = gap_width
+    for end in range(2):
+        opening_width += _walk_line(scan, gaps, line, end, 0, True, space_of, met).openings
+    length = gap_width
+    for end in range(2):
+        walk = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met)
+        length += walk.reached
+        lines.opening_width[entry, line.side, number, end] = walk.passed_openings
+        lines.wall_cell[entry, line.side, number, end] = walk.last_cell
+        if walk.passed_openings > 0 and walk.last_cell >= 0:
+            lines.opening_cell[entry, line.side, number, end] = walk.opening_cell
+        else:
+            lines.opening_cell[entry, line.side, number, end] = -1
+    lines.length[entry, line.side, number] = length
+
+
+@subkernel
+def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, met):
+    """Walk along a line from one end of its gap away from it, and return a `LineEnd`.
+
+    Args:
+        scan, gaps: as for `measure_gaps`.
+        line: a `LineBehindGap`.
+        end: `FIRST_END` or `LAST_END`.
+        opening_width: how wide the opening is that the gap is a part of, which limits the walk.
+        only_openings: whether the walk ends where the openings next to the gap end.
+        space_of: as for `measure_gaps`.
+        met: receives the further spaces that are met.
+    """
+    rows, cols = scan.label.shape
     shift = scan.shift
-    rows, cols = label.shape
-    # from the gap to the line behind it, and on the other side to that before it
-    down = -depth if side == 0 else depth
-    lean = rise if side == 0 else -rise
-    width = gaps.last[k] - gaps.first[k] + 1
-    length = width
-    whole_width = width
-    # first to find how wide the opening is that this gap is a part of
-    for is_last in (False, True):
-        for end in range(2):
-            way = -1 if end == 0 else 1
-            start = gaps.first[k] if end == 0 else gaps.last[k]
-            top = gaps.top[k, end]
-            bottom = gaps.bottom[k, end]
-            near_row, far_row = (top, bottom) if side == 0 else (bottom, top)
-            reached = 0
-            opened = 0
-            passed = 0
-            last = np.int64(-1)
-            through = np.int64(-1)
-            for step in range(cols):
-                col = start + way * step
-                near = col + lean
-                far = col - lean
-                most = max(whole_width, width + opened) if is_last else np.int64(cols)
-                if step > REACH * most or not 0 <= near < cols:
-                    last = np.int64(-1)
-                    break
-                row = near_row + down + shift[near] - shift[start]
-                if not 0 <= row < rows or not is_open[row, near]:
-                    if step == 0:
-                        continue  # there is wall beside the gap's end
-                    if last >= 0:
-                        reached = step - 1
-                        passed = opened
-                    break
-                here = np.int64(whole[label[row, near]])
-                last = row * cols + near
-                if step == 0:
-                    continue
-                if here > 0 and here != own:
-                    _meet(met, k, here)
-                    last = np.int64(-1)
-                    break
-                if 0 <= col < cols and 0 <= far < cols:
-                    on = shift[col] - shift[start]
-                    opposite = far_row - down + shift[far] - shift[start]
-                    is_through = top + on >= 0 and bottom + on < rows and 0 <= opposite < rows
-                    # no wall anywhere between: one row may miss a thin wall at an angle
-                    for middle in range(top + on, bottom + on + 1 if is_through else 0):
-                        is_through &= is_open[middle, col]
-                    if is_through and is_open[opposite, far]:
-                        there = np.int64(whole[label[opposite, far]])
-                        # another gap that ends here has no label: the line goes on beyond it
-                        if there == other or there == 0:
-                            opened += 1
-                            through = ((top + bottom) // 2 + on) * cols + col
-                        elif there > 0:
-                            _meet(met, k, there)
-                if here > 0:
-                    reached = step
-                    passed = opened
-                if not is_last and opened < step:
-                    break
-            if is_last:
-                length += reached
-                measured[2 + end] = passed
-                measured[4 + end] = last
-                measured[6 + end] = through if passed > 0 and last >= 0 else np.int64(-1)
-            else:
-                whole_width += opened
-    measured[0] = length
-    measured[1] = width
+    gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
+    top = gaps.top_row[line.gap, end]
+    bottom = gaps.bottom_row[line.gap, end]
+    start = gaps.first_col[line.gap] if end == FIRST_END else gaps.last_col[line.gap]
+    step = -1 if end == FIRST_END else 1
+    # the rows in which the line and its mirror image on the gap's other side begin, in the column
+    # of the gap's end; the line is shifted by `lean` columns from there, the image by as many back
+    if line.side == ABOVE:
+        line_start = top - line.depth
+        mirror_start = bottom + line.depth
+        lean = line.lean
+    else:
+        line_start = bottom + line.depth
+        mirror_start = top - line.depth
+        lean = -line.lean
+    reached = 0
+    openings = 0
+    passed_openings = 0
+    last_cell = np.int64(-1)
+    opening_cell = np.int64(-1)
+    for num_steps in range(cols):
+        gap_col = start + step * num_steps
+        line_col = gap_col + lean
+        mirror_col = gap_col - lean
+        is_too_far = not only_openings and (
+            num_steps > LINE_REACH * max(opening_width, gap_width + openings)
+        )
+        if is_too_far or not 0 <= line_col < cols:
+            last_cell = np.int64(-1)
+            break
+        line_row = line_start + shift[line_col] - shift[start]
+        if not 0 <= line_row < rows or not scan.is_open[line_row, line_col]:
+            if num_steps == 0:
+                continue  # there is wall beside the gap's end
+            if last_cell >= 0:
+                reached = num_steps - 1
+                passed_openings = openings
+            break
+        space = np.int64(space_of[scan.label[line_row, line_col]])
+        last_cell = line_row * cols + line_col
+        if num_steps == 0:
+            continue
+        if space > 0 and space != line.space:
+            _note_met(met, line.gap, space)
+            last_cell = np.int64(-1)
+            break
+        if 0 <= gap_col < cols and 0 <= mirror_col < cols:
+            row_shift = shift[gap_col] - shift[start]
+            gap_top = top + row_shift
+            gap_bottom = bottom + row_shift
+            mirror_row = mirror_start + shift[mirror_col] - shift[start]
+            opposite = np.int64(-1)
+            if _is_passage(scan.is_open, gap_col, gap_top, gap_bottom, mirror_row, mirror_col):
+                opposite = np.int64(space_of[scan.label[mirror_row, mirror_col]])
+            # another gap that ends here has no label: the line goes on beyond it
+            if opposite == line.opposite_space or opposite == 0:
+                openings += 1
+                opening_cell = ((top + bottom) // 2 + row_shift) * cols + gap_col
+            elif opposite > 0:
+                _note_met(met, line.gap, opposite)
+        if space > 0:
+            reached = num_steps
+            passed_openings = openings
+        if only_openings and openings < num_steps:
+            break
+    return LineEnd(
+        reached=reached,
+        openings=openings,
+        passed_openings=passed_openings,
+        last_cell=last_cell,
+        opening_cell=opening_cell,
+    )
+
+
+@subkernel(**NO_REFCOUNT)
+def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
+    """Whether a column is open from a gap's top row to its bottom row, and so is a mirror cell.
+
+    All rows count: a single one may miss a thin wall at an angle.
+    """
+    rows = is_open.shape[0]
+    if top < 0 or bottom >= rows or not 0 <= mirror_row < rows:
+        return False
+    for row in range(top, bottom + 1):
+        if not is_open[row, gap_col]:
+            return False
+    return is_open[mirror_row, mirror_col]
+
+
+@subkernel
+def _note_met(met, gap, space):
+    """List that lines of a gap met a space, once."""
+    for n in range(len(met) - 1, 0, -1):
+        if met[n][0] != gap:
+            break
+        if met[n][1] == space:
+            return
+    met.append((gap, space))
+
+
+# ---------------------------------------------------------------- sills
 
 
 @kernel(nogil=True)
-def sweep(target, reach, along, squared, first, end):
-    """Find distances to a target, in two calls: within columns, and then across them.
+def mark_sills(is_low, is_wall, shift, is_sill):
+    """Mark the sills along lines: chains of low cells from one wall to another.
+
+    A chain follows its line exactly, or within a cell where no wall is beside it and the line
+    itself meets the walls at its ends. So chains follow thin sills that alternate between two lines
+    of cells, but not furniture along a wall. A scan from each end finds the chains that begin at a
+    wall there; cells of both are sills.
+
+    Args:
+        is_low: cells that are blocked below heads only, shape (rows, cols), bool.
+        is_wall: cells of walls.
+        shift: see `Scan`.
+        is_sill: receives the sills' cells, bool.
+    """
+    rows, cols = is_low.shape
+    is_low = is_low.T
+    is_wall = is_wall.T
+    from_first = np.zeros((cols, rows), dtype=np.uint8)  # chains that begin at a wall before
+    for col in range(1, cols):
+        to_before = shift[col - 1] - shift[col]
+        _extend_chains(
+            is_low=is_low[col],
+            is_wall=is_wall[col],
+            to_next=to_before,
+            is_next_wall=is_wall[col - 1],
+            next_chains=from_first[col - 1],
+            chains=from_first[col],
+        )
+    from_last = np.zeros((cols, rows), dtype=np.uint8)
+    for col in range(cols - 2, -1, -1):
+        to_after = shift[col + 1] - shift[col]
+        _extend_chains(
+            is_low=is_low[col],
+            is_wall=is_wall[col],
+            to_next=to_after,
+            is_next_wall=is_wall[col + 1],
+            next_chains=from_last[col + 1],
+            chains=from_last[col],
+        )
+        for row in range(rows):
+            bits = from_first[col, row] & from_last[col, row]
+            if bits == 0:
+                continue
+            for side in range(3):
+                if bits & (1 << side):
+                    is_sill[row + side - 1, col] = True
+            if bits & EXACT_CHAIN:
+                is_sill[row, col] = True
+
+
+@subkernel(**NO_REFCOUNT)
+def _extend_chains(is_low, is_wall, to_next, is_next_wall, next_chains, chains):
+    """Extend chains of low cells from the next column of the lines, `to_next` rows down, into one.
+
+    `chains` receives the bits of the chains that end in each cell of the column, see `EXACT_CHAIN`.
+    """
+    rows = is_low.shape[0]
+    for row in range(max(0, -to_next), min(rows, rows - to_next)):
+        at_wall = is_next_wall[row + to_next]
+        next_bits = next_chains[row + to_next]
+        first = max(row - 1, 0)
+        last = min(row + 1, rows - 1)
+        if next_bits == 0 and not at_wall:  # most cells: no chain can begin or go on here
+            continue
+        bits = EXACT_CHAIN if is_low[row] and (at_wall or next_bits & EXACT_CHAIN) else 0
+        if not (is_wall[first] or is_wall[row] or is_wall[last]):
+            for chain_row in range(first, last + 1):
+                side = chain_row - row + 1
+                if is_low[chain_row] and (at_wall or next_bits & TOUCHING_BITS[side]):
+                    bits |= 1 << side
+        chains[row] = bits
+
+
+# ---------------------------------------------------------------- distances
+
+
+@kernel(nogil=True)
+def sweep_distances(target, reach, along, squared, first, end):
+    """Find squared distances to a target, in two calls: within columns, and then across them.
+
+    Squared Euclidean distances separate by axis (Saito and Toriwaki, 1994). Only those up to a
+    reach matter: the lowest of all parabolas within it is found by comparing all, which vectorizes.
 
     Args:
         target: where it is, bool.
@@ -404,6 +675,8 @@ def sweep(target, reach, along, squared, first, end):
         along: receives distances within the columns ``range(first, end)``, int16.
         squared: receives squared distances in the rows ``range(first, end)``, from those in the
             columns, int32; empty for the first call.
+        first: the first column, or in the second call the first row.
+        end: the one past the last.
     """
     if squared.shape[0] == 0:
         _sweep_columns(target[:, first:end], np.int16(reach + 1), along[:, first:end])
@@ -412,13 +685,14 @@ def sweep(target, reach, along, squared, first, end):
 
 
 @subkernel
-def _sweep_columns(target, far, along):
+def _sweep_columns(target, beyond, along):
+    """Count the cells to the nearest target above or below each cell, up to `beyond`."""
     rows, cols = target.shape  # of some columns: loops from 0 vectorize
     for col in range(cols):
-        along[0, col] = 0 if target[0, col] else far
+        along[0, col] = 0 if target[0, col] else beyond
     for row in range(1, rows):
         for col in range(cols):
-            step = min(along[row - 1, col] + np.int16(1), far)
+            step = min(along[row - 1, col] + np.int16(1), beyond)
             along[row, col] = 0 if target[row, col] else step
     for row in range(rows - 2, -1, -1):
         for col in range(cols):
@@ -427,6 +701,7 @@ def _sweep_columns(target, far, along):
 
 @subkernel
 def _sweep_rows(along, reach, squared, first, end):
+    """Find the least sum of squares of a distance within a column and of that to the column."""
     cols = along.shape[1]
     beyond = np.int32((reach + 1) ** 2)
     squares = np.empty(cols + 2 * reach, np.int32)
@@ -435,8 +710,8 @@ def _sweep_rows(along, reach, squared, first, end):
     for row in range(first, end):
         nearest = squared[row]
         for col in range(cols):
-            value = np.int32(along[row, col])
-            squares[col + reach] = value * value
+            distance = np.int32(along[row, col])
+            squares[col + reach] = distance * distance
             nearest[col] = beyond
         for shift in range(2 * reach + 1):
             add = np.int32((shift - reach) ** 2)

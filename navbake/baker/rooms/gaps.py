@@ -1,10 +1,24 @@
-"""Gaps between walls, and the spaces that they part, see `segment_by_gaps`."""
+"""Gaps: lines at which a space is much narrower than on both sides, and the spaces they part.
+
+How the floor of a level is divided at gaps, by stages:
+
+1. `find_directions` (in `walls.py`) finds the directions that walls run in. For each, the lattice
+   is scanned along digital lines, see `gap_kernels.py`; steps 2 and 4 are done once per direction.
+2. `_mark_lines` marks the lines of gaps: short runs of open cells beside much longer ones.
+3. `_label_spaces` labels the *spaces*: connected open cells that no direction has marked.
+4. `_list_gaps` makes a *gap* of marked cells in neighbouring columns between the same two spaces.
+5. `SpaceMerger.measure` measures the *share* that a gap has of the width of both spaces.
+6. `SpaceMerger.join_all` joins spaces whose gap has too large a share, or is too wide for a door.
+
+The limits of all steps are in `gap_limits.py`.
+"""
+
+from __future__ import annotations
 
 import heapq
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.core.components import (
     count_cells_by_label,
@@ -13,51 +27,82 @@ from navbake.baker.core.components import (
     label_components_2d,
 )
 from navbake.baker.rooms import gap_kernels as kernels
-from navbake.baker.rooms.gap_kernels import BOTH, FAR, NARROWER, WIDER, Gaps, Scan
-from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
+from navbake.baker.rooms.gap_kernels import DOORWAY, GapLimits, Gaps, GapWalls, Marks, Scan
+from navbake.baker.rooms.gap_limits import (
+    CLOSE_SHARE,
+    JOIN_SHARE_OF_NARROWER,
+    JOIN_SHARE_OF_WIDER,
+    MAX_GAP_WIDTH,
+    MAX_JAMB_DISTANCE,
+    MAX_LINE_DRIFT,
+    MAX_OPENING_WIDTH,
+    MAX_PASSAGE_WIDTH,
+    MAX_WALL_DISTANCE,
+    MAX_WALL_THICKNESS,
+    MEASURING_DEPTHS,
+    MIN_CLOSE_AREA,
+    MIN_CLOSE_WIDTH,
+    MIN_PASSAGE_LENGTH,
+    MIN_SPACE_AREA,
+    MIN_WIDENING,
+    PASSAGE_WIDENING,
+    WIDENING_FACTOR,
+    WIDTH_ROUNDING,
+)
+from navbake.baker.rooms.walls import (
+    WallDirection,
+    WallRays,
+    find_directions,
+    from_scan_order,
+    to_scan_order,
+)
 from navbake.threads import run_beside
-from navbake.types import Bool, Float, Int, Int32
-
-Marks = NDArray[np.uint8]
-
-# Unless a door's width is given: the widest opening that parts two rooms, the widest mouth of a
-# passage that is a room of its own, and the widest opening in whose line another wall can end [m]
-WIDEST = 2.5
-PASSAGE = 3.2
-WIDE = 4.0
-# A gap is looked for where the space widens by this factor, and by this much [m]
-GROWTH = 1.15
-RISE = 0.2
-# Walls are at most this thick at a doorway [m]
-THICKNESS = 0.6
-# Where a gap goes on in the next column, its middle is on a line at most so far apart [lines]
-DRIFT = 2
-# A smaller space belongs to the gaps round it, whose neighbouring lines leave single cells between
-# them where walls are at an angle to the lattice [m²]
-ISLAND = 0.1
-# How wide the spaces are is measured so far behind the gap; the widest counts [m]
-DEPTHS = (0.1, 0.25, 0.45)
-# A passage is a space of its own from this length on [widths]
-LONG = 3.0
-# A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
-# are so large [m²]
-CLOSE = 0.04
-CLOSE_WIDTH = 0.8
-CLOSE_AREA = 4.0
-# Of the widest gap [m]
-ROUNDING = 1e-9
+from navbake.types import Bool, Int, Int32
 
 
 class CloseCall(NamedTuple):
-    """A gap that just parts two spaces, or just not: row and column of its middle, width [m]."""
+    """A gap that just parts two spaces, or just does not.
+
+    Attributes:
+        cell: row and column of its middle, in fractions of cells.
+        width: how wide it is [m].
+        parts: whether it parts the spaces.
+    """
 
     cell: tuple[float, float]
     width: float
     parts: bool
 
 
-Found = tuple[Direction, Scan, Gaps]
-"""The gaps of a direction, and the lattice as they are measured in it."""
+class DirectionGaps(NamedTuple):
+    """The gaps that lie along one direction of walls.
+
+    Attributes:
+        direction: the direction.
+        scan: the lattice as it is scanned in this direction.
+        gaps: the gaps of the scan.
+    """
+
+    direction: WallDirection
+    scan: Scan
+    gaps: Gaps
+
+
+class PartedSpaces(NamedTuple):
+    """The spaces that all gaps together part, before any are joined.
+
+    Attributes:
+        directions: the gaps of each direction.
+        label: the space of each cell, from 1, 0 for none; shape (height, width), int32.
+        num_cells: how many cells each space has, by label, int64; 0 for label 0.
+    """
+
+    directions: list[DirectionGaps]
+    label: Int32
+    num_cells: Int
+
+
+# ---------------------------------------------------------------- finding gaps
 
 
 def find_gaps(
@@ -67,267 +112,447 @@ def find_gaps(
     door_width: float | None,
     rays: WallRays | None = None,
     closed: Bool | None = None,
-) -> tuple[list[Found], Int32, Int]:
-    """The gaps of each direction, the spaces that all of them part, and how many cells each has.
+) -> PartedSpaces:
+    """Find the gaps along each direction of walls, and the spaces that all of them part.
 
-    Space includes `holes`, without floor or wall. A gap wider than `door_width` [m] parts none.
-    Cells in a `closed` leaf are in no space and no gap, and lines end at them.
+    Args:
+        open_cells: cells with a floor and without a wall, shape (height, width).
+        holes: cells without a floor or a wall. Gaps and lines go over them, but they are in no
+            space.
+        cell_size: [m].
+        door_width: the widest gap that parts two spaces [m]; None for the limits of this module.
+        rays: to the geometry of walls; without, their directions follow from the cells.
+        closed: cells of closed leaves, which are in no space and no gap; lines end at them.
+
+    Returns:
+        The gaps and the spaces.
     """
     space = open_cells | holes
     if closed is None:
         closed = np.zeros_like(space)
     directions = find_directions(space, cell_size, rays)
-    thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
-    # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
-    # doorways, come first, and close the way for others: so a line across a corridor does not go
-    # through a door, and a wall's end at a wide opening is continued up to the opening's line
-    marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
-    marked = closed.copy()
-    least = door_width or 0.0
-    for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
+    marks, is_marked = _mark_lines(space, closed, directions, cell_size, door_width)
+    label, num_cells = _label_spaces(open_cells, is_marked, cell_size)
+    direction_gaps = []
+    for direction, direction_marks in zip(directions, marks, strict=True):
+        depths = [
+            max(1, round(depth * direction.stretch / cell_size)) for depth in MEASURING_DEPTHS
+        ]
+        rows = np.array(depths)
+        scan = Scan(
+            label=to_scan_order(label, direction),
+            is_open=to_scan_order(space & ~closed, direction),
+            shift=direction.shift,
+            depths=rows,
+            leans=np.rint(rows * direction.slope / direction.stretch**2).astype(np.int64),
+        )
+        gaps = _list_gaps(scan, to_scan_order(is_marked, direction), direction_marks)
+        direction_gaps.append(DirectionGaps(direction, scan, gaps))
+    return PartedSpaces(direction_gaps, label, num_cells)
+
+
+def _mark_lines(
+    space: Bool,
+    closed: Bool,
+    directions: list[WallDirection],
+    cell_size: float,
+    door_width: float | None,
+) -> tuple[list[Marks], Bool]:
+    """Mark the lines of gaps in each direction.
+
+    Lines of doorways, at which the space widens on both sides, are marked first, and are closed for
+    all others. So a line across a corridor does not go through a door, and a wall that ends at a
+    wide opening is continued up to the opening's line.
+
+    Returns:
+        The marks of each direction, in its scan order.
+        Whether a cell is closed or marked in any direction, shape (height, width).
+    """
+    marks = [
+        np.zeros_like(to_scan_order(space, direction), dtype=np.uint8) for direction in directions
+    ]
+    is_marked = closed.copy()
+    min_width = door_width or 0.0
+    for max_width, only_doorways in (
+        (max(MAX_OPENING_WIDTH, min_width), True),
+        (max(MAX_PASSAGE_WIDTH, min_width), False),
+    ):
+        unmarked = space & ~is_marked
         waiting = []
-        left = space & ~marked
-        for direction, thick, own in zip(directions, thickness, marks, strict=True):
-            step = direction.stretch * cell_size
-            limits = int(widest / step), GROWTH, RISE / step, thick, both, own
-            is_open = turned(left, direction)
-            lines = is_open, direction.shift, turned(direction.near, direction).copy("K")
-            waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))
+        for direction, direction_marks in zip(directions, marks, strict=True):
+            step = direction.stretch * cell_size  # of a column along the lines [m]
+            limits = GapLimits(
+                max_width=int(max_width / step),
+                widening_factor=WIDENING_FACTOR,
+                min_widening=MIN_WIDENING / step,
+                max_thickness=int(MAX_WALL_THICKNESS * direction.stretch / cell_size) + 2,
+                only_doorways=only_doorways,
+            )
+            is_open = to_scan_order(unmarked, direction)
+            is_near_wall = to_scan_order(direction.near, direction).copy("K")
+            waiting.append(
+                run_beside(
+                    kernels.mark_gaps,
+                    is_open,
+                    direction.shift,
+                    is_near_wall,
+                    limits,
+                    direction_marks,
+                )
+            )
         for wait in waiting:
             wait()
-        for direction, own in zip(directions, marks, strict=True):
-            marked |= (own.T if direction.swapped else own) > 0
-    label, count = label_components_2d(open_cells & ~marked)
-    cells = count_cells_by_label(label, count + 1)
-    keeps = cells * cell_size**2 >= ISLAND
-    keeps[0] = True
-    if not keeps.all():  # those that are left keep their order
-        marked |= open_cells & ~keeps[label]
-        number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
-        label = number[label]
-        cells = np.bincount(number, cells).astype(np.int64)
-    found = []
-    for direction, own in zip(directions, marks, strict=True):
-        depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
-        leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
-        is_open = turned(space & ~closed, direction)
-        scan = Scan(turned(label, direction), is_open, direction.shift, depths, leans)
-        gaps = _list_gaps(scan, turned(marked, direction), own)
-        found.append((direction, scan, gaps))
-    return found, label, cells
+        for direction, direction_marks in zip(directions, marks, strict=True):
+            is_marked |= from_scan_order(direction_marks, direction) > 0
+    return marks, is_marked
 
 
-def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
-    """The gaps of a direction: neighbouring columns of marked cells.
+def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
+    """Label the connected open cells without a mark, and count their cells.
 
-    They lie between the same two spaces, one cell of each is marked in `own`, and all are open.
+    Cells of what is smaller than `MIN_SPACE_AREA` are marked instead.
+    """
+    label, count = label_components_2d(open_cells & ~is_marked)
+    num_cells = count_cells_by_label(label, count + 1)
+    is_space = num_cells * cell_size**2 >= MIN_SPACE_AREA
+    is_space[0] = True
+    if is_space.all():
+        return label, num_cells
+    is_marked |= open_cells & ~is_space[label]
+    # the spaces that remain keep their order
+    new_label = np.where(is_space, np.cumsum(is_space) - 1, 0).astype(np.int32)
+    return new_label[label], np.bincount(new_label, num_cells).astype(np.int64)
+
+
+class _Crossings(NamedTuple):
+    """Where columns of a scan cross marked cells from one space to another, as parallel arrays.
+
+    Attributes:
+        col: the column.
+        top: the first marked row.
+        bottom: the last marked row.
+        label_above: the label of the space above.
+        label_below: the label of the space below.
+        mark: the greatest mark of the cells, see `Marks`.
+    """
+
+    col: Int
+    top: Int
+    bottom: Int
+    label_above: Int
+    label_below: Int
+    mark: Int
+
+
+def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
+    """List the gaps of a scan: marked cells in neighbouring columns between the same two spaces.
+
+    `is_marked` are the marked cells of all directions, `marks` those of this one.
+    """
+    crossings = _list_crossings(scan, is_marked, marks)
+    previous = _find_previous(crossings, scan)
+    goes_on = np.flatnonzero(previous >= 0)
+    gap_of = label_components(np.stack([previous[goes_on], goes_on]), len(previous))
+    # by gap, and by column within a gap
+    order = np.argsort(gap_of, kind="stable")
+    start = np.flatnonzero(np.diff(gap_of[order], prepend=-1))
+    first = order[start]
+    last = order[np.append(start[1:], len(order))[: len(start)] - 1]
+    return Gaps(
+        first_col=crossings.col[first],
+        last_col=crossings.col[last],
+        top_row=np.stack([crossings.top[first], crossings.top[last]], axis=1),
+        bottom_row=np.stack([crossings.bottom[first], crossings.bottom[last]], axis=1),
+        label_above=crossings.label_above[first],
+        label_below=crossings.label_below[first],
+        is_doorway=np.maximum.reduceat(crossings.mark[order], start) == DOORWAY,
+    )
+
+
+def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
+    """List where columns cross from one space to another over marked cells.
+
+    One of the cells at least is marked in this direction, and a line can run through all of them.
     """
     label = scan.label
-    shift = scan.shift
-    col, top, end, _ = find_row_runs(marked.T)
+    col, top, end, _ = find_row_runs(is_marked.T)
     bottom = end - 1
     starts = np.cumsum(end - top) - (end - top)
-    mark = np.maximum.reduceat(own.T[marked.T], starts)
-    above = label[np.maximum(top - 1, 0), col]
-    below = label[np.minimum(bottom + 1, len(label) - 1), col]
+    mark = np.maximum.reduceat(marks.T[is_marked.T], starts)
+    is_open = np.logical_and.reduceat(scan.is_open.T[is_marked.T], starts)
+    label_above = label[np.maximum(top - 1, 0), col]
+    label_below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # at the lattice's edge that is a marked cell, which has no label
-    crosses = (above > 0) & (below > 0) & (above != below) & (mark > 0)
-    crosses &= np.logical_and.reduceat(scan.is_open.T[marked.T], starts)
-    col = col[crosses].astype(np.int64)
-    top = top[crosses].astype(np.int64)
-    bottom = bottom[crosses].astype(np.int64)
-    above = above[crosses].astype(np.int64)
-    below = below[crosses].astype(np.int64)
-    mark = mark[crosses].astype(np.int64)
-    # the first hit of the column before, between the same spaces, whose line is near
-    key = (above * (label.max(initial=0) + 1) + below) * (label.shape[1] + 1) + col
+    crosses = (label_above > 0) & (label_below > 0) & (label_above != label_below)
+    crosses &= (mark > 0) & is_open
+    return _Crossings(
+        col=col[crosses].astype(np.int64),
+        top=top[crosses].astype(np.int64),
+        bottom=bottom[crosses].astype(np.int64),
+        label_above=label_above[crosses].astype(np.int64),
+        label_below=label_below[crosses].astype(np.int64),
+        mark=mark[crosses].astype(np.int64),
+    )
+
+
+def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
+    """Find the crossing of the previous column that each one continues, -1 for none.
+
+    It lies between the same spaces, and on a near line; of several the first counts.
+    """
+    num_labels = scan.label.max(initial=0) + 1
+    num_cols = scan.label.shape[1]
+    # a key of the two spaces and the column: the next lower key is that of the previous column
+    pair = crossings.label_above * num_labels + crossings.label_below
+    key = pair * (num_cols + 1) + crossings.col
     order = np.argsort(key, kind="stable")
     begin = np.searchsorted(key[order], key - 1, "left")
     end = np.searchsorted(key[order], key - 1, "right")
-    line = (top + bottom) / 2 - shift[col]
-    before = np.full(len(col), -1)
-    for k in range(int((end - begin).max(initial=0))):
-        other = order[np.minimum(begin + k, len(order) - 1)]
-        near = (begin + k < end) & (np.abs(line[other] - line) <= DRIFT)
-        before = np.where((before < 0) & near, other, before)
-    goes_on = np.flatnonzero(before >= 0)
-    number = label_components(np.stack([before[goes_on], goes_on]), len(col))
-    order = np.argsort(number, kind="stable")
-    first = np.flatnonzero(np.diff(number[order], prepend=-1))
-    a = order[first]
-    b = order[np.append(first[1:], len(order))[: len(first)] - 1]
-    is_doorway = np.maximum.reduceat(mark[order], first) == 2
-    tops = np.stack([top[a], top[b]], axis=1)
-    bottoms = np.stack([bottom[a], bottom[b]], axis=1)
-    return Gaps(col[a], col[b], tops, bottoms, above[a], below[a], is_doorway)
+    line = (crossings.top + crossings.bottom) / 2 - scan.shift[crossings.col]
+    previous = np.full(len(key), -1)
+    for number in range(int((end - begin).max(initial=0))):
+        candidate = order[np.minimum(begin + number, len(order) - 1)]
+        is_near = np.abs(line[candidate] - line) <= MAX_LINE_DRIFT
+        is_near &= begin + number < end
+        previous = np.where((previous < 0) & is_near, candidate, previous)
+    return previous
 
 
-class Spaces:
-    """The spaces between gaps, joined pair by pair; `whole` is the current space of each.
+# ---------------------------------------------------------------- joining spaces
+
+
+class SpaceMerger:
+    """Joins the spaces between gaps, pair by pair.
 
     A gap's shares are measured again only where one of its spaces is joined to one that the gap's
     lines met.
+
+    Attributes:
+        space_of: by label, the space that it is part of by now, int32: the least label of all that
+            were joined.
     """
 
     def __init__(
         self,
-        found: list[Found],
-        cells: Int,
+        parted: PartedSpaces,
         cell_size: float,
         door_width: float | None,
         rays: WallRays | None = None,
     ) -> None:
-        """Without rays, walls begin half a column beyond the last open cells."""
-        self._found = found
+        """Measure all gaps.
+
+        Args:
+            parted: the gaps, and the spaces that they part.
+            cell_size: [m].
+            door_width: the widest gap that parts two spaces [m], see `find_gaps`.
+            rays: to the geometry of walls; without, walls begin half a column beyond the last open
+                cells.
+        """
+        self._directions = parted.directions
         self._cell_size = cell_size
         self._door_width = door_width
         self._rays = rays
-        # now, and before any was joined
-        self._cells = cells.astype(np.int64)
-        self._first = cells
-        self.whole = np.arange(len(cells), dtype=np.int32)
-        # of each gap, those of all directions together
-        counts = [len(gaps.first) for *_, gaps in found]
-        self._start = np.cumsum([0, *counts])
-        self._number = np.repeat(np.arange(len(found)), counts)
-        # by direction, how far walls are from the centres of gaps' end cells, and at most are
-        # from those of openings beyond [columns], and what `WallRays.look` returns
-        self._walls = list[tuple[Float, Float, Float]]()
-        self._width = np.ones(len(self._number))  # [cells]
-        for number, (direction, scan, gaps) in enumerate(found):
-            own = slice(self._start[number], self._start[number + 1])
-            cols = np.stack([gaps.first, gaps.last], axis=1)
-            doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
-            far = np.where(gaps.is_doorway, doorway, FAR)
-            # a gap that ends where the opening goes on between other spaces ends at no wall
-            rows = (gaps.top + gaps.bottom) // 2
-            last = len(scan.label) - 1
-            aside = np.clip(cols + np.array([-1, 1]), 0, len(scan.shift) - 1)
-            on = scan.shift[aside] - scan.shift[cols]
-            top = np.clip(gaps.top - 1 + on, 0, last)
-            middle = np.clip(rows + on, 0, last)
-            bottom = np.clip(gaps.bottom + 1 + on, 0, last)
-            above = scan.label[top, aside]
-            below = scan.label[bottom, aside]
-            goes_on = scan.is_open[middle, aside] & (above > 0) & (below > 0)
-            goes_on &= (above != gaps.above[:, None]) | (below != gaps.below[:, None])
-            ends = np.where(goes_on, -1, rows * len(scan.shift) + cols)
-            known = rays.look(direction, ends) if rays else np.full((scan.label.size, 2), 1.5)
-            beside = known[ends, [0, 1]] - 1.0
-            beside = np.where((ends >= 0) & (beside <= far[:, None]), beside, 0.5)
-            self._walls.append((beside, far, known))
-            inner = gaps.last - gaps.first
-            self._width[own] = (inner + beside.sum(axis=1)) * direction.stretch
-        self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
-        pairs = [np.stack([gaps.above, gaps.below], axis=1) for *_, gaps in found]
-        self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
-        self._shares = np.ones((len(self._width), 2))
+        self._num_cells = parted.num_cells.astype(np.int64)  # of each space by now
+        self._first_num_cells = parted.num_cells  # before any were joined
+        self.space_of = np.arange(len(parted.num_cells), dtype=np.int32)
+        # gaps are numbered through all directions
+        counts = [len(direction.gaps.first_col) for direction in parted.directions]
+        self._first_gap = np.cumsum([0, *counts])  # of each direction
+        self._direction_of = np.repeat(np.arange(len(counts)), counts)
+        self._walls = [
+            _find_gap_walls(direction_gaps, cell_size, rays) for direction_gaps in parted.directions
+        ]
+        num_gaps = len(self._direction_of)
+        self._width = np.ones(num_gaps)  # [cells]
+        self._is_doorway = np.zeros(num_gaps, dtype=np.bool_)
+        self._labels = np.empty((num_gaps, 2), dtype=np.int64)  # above and below
+        for number, (direction, _, gaps) in enumerate(parted.directions):
+            numbers = slice(self._first_gap[number], self._first_gap[number + 1])
+            between_ends = gaps.last_col - gaps.first_col
+            to_walls = self._walls[number].beside.sum(axis=1)
+            self._width[numbers] = (between_ends + to_walls) * direction.stretch
+            self._is_doorway[numbers] = gaps.is_doorway
+            self._labels[numbers, 0] = gaps.label_above
+            self._labels[numbers, 1] = gaps.label_below
+        # the share of the width of the spaces above and below
+        self._shares = np.ones((num_gaps, 2))
         # the share that decided about each gap, NaN for none
-        self._decided = np.full_like(self._width, np.nan)
-        # by space, the gaps at it, and those whose lines met it though they aren't
-        self._at: list[set[int]] = [set() for _ in cells]
-        self._met_by: list[set[int]] = [set() for _ in cells]
-        for k, pair in enumerate(self._pairs.tolist()):
-            for space in pair:
-                self._at[space].add(k)
-        self.measure(np.arange(len(self._width)))
+        self._deciding_share = np.full(num_gaps, np.nan)
+        # by space, the gaps at it, and those whose lines met it although they are not
+        self._gaps_at: list[set[int]] = [set() for _ in parted.num_cells]
+        self._gaps_meeting: list[set[int]] = [set() for _ in parted.num_cells]
+        for gap, labels in enumerate(self._labels.tolist()):
+            for label in labels:
+                self._gaps_at[label].add(gap)
+        self.measure(np.arange(num_gaps))
 
     def join_all(self) -> None:
-        """Join spaces at gaps as wide as both of them are, then as wide as the narrower is.
+        """Join spaces at gaps as wide as both of them are, then as wide as the narrower one.
 
         A line across a room at a doorway's edge is decided before the doorway.
         """
-        for both in (True, False):
-            apart = filter(self.parts, range(len(self._width)))
-            queue = [(order, k) for k in apart if (order := self._order(k, both)) is not None]
+        for of_wider in (True, False):
+            queue = list[tuple[tuple[bool, float], int]]()
+            for gap in range(len(self._width)):
+                priority = self._find_priority(gap, of_wider) if self.parts(gap) else None
+                if priority is not None:
+                    queue.append((priority, gap))
             heapq.heapify(queue)
             while queue:
-                order, gap = heapq.heappop(queue)
+                priority, gap = heapq.heappop(queue)
                 # gaps measured again are in the queue again; a passage may have grown long
-                if not self.parts(gap) or order != self._order(gap, both):
+                if not self.parts(gap) or priority != self._find_priority(gap, of_wider):
                     continue
-                for k in self.join(gap):
-                    if (again := self._order(k, both)) is not None:
-                        heapq.heappush(queue, (again, k))
+                for measured_gap in self.join(gap):
+                    new_priority = self._find_priority(measured_gap, of_wider)
+                    if new_priority is not None:
+                        heapq.heappush(queue, (new_priority, measured_gap))
 
-    def _order(self, gap: int, both: bool) -> tuple[bool, float] | None:
-        """The priority of joining at a gap, by the share of both or the narrower; None if never."""
-        share = min(self._shares[gap].tolist()) if both else self._decide(gap)
-        if share < (BOTH if both else NARROWER):
+    def _find_priority(self, gap: int, of_wider: bool) -> tuple[bool, float] | None:
+        """The priority of joining the spaces at a gap, lowest first; None if they are not joined.
+
+        By the share of the wider space, which the gap then has of both, the greatest share comes
+        first, doorways last; by that of the narrower space, the widest gap comes first.
+        """
+        if of_wider:
+            share = min(self._shares[gap].tolist())
+            if share < JOIN_SHARE_OF_WIDER:
+                return None
+            return bool(self._is_doorway[gap]), -share
+        if self._decide(gap) < JOIN_SHARE_OF_NARROWER:
             return None
-        return both and bool(self._is_doorway[gap]), -share if both else -float(self._width[gap])
+        return False, -float(self._width[gap])
 
     def _decide(self, gap: int) -> float:
-        """The share by which a gap is decided, 0 for one that parts a long passage."""
+        """The share that decides whether a gap joins its spaces: that of the narrower one.
+
+        It is 0 for a gap that parts a long passage from a wider space, 1 for one that is too wide
+        for a door.
+        """
         above, below = self._shares[gap].tolist()
-        narrow = self.whole[self._pairs[gap, 0 if above >= below else 1]]
-        is_long = self._cells[narrow] >= LONG * self._width[gap] ** 2
-        width = float(self._width[gap]) * self._cell_size - ROUNDING
+        passage = self.space_of[self._labels[gap, 0 if above >= below else 1]]
+        is_long = self._num_cells[passage] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
+        width = float(self._width[gap]) * self._cell_size - WIDTH_ROUNDING
         may_part = self._door_width is None or width <= self._door_width
-        if is_long and min(above, below) <= 1 / WIDER and may_part:
+        if is_long and min(above, below) <= 1 / PASSAGE_WIDENING and may_part:
             return 0.0
-        if width > (self._door_width or WIDEST):
+        if width > (self._door_width or MAX_GAP_WIDTH):
             return 1.0
-        self._decided[gap] = max(above, below)
-        return float(self._decided[gap])
+        share: float = max(above, below)
+        self._deciding_share[gap] = share
+        return share
 
     def close_calls(self) -> list[CloseCall]:
-        """The gaps between two spaces of some size whose share was close to the limit."""
-        close = np.abs(self._decided - NARROWER) <= CLOSE
-        close &= self._width * self._cell_size >= CLOSE_WIDTH
+        """List the gaps between two spaces of some size whose share was close to the limit."""
+        is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
+        is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
         calls = []
-        for k in np.flatnonzero(close).tolist():
-            parts = self.parts(k)
-            pair = self._pairs[k]
-            sizes = self._cells[self.whole[pair]] if parts else self._first[pair]
-            if (sizes < CLOSE_AREA / self._cell_size**2).any():
+        for gap in np.flatnonzero(is_close).tolist():
+            parts = self.parts(gap)
+            labels = self._labels[gap]
+            if parts:
+                num_cells = self._num_cells[self.space_of[labels]]
+            else:
+                num_cells = self._first_num_cells[labels]
+            if (num_cells < MIN_CLOSE_AREA / self._cell_size**2).any():
                 continue
-            number = int(self._number[k])
-            direction, _, gaps = self._found[number]
-            i = k - int(self._start[number])
-            col = float(gaps.first[i] + gaps.last[i]) / 2
-            row = float(gaps.top[i].mean() + gaps.bottom[i].mean()) / 2
-            cell = (col, row) if direction.swapped else (row, col)
-            calls.append(CloseCall(cell, float(self._width[k]) * self._cell_size, parts))
+            width = float(self._width[gap]) * self._cell_size
+            calls.append(CloseCall(self._middle_of(gap), width, parts))
         return calls
 
+    def _middle_of(self, gap: int) -> tuple[float, float]:
+        """Row and column of a gap's middle, in fractions of cells."""
+        number = int(self._direction_of[gap])
+        direction, _, gaps = self._directions[number]
+        k = gap - int(self._first_gap[number])
+        col = float(gaps.first_col[k] + gaps.last_col[k]) / 2
+        row = float(gaps.top_row[k].mean() + gaps.bottom_row[k].mean()) / 2
+        return (col, row) if direction.swapped else (row, col)
+
     def parts(self, gap: int) -> bool:
-        """Whether a gap still parts two spaces."""
-        above, below = self._pairs[gap]
-        return bool(self.whole[above] != self.whole[below])
+        """Whether a gap still parts two spaces, by its number."""
+        above, below = self._labels[gap]
+        return bool(self.space_of[above] != self.space_of[below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure the share that gaps have of the spaces on both sides."""
-        numbers = self._number[gaps]
-        for number in sorted(set(numbers.tolist())):
-            direction, scan, listed = self._found[number]
-            start = int(self._start[number])
-            chosen = gaps[numbers == number] - start
-            asked = self.whole, self._walls[number]
-            lines, shares, waits, met = kernels.measure_gaps(scan, listed, chosen, *asked)
-            for k, space in met:
-                self._met_by[space].add(start + k)
+        """Measure the shares that gaps, by their numbers, have of the spaces on both sides."""
+        directions = self._direction_of[gaps]
+        for number in sorted(set(directions.tolist())):
+            direction, scan, direction_gaps = self._directions[number]
+            first_gap = int(self._first_gap[number])
+            chosen_gaps = gaps[directions == number] - first_gap
+            walls = self._walls[number]
+            lines, shares, waits, met = kernels.measure_gaps(
+                scan, direction_gaps, chosen_gaps, self.space_of, walls
+            )
+            for gap, space in met:
+                self._gaps_meeting[space].add(first_gap + gap)
             if self._rays is not None and waits.any():
-                # the rays of most later lines, at once
-                some = slice(None) if len(chosen) == len(listed.first) else waits
-                self._rays.look(direction, lines[some][..., 4:].reshape(-1, 2))
-                again = kernels.measure_gaps(scan, listed, chosen[waits], *asked)
-                shares[waits] = again[1]
-            self._shares[start + chosen] = shares
+                # of all gaps at first: the rays of most later lines, at once
+                if len(chosen_gaps) == len(direction_gaps.first_col):
+                    casts = np.ones_like(waits)
+                else:
+                    casts = waits
+                for cells in (lines.wall_cell, lines.opening_cell):
+                    self._rays.measure(direction, cells[casts].reshape(-1, 2))
+                _, shares[waits], _, _ = kernels.measure_gaps(
+                    scan, direction_gaps, chosen_gaps[waits], self.space_of, walls
+                )
+            self._shares[first_gap + chosen_gaps] = shares
 
     def join(self, gap: int) -> list[int]:
-        """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
-        one, other = self.whole[self._pairs[gap]].tolist()
-        changed = (self._at[one] & self._met_by[other]) | (self._at[other] & self._met_by[one])
-        to = min(one, other)
-        gone = max(one, other)
-        self.whole[self.whole == gone] = to
-        self._cells[to] += self._cells[gone]
-        for gaps in (self._at, self._met_by):
-            small, large = sorted((gaps[to], gaps[gone]), key=len)
+        """Join the spaces on both sides of a gap, by its number.
+
+        Returns:
+            The gaps that were measured again: those at one of the spaces whose lines met the other.
+        """
+        above, below = self.space_of[self._labels[gap]].tolist()
+        changed = self._gaps_at[above] & self._gaps_meeting[below]
+        changed |= self._gaps_at[below] & self._gaps_meeting[above]
+        joined = min(above, below)
+        removed = max(above, below)
+        self.space_of[self.space_of == removed] = joined
+        self._num_cells[joined] += self._num_cells[removed]
+        for gaps_of in (self._gaps_at, self._gaps_meeting):
+            small, large = sorted((gaps_of[joined], gaps_of[removed]), key=len)
             large |= small
-            gaps[to] = large
-            gaps[gone] = set()
-        apart = list(filter(self.parts, sorted(changed)))
-        self.measure(np.array(apart, dtype=np.int64))
-        return apart
+            gaps_of[joined] = large
+            gaps_of[removed] = set()
+        still_parting = [number for number in sorted(changed) if self.parts(number)]
+        self.measure(np.array(still_parting, dtype=np.int64))
+        return still_parting
+
+
+def _find_gap_walls(
+    direction_gaps: DirectionGaps, cell_size: float, rays: WallRays | None
+) -> GapWalls:
+    """Find how far walls are from the first and last cells of a direction's gaps.
+
+    A gap that ends where the opening goes on between two further spaces ends at no wall. Without
+    rays, or with a wall too far away, a gap ends half a column beyond its last cells.
+    """
+    direction, scan, gaps = direction_gaps
+    shift = scan.shift
+    cols = np.stack([gaps.first_col, gaps.last_col], axis=1)
+    rows = (gaps.top_row + gaps.bottom_row) // 2
+    jamb_distance = max(MAX_WALL_DISTANCE, MAX_JAMB_DISTANCE / (direction.stretch * cell_size))
+    max_distance = np.where(gaps.is_doorway, jamb_distance, MAX_WALL_DISTANCE)
+    # the cells in the next column beyond each end
+    next_cols = np.clip(cols + np.array([-1, 1]), 0, len(shift) - 1)
+    to_next = shift[next_cols] - shift[cols]
+    last_row = len(scan.label) - 1
+    rows_above = np.clip(gaps.top_row - 1 + to_next, 0, last_row)
+    rows_between = np.clip(rows + to_next, 0, last_row)
+    rows_below = np.clip(gaps.bottom_row + 1 + to_next, 0, last_row)
+    above = scan.label[rows_above, next_cols]
+    below = scan.label[rows_below, next_cols]
+    goes_on = scan.is_open[rows_between, next_cols] & (above > 0) & (below > 0)
+    goes_on &= (above != gaps.label_above[:, None]) | (below != gaps.label_below[:, None])
+    end_cells = np.where(goes_on, -1, rows * len(shift) + cols)
+    if rays is None:
+        coded_distance = np.full((scan.label.size, 2), 1.5)
+    else:
+        coded_distance = rays.measure(direction, end_cells)
+    beside = coded_distance[end_cells, [0, 1]] - 1.0
+    is_wall = (end_cells >= 0) & (beside <= max_distance[:, None])
+    return GapWalls(np.where(is_wall, beside, 0.5), max_distance, coded_distance)

@@ -1,4 +1,4 @@
-"""Closed leaves among the cells of a level: which of them part what is round them."""
+"""Closed leaves among the cells of a level: which of them part the spaces beside them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from navbake.baker.core.components import count_cells_by_label, label_components
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.types import Bool, Float, Int, Int32
 
-# A space behind a leaf counts from so much of it on that is free of structure: a niche that a
-# fridge fills is none; smaller ones between two leaves belong to the leaves [m²]
-LEAST_SPACE = 0.1
-# A leaf parts nothing where one gets round it over open cells within so much of it [m]
-WAY_ROUND = 1.0
+# A space behind a leaf counts if so much of it is free of structure: a niche that a fridge fills is
+# none; smaller ones between two leaves belong to the leaves [m²]
+MIN_FREE_AREA = 0.1
+# A leaf parts nothing where open cells lead around it within this distance [m]
+DETOUR_REACH = 1.0
 
 
 class LeafLines(NamedTuple):
-    """The cells along lines from a closed leaf, -1 beside the lattice.
+    """The ids of the cells along lines from a closed leaf, -1 beside the lattice.
 
     Attributes:
         sight: away from its two sides, shape (2, lines, steps).
@@ -34,7 +34,7 @@ class LeafLines(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLeaf:
-    """What a candidate for a door blocks when it is closed, and what lies round it.
+    """What a candidate for a door blocks when it is closed, and the cells beside it.
 
     Attributes:
         cells: by level, the ids of the cells that it blocks, ascending.
@@ -50,70 +50,87 @@ class LeafMarks(NamedTuple):
 
     Attributes:
         parting: the open cells of leaves that part two spaces, shape (height, width), with their
-            frames and what little lies between two of them.
-        others: the open cells of all other leaves.
-        beyond: the ids of cells in the spaces that parting leaves lead into.
+            frames and the small pockets between two of them.
+        not_parting: the open cells of all other leaves.
+        cells_beyond: the ids of cells in the spaces that parting leaves lead into.
     """
 
     parting: Bool
-    others: Bool
-    beyond: Int
+    not_parting: Bool
+    cells_beyond: Int
 
 
 def mark_leaves(
     level: LevelFlags, number: int, closed_leaves: Sequence[ClosedLeaf], cell_size: float
 ) -> LeafMarks | None:
-    """Find which leaves part two spaces of a level, by its number; None without any leaf on it.
+    """Find which closed leaves part two spaces of a level.
 
-    All leaves that part something are taken out together, as the two of a double door part only
-    together. A leaf that parts nothing then hinders none of the others.
+    All leaves that may part something close together, as the two of a double door part only
+    together. Those that part nothing are taken out, so that they hinder none of the others, until
+    all that remain do.
+
+    Args:
+        level: the flags of the level's cells.
+        number: of the level.
+        closed_leaves: all leaves of the scene.
+        cell_size: [m].
+
+    Returns:
+        The cells of leaves; None if there are no leaves on the level.
     """
     on_level = [leaf for leaf in closed_leaves if len(leaf.cells[number])]
-    every = _mark_cells(level, number, on_level)
-    if not every.any():
+    leaf_cells = _mark_cells(level, number, on_level)
+    if not leaf_cells.any():
         return None
     leaves = [leaf for leaf in on_level if leaf.lines is not None]
     while leaves:
         lines = [leaf.lines for leaf in leaves if leaf.lines is not None]
         barrier = _mark_cells(level, number, leaves)
         barrier |= _mark_frames(level, barrier, np.stack([line.ends for line in lines]))
-        spaces = _Spaces(level, barrier, cell_size)
-        beyond = spaces.look_beyond(np.stack([line.sight for line in lines]))
-        windows = [_window_round(leaf.cells[number], every.shape, cell_size) for leaf in leaves]
-        is_parting = spaces.are_parted(beyond, windows)
+        spaces = _SpacesBetweenLeaves(level, barrier, cell_size)
+        beyond = spaces.find_cells_beyond(np.stack([line.sight for line in lines]))
+        windows = [_window_near(leaf.cells[number], leaf_cells.shape, cell_size) for leaf in leaves]
+        is_parting = spaces.find_parting(beyond, windows)
         if is_parting.all():
-            parting = spaces.barrier
-            return LeafMarks(parting, every & ~parting, np.unique(beyond[beyond >= 0]))
+            return LeafMarks(
+                parting=spaces.barrier,
+                not_parting=leaf_cells & ~spaces.barrier,
+                cells_beyond=np.unique(beyond[beyond >= 0]),
+            )
         leaves = [leaf for leaf, parts in zip(leaves, is_parting, strict=True) if parts]
-    return LeafMarks(np.zeros_like(every), every, np.empty(0, dtype=np.int64))
+    return LeafMarks(np.zeros_like(leaf_cells), leaf_cells, np.empty(0, dtype=np.int64))
 
 
 def _mark_cells(level: LevelFlags, number: int, leaves: Sequence[ClosedLeaf]) -> Bool:
-    """Mark the open cells of some leaves on a level."""
-    mask = np.zeros(level.open.shape, dtype=np.bool_)
+    """Mark the open cells of leaves on a level."""
+    mask = np.zeros(level.is_open.shape, dtype=np.bool_)
     for leaf in leaves:
         mask.ravel()[leaf.cells[number]] = True
-    mask &= level.open
+    mask &= level.is_open
     return mask
 
 
 def _mark_frames(level: LevelFlags, leaf_cells: Bool, ends: Int) -> Bool:
     """Mark what stands in the line of leaves from their ends on: frames, stubs, sidelights.
 
-    What is too short for a wall is an open cell, though a leaf ends at it. `ends`: those of
-    `LeafLines`, shape (leaves, 2, steps).
+    What is too short for a wall is an open cell, though a leaf ends at it.
+
+    Args:
+        level: the flags of the level's cells.
+        leaf_cells: the open cells of leaves.
+        ends: those of `LeafLines`, shape (leaves, 2, steps).
     """
     cell = np.maximum(ends, 0)
-    stands = leaf_cells | level.open & level.occupied
-    goes_on = np.logical_and.accumulate((ends >= 0) & stands.ravel()[cell], axis=-1)
-    mask = np.zeros(level.open.shape, dtype=np.bool_)
+    is_occupied = leaf_cells | level.is_open & level.occupied
+    goes_on = np.logical_and.accumulate((ends >= 0) & is_occupied.ravel()[cell], axis=-1)
+    mask = np.zeros(level.is_open.shape, dtype=np.bool_)
     mask.ravel()[cell[goes_on]] = True
     return mask
 
 
-def _window_round(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[slice, slice]:
-    """The rows and columns within `WAY_ROUND` of a leaf's cells."""
-    margin = math.ceil(WAY_ROUND / cell_size)
+def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[slice, slice]:
+    """The rows and columns within `DETOUR_REACH` of a leaf's cells."""
+    margin = math.ceil(DETOUR_REACH / cell_size)
     rows, cols = np.divmod(cells, shape[1])
     return (
         slice(max(int(rows.min()) - margin, 0), int(rows.max()) + margin + 1),
@@ -121,85 +138,117 @@ def _window_round(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple
     )
 
 
-class _Spaces:
-    """The spaces of a level that closed leaves, the barrier, leave."""
+class _SpacesBetweenLeaves:
+    """The connected open cells of a level without the cells of closed leaves.
+
+    Attributes:
+        barrier: the open cells of leaves and their frames, shape (height, width); small pockets
+            between leaves are added to it.
+    """
 
     def __init__(self, level: LevelFlags, barrier: Bool, cell_size: float) -> None:
+        """Label the spaces, and find out which of them count."""
         self.barrier = barrier
         self._level = level
-        self._label, count = label_components_2d(level.open & ~barrier)
-        least = LEAST_SPACE / cell_size**2
-        area = count_cells_by_label(self._label, count + 1)
-        free_area = np.bincount(self._label[~level.occupied], minlength=count + 1)
-        at_edge = np.zeros(count + 1, dtype=np.bool_)
-        at_edge[self._label[level.edge]] = True
-        self._is_space = free_area >= least
-        self._is_space |= at_edge & (free_area > 0)  # a threshold before the outside
+        self._label, num_parts = label_components_2d(level.is_open & ~barrier)
+        count = num_parts + 1
+        min_cells = MIN_FREE_AREA / cell_size**2
+        num_cells = count_cells_by_label(self._label, count)
+        num_free = np.bincount(self._label[~level.occupied], minlength=count)
+        at_edge = np.zeros(count, dtype=np.bool_)
+        at_edge[self._label[level.at_edge]] = True
+        self._is_space = num_free >= min_cells
+        self._is_space |= at_edge & (num_free > 0)  # a threshold before the outside
         self._is_space[0] = False
-        self._is_pocket = (area < least) & ~at_edge
+        self._is_pocket = (num_cells < min_cells) & ~at_edge
         self._is_pocket[0] = False
 
-    def look_beyond(self, sight: Int) -> Int:
-        """The first cells beyond leaves along their lines of sight, -1 for none.
+    def find_cells_beyond(self, sight: Int) -> Int:
+        """Find the first cells beyond leaves along their lines of sight.
 
-        `sight`: those of `LeafLines`, shape (leaves, 2, lines, steps); returns (leaves, 2, lines).
         What is too small for a space becomes a part of the barrier, and lines go on behind it.
+
+        Args:
+            sight: those of `LeafLines`, shape (leaves, 2, lines, steps).
+
+        Returns:
+            Ids of cells, -1 for none, shape (leaves, 2, lines).
         """
         cell = np.maximum(sight, 0)
-        is_seen = mark_visible(sight, self._level.open, self._level.floor)
-        is_seen &= (sight >= 0) & self._level.open.ravel()[cell]
+        is_visible = mark_visible(sight, self._level.is_open, self._level.floor)
+        is_visible &= (sight >= 0) & self._level.is_open.ravel()[cell]
         while True:
-            is_beyond = is_seen & ~self.barrier.ravel()[cell]
-            first = is_beyond.argmax(axis=-1)
-            cells = np.take_along_axis(cell, first[..., None], axis=-1)[..., 0]
-            cells = np.where(is_beyond.any(axis=-1), cells, -1)
-            seen = np.unique(self._label.ravel()[cells[cells >= 0]])
-            pockets = seen[self._is_pocket[seen]]
+            is_beyond = is_visible & ~self.barrier.ravel()[cell]
+            first_step = is_beyond.argmax(axis=-1)
+            first_cells = np.take_along_axis(cell, first_step[..., None], axis=-1)[..., 0]
+            first_cells = np.where(is_beyond.any(axis=-1), first_cells, -1)
+            labels = np.unique(self._label.ravel()[first_cells[first_cells >= 0]])
+            pockets = labels[self._is_pocket[labels]]
             if not len(pockets):
-                return np.asarray(cells)
-            is_pocket = np.isin(self._label, pockets)
-            self.barrier |= is_pocket
-            self._label[is_pocket] = 0
+                return np.asarray(first_cells)
+            in_pocket = np.isin(self._label, pockets)
+            self.barrier |= in_pocket
+            self._label[in_pocket] = 0
 
-    def are_parted(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
-        """Which leaves part the spaces on their sides, each at least within its window.
+    def find_parting(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
+        """Find the leaves that part the spaces on their sides, at least within a window.
 
-        `beyond`: see `look_beyond`; shape (leaves,).
+        Args:
+            beyond: see `find_cells_beyond`, shape (leaves, 2, lines).
+            windows: the rows and columns near each leaf.
+
+        Returns:
+            Whether each leaf parts two spaces, shape (leaves,).
         """
+        is_seen = beyond >= 0
         label = self._label.ravel()[np.maximum(beyond, 0)]
-        sides = _commonest(np.where((beyond >= 0) & self._is_space[label], label, 0))
-        has_both = (sides > 0).all(axis=-1)
-        is_parting = has_both & (sides[:, 0] != sides[:, 1])
+        sides = _find_commonest(np.where(is_seen & self._is_space[label], label, 0))
+        has_both_sides = (sides > 0).all(axis=-1)
+        is_parting = has_both_sides & (sides[:, 0] != sides[:, 1])
+        # one space on both sides may still be two spaces near the leaf
         width = self._label.shape[1]
-        for leaf in np.flatnonzero(has_both & ~is_parting).tolist():
+        for leaf in np.flatnonzero(has_both_sides & ~is_parting).tolist():
             rows, cols = windows[leaf]
             row, col = np.divmod(beyond[leaf], width)
             is_near = (row >= rows.start) & (row < rows.stop)
-            is_near &= (col >= cols.start) & (col < cols.stop) & (beyond[leaf] >= 0)
+            is_near &= (col >= cols.start) & (col < cols.stop) & is_seen[leaf]
             part, _ = label_components_2d(self._label[rows, cols] > 0)
             row = np.where(is_near, row - rows.start, 0)
             col = np.where(is_near, col - cols.start, 0)
-            near_sides = _commonest(np.where(is_near, part[row, col], 0)[None])[0]
+            near_label = np.where(is_near, part[row, col], 0)
+            near_sides = _find_commonest(near_label[None])[0]
             is_parting[leaf] = (near_sides > 0).all() and near_sides[0] != near_sides[1]
         return np.asarray(is_parting)
 
 
 def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
-    """Which steps of lines of sight, see `LeafLines`, lie before the first wall on their line.
+    """Mark the steps of lines of sight that lie before the first wall on their line.
 
     A wall is a cell of a level that has a floor, and is not open.
+
+    Args:
+        sight: ids of cells along lines, -1 beside the lattice, shape (…, steps), see `LeafLines`.
+        is_open: the level's open cells, see `LevelFlags`, shape (height, width).
+        floor: heights of its floors, NaN for none [m].
+
+    Returns:
+        Whether a step is before the first wall, shape (…, steps).
     """
     cell = np.maximum(sight, 0)
     is_wall = (sight >= 0) & ~is_open.ravel()[cell] & ~np.isnan(floor.ravel()[cell])
     return ~np.logical_or.accumulate(is_wall, axis=-1)
 
 
-def _commonest(label: Int32) -> Int32:
-    """The label that most lines of each side have, of several the first's; 0 without any.
+def _find_commonest(label: Int32) -> Int32:
+    """Find the label that most lines of each side have, of several the first line's.
 
-    `label`: (leaves, 2, lines), 0 for none; returns (leaves, 2).
+    Args:
+        label: 0 for none, shape (leaves, 2, lines).
+
+    Returns:
+        The label, 0 where no line has one, shape (leaves, 2).
     """
-    votes = (label[..., :, None] == label[..., None, :]).sum(axis=-1) * (label > 0)
-    best = votes.argmax(axis=-1)
-    commonest: Int32 = np.take_along_axis(label, best[..., None], axis=-1)[..., 0]
+    num_equal = (label[..., :, None] == label[..., None, :]).sum(axis=-1) * (label > 0)
+    best_line = num_equal.argmax(axis=-1)
+    commonest: Int32 = np.take_along_axis(label, best_line[..., None], axis=-1)[..., 0]
     return commonest

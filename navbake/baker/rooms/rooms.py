@@ -20,17 +20,17 @@ from navbake.baker.core.components import (
 )
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import differing_pairs
-from navbake.baker.rooms.flags import MarkedRooms, RoomFlags
+from navbake.baker.rooms.flags import LevelFlags, MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafMarks, mark_leaves
 from navbake.baker.rooms.segmentation import (
-    find_cavities,
+    assign_covered,
+    assign_leaf_cells,
+    assign_unmarked,
     find_outdoors,
-    give_covered,
+    mark_cavities,
     renumber,
     segment_by_gaps,
-    share_leaves,
-    share_rest,
 )
 from navbake.config.settings import RoomSettings
 from navbake.errors import SceneError
@@ -46,39 +46,65 @@ RoomKey = tuple[int, int]
 RoomIds = tuple[str | None, str | None]
 """The rooms on the two sides of a door, None for the outside."""
 
-# Close calls that a warning names
-LISTED = 5
-MAX_ROOMS = np.iinfo(np.uint16).max  # of a level
+# Close calls that a warning lists
+NUM_LISTED_CALLS = 5
+# Of a level: what a RoomIndex can hold
+MAX_ROOMS = np.iinfo(np.uint16).max
 # The ids of rooms without a unique name look like this, so that no name may
 ID_LIKE = re.compile(r"\d+:\d+")
-MICRO = 1e6  # micrometres in a metre
-# Two indices of rooms make one number, to sort by: the first times this, and the second
-PAIR = 1 << 16
+# Heights are summed in whole micrometres, so that the order of cells makes no difference
+MICROMETRES = 1e6  # in a metre
+# Two indices of rooms make one number to sort by: the first times this, and the second
+PAIR_BASE = 1 << 16
 
 
 @dataclass(frozen=True)
 class Opening:
-    """Where a step leads from one room to another, the lower index first, on a level."""
+    """Where a step leads from one room to another on a level.
+
+    Attributes:
+        level: the number of the level.
+        rooms: the indices of both rooms, the lower one first.
+        cells: on both sides, ids on the whole lattice, ascending.
+    """
 
     level: int
     rooms: tuple[int, int]
-    cells: Int  # on both sides, ids on the whole lattice, ascending
+    cells: Int
 
 
 @dataclass(frozen=True)
 class Rooms:
-    """The rooms of a scene."""
+    """The rooms of a scene.
 
-    index: list[RoomIndex]  # by level
-    table: list[Room]  # by level and index; their neighbours: see `with_neighbours`
-    openings: list[Opening]  # where rooms of a level meet
-    links: list[tuple[RoomKey, RoomKey]]  # rooms between which a step leads to another level
+    Attributes:
+        index: by level.
+        table: the rooms by level and index; `with_neighbours` adds what they open to.
+        openings: where rooms of a level meet.
+        links: pairs of rooms between which a step leads to another level.
+        lattice: the whole lattice.
+        open_cells: by level, those that may be in a room, see `LevelFlags`.
+        warnings: what the user should know, one line each.
+    """
+
+    index: list[RoomIndex]
+    table: list[Room]
+    openings: list[Opening]
+    links: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
-    open_cells: list[Bool]  # by level, those that may be in a room: see `LevelFlags`
-    warnings: list[str]  # what the user should know, one line each
+    open_cells: list[Bool]
+    warnings: list[str]
 
     def id_of(self, level: int, index: int) -> str | None:
-        """The id of a level's room by its index; None for none."""
+        """Return the id of a room.
+
+        Args:
+            level: the number of its level.
+            index: its index on the level.
+
+        Returns:
+            The id, None if there is no such room.
+        """
         return self._ids.get((level, index))
 
     @cached_property
@@ -86,34 +112,51 @@ class Rooms:
         return {(room.level, room.index): room.id for room in self.table}
 
     def with_neighbours(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
-        """Name in the table what each room opens to: freely, by a link, or by a door.
+        """Add to each room of the table what it opens to: freely, by a link, or by a door.
 
-        `doors` has by id the rooms that a door joins, and by level the cells that it blocks when it
-        is closed; see `match_doors`.
+        Args:
+            doors: by id the rooms that a door joins, and by level the cells that it blocks when it
+                is closed; see `match_doors`.
+
+        Returns:
+            The same rooms with another table.
         """
-        named = match_doors(self.openings, doors, self._ids, self.lattice)
-        ways = [(a, b, "link", "") for a, b in self.links]
-        for number, opening in enumerate(self.openings):
-            a, b = ((opening.level, room) for room in opening.rooms)
-            ways += [(a, b, "door" if door else "open", door) for door in named.get(number, [""])]
-        found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in self._ids}
-        for a, b, kind, door in ways:
-            found[a].add((b, kind, door))
-            found[b].add((a, kind, door))
-        neighbours = {
-            room: tuple(
-                Neighbour(self._ids[to], way, door or None) for to, way, door in sorted(own)
-            )
-            for room, own in found.items()
+        doors_of = match_doors(self.openings, doors, self._ids, self.lattice)
+        # kinds and doors are as in `Neighbour`, but for "" in place of no door, which sorts
+        neighbours: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {
+            room: set() for room in self._ids
         }
+        for first, second in self.links:
+            neighbours[first].add((second, "link", ""))
+            neighbours[second].add((first, "link", ""))
+        for number, opening in enumerate(self.openings):
+            first = (opening.level, opening.rooms[0])
+            second = (opening.level, opening.rooms[1])
+            for door in doors_of.get(number, [""]):
+                kind = "door" if door else "open"
+                neighbours[first].add((second, kind, door))
+                neighbours[second].add((first, kind, door))
         table = [
-            replace(room, neighbours=neighbours[room.level, room.index]) for room in self.table
+            replace(
+                room,
+                neighbours=tuple(
+                    Neighbour(self._ids[neighbour], kind, door or None)
+                    for neighbour, kind, door in sorted(neighbours[room.level, room.index])
+                ),
+            )
+            for room in self.table
         ]
         return replace(self, table=table)
 
 
 class NamedRoom(NamedTuple):
-    """A room's name, or None, the source that it is from, and whether it is outdoors."""
+    """What a source says of a room.
+
+    Attributes:
+        name: None for none.
+        source: ``geoms``, ``sites``, ``polygons`` or ``auto``.
+        outdoors: whether it is outdoors.
+    """
 
     name: str | None
     source: str
@@ -128,14 +171,25 @@ def find_rooms(
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
+    A cell's room is that of the first source that has one for it; for ``auto`` see
+    `assign_unmarked`. Cells without a floor, or in a wall or a window, belong to none. On each
+    level, rooms are numbered by their first cells in reading order: from large y to small, from
+    small x to large. A room over several levels is one room on each.
+
     The source ``auto`` lets no room continue through a closed leaf that parts two spaces; two rooms
     meet in its cells. What such a leaf leads into is a room whatever its size.
 
-    A cell's room is that of the first source that has one for it; for ``auto`` see `share_rest`.
-    Cells without a floor, or in a wall or a window, belong to none. On each level, rooms are
-    numbered by their first cells in reading order: from large y to small, from small x to large. A
-    room over several levels is one room on each. Rooms of a level meet where steps of at most
-    `max_step` [m] lead from one to another.
+    Args:
+        flags: all that rooms depend on besides the other arguments.
+        settings: sources and limits.
+        max_step: rooms of a level meet where steps of at most this lead from one to another [m].
+        closed_leaves: all leaves of the scene.
+
+    Returns:
+        The rooms, without neighbours in their table.
+
+    Raises:
+        SceneError: there are more rooms on a level than a file can number.
     """
     assignment = _Assignment(flags, settings, closed_leaves)
     for source in settings.sources:
@@ -144,39 +198,52 @@ def find_rooms(
         else:
             assignment.add(flags.marks[source], source)
     index = list[RoomIndex]()
-    named = list[list[NamedRoom]]()
+    named_rooms = list[list[NamedRoom]]()
     for level, owner in enumerate(assignment.owner):
-        number, order = renumber(owner)
-        if len(order) > MAX_ROOMS:
+        number, owners = renumber(owner)
+        if len(owners) > MAX_ROOMS:
             raise SceneError(
-                f"expected at most {MAX_ROOMS} rooms on a level, got {len(order)} on level "
+                f"expected at most {MAX_ROOMS} rooms on a level, got {len(owners)} on level "
                 f"{level}: raise `rooms.min_area`"
             )
         index.append(number.astype(np.uint16))
-        named.append([assignment.rooms[k - 1] for k in order])
+        named_rooms.append([assignment.rooms[k - 1] for k in owners])
     floors = [level.floor for level in flags.levels]
-    open_cells = [level.open for level in flags.levels]
     occupied = [level.occupied for level in flags.levels]
-    table = run_beside(describe_rooms, index, named, floors, flags.lattice)
+    wait_for_table = run_beside(describe_rooms, index, named_rooms, floors, flags.lattice)
     openings = find_openings(index, floors, occupied, flags.links, max_step)
-    ends = (
-        sorted((k, int(index[k].flat[cell])) for k, cell in ((level_a, a), (level_b, b)))
-        for level_a, a, level_b, b in flags.links[flags.links[:, 0] != flags.links[:, 2]].tolist()
-    )
-    links = sorted({(a, b) for a, b in ends if a[1] and b[1]})
+    links = _find_links(index, flags.links)
     return Rooms(
-        index,
-        table(),
-        openings,
-        links,
+        index=index,
+        table=wait_for_table(),
+        openings=openings,
+        links=links,
         lattice=flags.lattice,
-        open_cells=open_cells,
+        open_cells=[level.is_open for level in flags.levels],
         warnings=assignment.warnings,
     )
 
 
+def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
+    """Find the pairs of rooms between which a link leads to another level."""
+    pairs = set[tuple[RoomKey, RoomKey]]()
+    to_another_level = links[links[:, 0] != links[:, 2]]
+    for first_level, first_cell, second_level, second_cell in to_another_level.tolist():
+        first = (first_level, int(index[first_level].flat[first_cell]))
+        second = (second_level, int(index[second_level].flat[second_cell]))
+        if first[1] and second[1]:
+            pairs.add((min(first, second), max(first, second)))
+    return sorted(pairs)
+
+
 class _Assignment:
-    """The room of each cell as the sources add rooms; the first source that has one keeps it."""
+    """The room of each cell as the sources add rooms; the first source that has one decides.
+
+    Attributes:
+        owner: by level, the number of each cell's room in `rooms`, from 1, 0 for none.
+        rooms: of all levels.
+        warnings: what the user should know, one line each.
+    """
 
     def __init__(
         self, flags: RoomFlags, settings: RoomSettings, closed_leaves: Sequence[ClosedLeaf]
@@ -186,9 +253,9 @@ class _Assignment:
         self._closed_leaves = closed_leaves
         shape = flags.lattice.shape
         self.owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
-        # whose floor lies under the cell's own, for cells without an owner
+        # the room whose floor lies under the cell's own, for cells without an owner
         self._under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
-        self.rooms: list[NamedRoom] = []  # owners count from 1
+        self.rooms: list[NamedRoom] = []
         self.warnings: list[str] = []
 
     def add(self, marked: MarkedRooms, source: str) -> None:
@@ -196,79 +263,88 @@ class _Assignment:
         self.warnings += marked.warnings
         if not marked.names:
             return
-        covered = marked.covered or marked.labels
-        of_levels = self._flags.levels, self.owner, self._under, marked.labels, covered
-        for flags, owner, under, label, cover in zip(*of_levels, strict=True):
-            fresh = np.where(flags.open & (owner == 0), label, 0)
-            number = np.zeros(len(marked.names) + 1, dtype=np.int32)
-            used = count_cells_by_label(fresh, len(number))
-            for k in np.flatnonzero(used[1:]).tolist():
+        for level, flags in enumerate(self._flags.levels):
+            owner = self.owner[level]
+            label = np.where(flags.is_open & (owner == 0), marked.labels[level], 0)
+            new_owner = np.zeros(len(marked.names) + 1, dtype=np.int32)  # by label
+            num_cells = count_cells_by_label(label, len(new_owner))
+            for k in np.flatnonzero(num_cells[1:]).tolist():
                 self.rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
-                number[k + 1] = len(self.rooms)
-            owner += number[fresh]
+                new_owner[k + 1] = len(self.rooms)
+            owner += new_owner[label]
             if source != "auto":
-                np.copyto(under, number[cover], where=under == 0)
+                covered = marked.covered or marked.labels
+                under = self._under[level]
+                np.copyto(under, new_owner[covered[level]], where=under == 0)
 
     def segment(self) -> None:
-        """Divide the remaining cells, see `segment_by_gaps`, `share_rest` and `find_outdoors`."""
-        lattice = self._flags.lattice
-        least = self._settings.min_area
-        given = self._settings.door_width
-        door_width = None if given == "auto" else given
+        """Divide the remaining cells into rooms, see `segment_by_gaps` and what it names."""
         labels = list[Int32]()
-        count = 0
         outdoors = set[int]()
-        leaf_cells: list[Bool | None] = []
+        parting_cells: list[Bool | None] = []
+        count = 0  # of new rooms on the levels so far
         for number, level in enumerate(self._flags.levels):
-            leaves = mark_leaves(level, number, self._closed_leaves, lattice.cell_size)
-            leaf_cells.append(None if leaves is None else leaves.parting & level.open)
-            segment, close = segment_by_gaps(
-                level,
-                lattice.cell_size,
-                least,
-                door_width,
-                walls=self._flags.walls,
-                lattice=lattice,
-                leaves=leaves,
-            )
-            if close and door_width is None:
-                self.warnings.append(_describe_close(close, number, lattice))
-            if self.owner[number].any():
-                segment = self._share(number, segment, leaves)
-            beyond = None if leaves is None else leaves.beyond
-            cavities = find_cavities(segment, self.owner[number], self._flags, number, beyond)
-            if cavities.any():
-                segment, _ = renumber(np.where(cavities[segment], 0, segment))
-            segment, outside = find_outdoors(segment, self._flags, number)
-            outdoors.update(room + count for room in outside)
+            leaves = mark_leaves(level, number, self._closed_leaves, self._flags.lattice.cell_size)
+            parting_cells.append(None if leaves is None else leaves.parting & level.is_open)
+            segment, outdoor_segments = self._segment_level(number, level, leaves)
+            outdoors.update(room + count for room in outdoor_segments)
             labels.append(np.where(segment > 0, segment + count, 0) if count else segment)
             count += int(segment.max(initial=0))
         self.add(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
-        for owner, cells in zip(self.owner, leaf_cells, strict=True):
+        for owner, cells in zip(self.owner, parting_cells, strict=True):
             if cells is not None:
-                share_leaves(owner, cells)
+                assign_leaf_cells(owner, cells)
 
-    def _share(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
+    def _segment_level(
+        self, number: int, level: LevelFlags, leaves: LeafMarks | None
+    ) -> tuple[Int32, set[int]]:
+        """Find the new rooms of a level: of each cell, from 1; and which of them are outdoors."""
+        lattice = self._flags.lattice
+        door_width = self._settings.door_width
+        segment, close_calls = segment_by_gaps(
+            level,
+            lattice.cell_size,
+            self._settings.min_area,
+            None if door_width == "auto" else door_width,
+            walls=self._flags.walls,
+            lattice=lattice,
+            leaves=leaves,
+        )
+        if close_calls and door_width == "auto":
+            self.warnings.append(_describe_close_calls(close_calls, number, lattice))
+        beyond = None if leaves is None else leaves.cells_beyond
+        if self.owner[number].any():
+            segment = self._share_segments(number, segment, leaves)
+        is_cavity = mark_cavities(segment, self.owner[number], self._flags, number, beyond)
+        if is_cavity.any():
+            segment, _ = renumber(np.where(is_cavity[segment], 0, segment))
+        return find_outdoors(segment, self._flags, number)
+
+    def _share_segments(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
         """Share a level's segments between marked rooms and new ones; returns the new ones."""
         level = self._flags.levels[number]
-        cell_size = self._flags.lattice.cell_size
-        least = self._settings.min_area
         marked = self.owner[number]
         owner = marked if leaves is None else np.where(leaves.parting, np.int32(0), marked)
-        owner = give_covered(owner, self._under[number] * level.open, segment)
-        beyond = None if leaves is None else leaves.beyond
-        owner, rest = share_rest(owner, segment, cell_size, least, beyond)
+        owner = assign_covered(owner, self._under[number] * level.is_open, segment)
+        owner, new_room = assign_unmarked(
+            owner,
+            segment,
+            self._flags.lattice.cell_size,
+            self._settings.min_area,
+            None if leaves is None else leaves.cells_beyond,
+        )
         self.owner[number] = np.where(marked > 0, marked, owner)
-        return rest
+        return new_room
 
 
-def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
-    """The warning of openings that were a close call."""
+def _describe_close_calls(calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
+    """The warning of gaps that were a close call."""
     listed = []
-    for cell, width, parts in close[:LISTED]:
+    for cell, width, parts in calls[:NUM_LISTED_CALLS]:
         x, y = lattice.positions(*cell).tolist()
         listed.append(f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if parts else 'joins'}")
-    more = f", and {len(close) - LISTED} more" if close[LISTED:] else ""
+    num_more = len(calls) - NUM_LISTED_CALLS
+    more = f", and {num_more} more" if num_more > 0 else ""
     return (
         f"openings of rooms on level {level} that were a close call: {', '.join(listed)}{more}; "
         "`rooms.door_width` in metres joins rooms at wider ones, `rooms.polygons` draws rooms"
@@ -281,26 +357,44 @@ def describe_rooms(
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
-    """Describe each room but for its neighbours; its id is its name, or ``<level>:<index>``."""
-    names = Counter(room.name for level in rooms for room in level)
+    """Describe each room but for its neighbours; its id is its name, or ``<level>:<index>``.
+
+    Args:
+        index: the room of each cell, by level.
+        rooms: by level, the rooms by index.
+        floors: heights by level, shape (height, width) [m].
+        lattice: the whole lattice.
+    """
+    name_counts = Counter(room.name for level in rooms for room in level)
     table = []
     for level, (label, floor) in enumerate(zip(index, floors, strict=True)):
         row, first, end, room = find_row_runs(label)
-        cells = end - first
-        height = np.rint(floor[label > 0] * MICRO)
-        heights = np.add.reduceat(height, np.cumsum(cells) - cells)
+        num_cells = end - first
+        micrometres = np.rint(floor[label > 0] * MICROMETRES)
+        height_sums = np.add.reduceat(micrometres, np.cumsum(num_cells) - num_cells)
         # sums of whole numbers don't depend on the order; twice that of a run's columns is one
-        sums = cells, row * cells, (first + end - 1) * cells, heights
-        count, row_sum, col_sum, z_sum = (np.bincount(room, s, minlength=1) for s in sums)
-        x = lattice.x_min + (col_sum / 2 / np.maximum(count, 1) + 0.5) * lattice.cell_size
+        count = np.bincount(room, num_cells, minlength=1)
+        row_sum = np.bincount(room, row * num_cells, minlength=1)
+        twice_col_sum = np.bincount(room, (first + end - 1) * num_cells, minlength=1)
+        z_sum = np.bincount(room, height_sums, minlength=1)
+        x = lattice.x_min + (twice_col_sum / 2 / np.maximum(count, 1) + 0.5) * lattice.cell_size
         y = lattice.y_max - (row_sum / np.maximum(count, 1) + 0.5) * lattice.cell_size
-        z = z_sum / np.maximum(count, 1) / MICRO
+        z = z_sum / np.maximum(count, 1) / MICROMETRES
         center = (np.round(np.stack([x, y, z], axis=1), 6) + 0.0).tolist()  # no -0.0
         for k, (name, source, outdoors) in enumerate(rooms[level], 1):
-            is_unique = names[name] == 1 and not ID_LIKE.fullmatch(name or "")
-            area = round(float(count[k]) * lattice.cell_size**2, 6)
-            room_id = name if name is not None and is_unique else f"{level}:{k}"
-            table.append(Room(k, room_id, name, level, area, (*center[k],), source, (), outdoors))
+            is_unique = name_counts[name] == 1 and not ID_LIKE.fullmatch(name or "")
+            table.append(
+                Room(
+                    index=k,
+                    id=name if name is not None and is_unique else f"{level}:{k}",
+                    name=name,
+                    level=level,
+                    area=round(float(count[k]) * lattice.cell_size**2, 6),
+                    centroid=(*center[k],),
+                    source=source,
+                    outdoors=outdoors,
+                )
+            )
     return table
 
 
@@ -315,33 +409,46 @@ def find_openings(
 
     A slope is a link between cells of a level; 8-connected cells form one opening. One in which no
     two cells beside each other are free of what stands is closed (a curtain, a stub of a wall).
+
+    Args:
+        index: the room of each cell, by level.
+        floors: heights by level, NaN for none, shape (height, width) [m].
+        occupied: by level, see `LevelFlags`.
+        links: steps and slopes, see `Floors`, shape (n, 4).
+        max_step: the highest step [m].
+
+    Returns:
+        The openings, by level and rooms.
     """
     openings = []
-    for number, (rooms, floor, taken) in enumerate(zip(index, floors, occupied, strict=True)):
+    for number, (rooms, floor, level_occupied) in enumerate(
+        zip(index, floors, occupied, strict=True)
+    ):
         on_level = (links[:, [0, 2]] == number).all(axis=1)
-        beside = differing_pairs(rooms).T  # few: only their heights are compared
-        is_step = np.abs(np.subtract(*floor.ravel()[beside.T])) <= max_step + LIMIT_SLACK
-        cells = np.concatenate([links[on_level][:, [1, 3]], beside[is_step]])
-        ends = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
-        meet = (ends[:, 0] > 0) & (ends[:, 0] != ends[:, 1])
+        neighbors = differing_pairs(rooms).T  # few: only their heights are compared
+        rise = np.subtract(*floor.ravel()[neighbors.T])
+        is_step = np.abs(rise) <= max_step + LIMIT_SLACK
+        cells = np.concatenate([links[on_level][:, [1, 3]], neighbors[is_step]])
+        rooms_of_cells = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
+        meet = (rooms_of_cells[:, 0] > 0) & (rooms_of_cells[:, 0] != rooms_of_cells[:, 1])
         if not meet.any():
             continue
-        pairs, pair = np.unique(ends[meet] @ (PAIR, 1), return_inverse=True)
+        cells = cells[meet]
+        pairs, pair = np.unique(rooms_of_cells[meet] @ (PAIR_BASE, 1), return_inverse=True)
         # every two rooms on a lattice of their own, below that of the two before
-        own = (rooms.shape[0] + 1) * rooms.shape[1]
-        cell_keys = pair[:, None] * own + cells[meet]
-        both, place = np.unique(cell_keys, return_inverse=True)
-        part = label_components(adjacent_pairs(both, rooms.shape[1]), len(both))
-        is_free = ~taken.ravel()[cells[meet]].any(axis=1)
+        lattice_size = (rooms.shape[0] + 1) * rooms.shape[1]
+        keys, key_of_cell = np.unique(pair[:, None] * lattice_size + cells, return_inverse=True)
+        part = label_components(adjacent_pairs(keys, rooms.shape[1]), len(keys))
+        is_free = ~level_occupied.ravel()[cells].any(axis=1)
         is_passable = np.zeros(int(part.max()) + 1, dtype=np.bool_)
-        is_passable[part[place.reshape(-1, 2)[is_free]]] = True
+        is_passable[part[key_of_cell.reshape(-1, 2)[is_free]]] = True
         order = np.argsort(part, kind="stable")
         order = order[is_passable[part[order]]]
         if not len(order):
             continue
-        for keys in np.split(both[order], np.flatnonzero(np.diff(part[order])) + 1):
-            between = divmod(int(pairs[keys[0] // own]), PAIR)
-            openings.append(Opening(number, between, keys % own))
+        for part_keys in np.split(keys[order], np.flatnonzero(np.diff(part[order])) + 1):
+            room_pair = divmod(int(pairs[part_keys[0] // lattice_size]), PAIR_BASE)
+            openings.append(Opening(number, room_pair, part_keys % lattice_size))
     return openings
 
 
@@ -351,24 +458,37 @@ def match_doors(
     ids: Mapping[RoomKey, str],
     lattice: Lattice,
 ) -> dict[int, list[str]]:
-    """The sorted ids of each opening's doors, by its number.
+    """Find the opening that each door is in.
 
-    `doors` are as for `Rooms.with_neighbours`.
     Of the openings between the two rooms that it joins, a door is in the one with most cells within
     `DOOR_REACH` of cells that it blocks when closed; of two as good, the nearer. It may be in none.
+
+    Args:
+        openings: of all levels.
+        doors: by id the rooms that a door joins, and by level the cells that it blocks when it is
+            closed, ids on the whole lattice.
+        ids: of rooms.
+        lattice: the whole lattice.
+
+    Returns:
+        By number of the opening, the ids of its doors, sorted.
     """
-    reach = DOOR_REACH / lattice.cell_size + LIMIT_SLACK
-    found: dict[int, list[str]] = {}
-    for door, (rooms, levels) in sorted(doors.items()):
-        scores: list[tuple[int, float, int]] = []
+    reach = DOOR_REACH / lattice.cell_size + LIMIT_SLACK  # [cells]
+    doors_of: dict[int, list[str]] = {}
+    for door, (rooms, closed_cells) in sorted(doors.items()):
+        scores: list[tuple[int, float, int]] = []  # near cells, distance, opening: best is greatest
         for number, opening in enumerate(openings):
-            closed = levels[opening.level]
-            if len(closed) and {ids[opening.level, room] for room in opening.rooms} == set(rooms):
+            closed = closed_cells[opening.level]
+            opening_rooms = {ids[opening.level, room] for room in opening.rooms}
+            if len(closed) and opening_rooms == set(rooms):
                 row, col = np.divmod(opening.cells[:, None], lattice.width)
-                to_row, to_col = np.divmod(closed, lattice.width)
-                distance = np.hypot(row - to_row, col - to_col).min(axis=1)
-                within = int(np.count_nonzero(distance <= reach))
-                scores.append((within, -float(distance.mean()), -number))
-        if scores and max(scores)[0]:
-            found.setdefault(-max(scores)[2], []).append(door)
-    return found
+                closed_row, closed_col = np.divmod(closed, lattice.width)
+                distance = np.hypot(row - closed_row, col - closed_col).min(axis=1)
+                num_near = int(np.count_nonzero(distance <= reach))
+                scores.append((num_near, -float(distance.mean()), -number))
+        if not scores:
+            continue
+        num_near, _, negative_number = max(scores)
+        if num_near:
+            doors_of.setdefault(-negative_number, []).append(door)
+    return doors_of

@@ -1,6 +1,20 @@
-"""The spaces of a level as rooms: gaps part them, stairs and small ones join another; outdoors."""
+"""Rooms that are found automatically: how the floor of a level is divided into segments.
+
+A *space* is a connected part of the floor while it is being divided; a *segment* is a space at the
+end, which becomes a room unless rooms are marked in it. By stages:
+
+1. `segment_by_gaps` parts spaces at gaps (`gaps.py`), joins those that are one, joins stairs and
+   small spaces to a neighbour (`_SpaceGraph`), and gives the cells of gaps to the nearest space.
+2. `assign_covered` and `assign_unmarked` share segments between marked rooms and new ones.
+3. `mark_cavities` finds segments that are hollows of the building, and no rooms.
+4. `find_outdoors` finds segments that are outdoors.
+5. `assign_leaf_cells` gives the cells of closed leaves to the rooms beside them.
+
+`rooms.py` calls these functions.
+"""
 
 import heapq
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,31 +27,47 @@ from navbake.baker.core.components import (
 )
 from navbake.baker.core.windows import bounding_window, differing_pairs
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
-from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
+from navbake.baker.rooms.flags import MIN_OUTDOOR_EDGE, LevelFlags, RoomFlags, mark_edge
+from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
+from navbake.baker.rooms.gaps import CloseCall, SpaceMerger, find_gaps
 from navbake.baker.rooms.leaves import LeafMarks
-from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
+from navbake.baker.rooms.walls import (
+    WallRays,
+    mark_wall_nodes,
+    squared_distances,
+    squared_distances_at,
+)
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
-SLIVER = 0.5
-# A cell is steep, like a stair, where the floor rises by this share of the distance, over so far
-# on both sides of it [m]; a region is a stair where this share of its cells is as steep as one
-STEEPNESS = 0.3
-SLOPE_REACH = 0.3
-STAIR_SHARE = 0.5
+# Areas and widths are compared with limits to this, for what rounding adds [cells, half cells]
+CELL_ROUNDING = 1e-6
+
+# What marked rooms leave of a segment is no room if it is nowhere as wide as this [m]
+MIN_REMAINDER_WIDTH = 0.5
+
+# A cell is steep, like a stair, where the floor rises by this share of the distance …
+MIN_STEEPNESS = 0.3
+# … over this distance on both sides of it [m]
+STEEPNESS_REACH = 0.3
+# A space is a stair where this share of its cells is steep
+MIN_STAIR_SHARE = 0.5
 # By how much the distance from a corridor's middle to its walls varies at most, over all angles and
-# offsets to the lattice [half cells]
-ROUGHNESS = 1.0
-ROUNDING = 1e-6  # of a cell, or of half a cell
-# What is no further from the edge lies under eaves, if it isn't under the sky [m]
-EAVES = 1.2
-# A space that nothing leads into is a room from this area and greatest width on [m², m]
-CAVITY = 2.0, 1.0
+# offsets to the lattice: an opening narrower by this is as wide as the stair [half cells]
+WIDTH_ROUGHNESS = 1.0
+
+# A space that nothing leads into is a room from this area [m²] and this greatest width [m] on
+MIN_CLOSED_ROOM_AREA = 2.0
+MIN_CLOSED_ROOM_WIDTH = 1.0
+
+# What is no further from the edge lies under eaves, if it is not under the sky [m]
+MAX_EAVES_DEPTH = 1.2
 # Outdoors, at least this share of the floor is under the sky or under eaves
-OPEN_SHARE = 0.5
+MIN_OPEN_SHARE = 0.5
+
+
+# ---------------------------------------------------------------- segments between gaps
 
 
 def segment_by_gaps(
@@ -49,7 +79,7 @@ def segment_by_gaps(
     lattice: Lattice | None = None,
     leaves: LeafMarks | None = None,
 ) -> tuple[Int32, list[CloseCall]]:
-    """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
+    """Divide the open cells of a level into segments, at gaps much narrower than the spaces are.
 
     A gap is a line in the direction of a wall, closed at both ends after at most 2.5 m, beside
     which the space is abruptly wider. All gaps part spaces at first. Then spaces are joined, the
@@ -59,359 +89,563 @@ def segment_by_gaps(
       room;
     - then where it is as wide as the narrower one: niches, bays, the depth of a doorway. A long
       passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
-    - with a `door_width` [m], where it is wider than that, in place of the two widths above.
+    - with a `door_width`, where it is wider than that, in place of the two widths above.
 
-    The width of a space is measured close behind the gap: up to the geometry of `walls` on the
-    `lattice`, where both are given, else in cells. Gaps in one line between the same spaces count
-    as one, so that a row of pillars parts nothing. Stairs that open to a room over their full width
-    belong to it, at their foot rather than their head. A room smaller than `min_area` [m²] joins
-    the one that it opens to the widest, or is none.
+    The width of a space is measured close behind the gap. Gaps in one line between the same spaces
+    count as one, so that a row of pillars parts nothing. Stairs that open to a room over their full
+    width belong to it, at their foot rather than their head. A space smaller than `min_area` joins
+    the one that it opens to the widest, or is in no segment.
 
-    Closed `leaves` that part two spaces do so here: no gap, no line and no join leads through them,
-    and what they lead into is a room however small it is, unless it opens to another one or lies at
-    the edge of the grid (a threshold). Their own cells are in no room yet.
+    Args:
+        level: the flags of the level's cells.
+        cell_size: [m].
+        min_area: of a room, > 0 [m²].
+        door_width: the widest gap that parts two rooms, > 0 [m]; None for the limits above.
+        walls: the geometry up to which widths are measured, with `lattice`; None to measure them in
+            cells.
+        lattice: of the level.
+        leaves: closed leaves; those that part two spaces do so here: no gap, no line and no join
+            leads through them, and what they lead into is a segment however small it is, unless it
+            opens to another one or lies at the edge of the grid (a threshold). Their own cells are
+            in no segment. None for no leaf.
 
-    Returns the room of each cell from 1, in reading order, 0 for none; and close calls.
+    Returns:
+        The segment of each cell from 1, in reading order, 0 for none, shape (height, width), int32.
+        The gaps that just part two spaces, or just do not.
 
     Source:
         Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
-        analysis" (ICRA 2016), on regions between the "virtual walls" that continue walls, in
+        analysis" (ICRA 2016), on spaces between the "virtual walls" that continue walls, in
         place of those of a Voronoi graph.
     """
-    rooms = np.zeros(level.open.shape, dtype=np.int32)
-    if not level.open.any():
-        return rooms, []
-    # with the walls round it: their directions count, the edge of the grid is none
-    window = bounding_window(level.open)
-    row, col = (max(part.start - 1, 0) for part in window)
-    around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
-    floor = level.floor[around]
-    edge = level.edge[around]
-    open_cells = np.ascontiguousarray(level.open[around])
-    hole = np.ascontiguousarray(level.hole[around])
+    segment = np.zeros(level.is_open.shape, dtype=np.int32)
+    if not level.is_open.any():
+        return segment, []
+    # with the walls around it: their directions count, the edge of the grid is none
+    open_rows, open_cols = bounding_window(level.is_open)
+    window = (
+        slice(max(open_rows.start - 1, 0), open_rows.stop + 1),
+        slice(max(open_cols.start - 1, 0), open_cols.stop + 1),
+    )
+    rows, cols = window
+    floor = level.floor[window]
+    at_edge = level.at_edge[window]
+    open_cells = np.ascontiguousarray(level.is_open[window])
+    holes = np.ascontiguousarray(level.is_hole[window])
     rays = None
     if walls is not None and lattice is not None:
-        rays = WallRays(walls, lattice.cut(*around), floor)
-    closed = np.zeros_like(open_cells) if leaves is None else leaves.parting[around]
-    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width, rays, closed)
-    spaces = Spaces(found, cells, cell_size, door_width, rays)
-    spaces.join_all()
-    close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
-    label = spaces.whole[label]
-    del found, spaces, rays  # which hold the lattice in all directions
+        rays = WallRays(walls, lattice.cut(rows, cols), floor)
+    closed = np.zeros_like(open_cells) if leaves is None else leaves.parting[window]
+    label, close_calls = _label_at_gaps(open_cells, holes, cell_size, door_width, rays, closed)
+    del rays  # which hold the walls in all directions
     open_cells = open_cells & ~closed
-    beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns
+    beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
     if leaves is not None:
         # rooms meet in the cells of a leaf, not beside it
-        if leaves.others.any():
-            spread(label, open_cells & ~leaves.others[around])
-        rows, cols = np.divmod(leaves.beyond, level.open.shape[1])
-        beyond = np.stack([rows - around[0].start, cols - around[1].start])
-    spread(label, open_cells)
-    _label_cavities(label, open_cells, beyond)
-    least = min_area / cell_size**2 - ROUNDING
-    count = int(label.max(initial=0)) + 1
-    cells = count_cells_by_label(label, count)
-    steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
-    is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
-    joins = is_stair | (cells > 0) & (cells < least)
-    at_edge = np.bincount(label[edge], minlength=count)
-    is_kept = np.bincount(label[tuple(beyond)], minlength=count) > 0
-    is_kept &= at_edge == 0
-    if joins[1:].any():
-        # distances matter up to half the widest gap [half cells]
-        reach = int(WIDEST / cell_size) + 2
-        regions = _Regions(label, cells, joins, open_cells, reach)
-        if is_stair.any():
-            heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
-            peaks = widest_nodes(label, squared_distances(wall_nodes(open_cells), reach), count)
-            regions.join_stairs(is_stair, heights / np.maximum(cells, 1), np.sqrt(peaks))
-        regions.join_small(least, at_edge, WIDEST / cell_size)
-        label = regions.wholes(least, is_kept)[label]
-    rooms[around] = renumber(label)[0]
-    return rooms, close
+        if leaves.not_parting.any():
+            spread_labels(label, open_cells & ~leaves.not_parting[window])
+        beyond_row, beyond_col = np.divmod(leaves.cells_beyond, level.is_open.shape[1])
+        beyond = np.stack([beyond_row - rows.start, beyond_col - cols.start])
+    spread_labels(label, open_cells)
+    _label_spaces_behind(beyond, label, open_cells)
+    label = _join_spaces(label, open_cells, floor, at_edge, beyond, cell_size, min_area)
+    segment[window], _ = renumber(label)
+    close_calls = [
+        call._replace(cell=(call.cell[0] + rows.start, call.cell[1] + cols.start))
+        for call in close_calls
+    ]
+    return segment, close_calls
 
 
-def _label_cavities(label: Int32, open_cells: Bool, beyond: Int) -> None:
+def _label_at_gaps(
+    open_cells: Bool,
+    holes: Bool,
+    cell_size: float,
+    door_width: float | None,
+    rays: WallRays | None,
+    closed: Bool,
+) -> tuple[Int32, list[CloseCall]]:
+    """Label the spaces that gaps part, after those that are one were joined; also close calls."""
+    parted = find_gaps(open_cells, holes, cell_size, door_width, rays, closed)
+    merger = SpaceMerger(parted, cell_size, door_width, rays)
+    merger.join_all()
+    return merger.space_of[parted.label], merger.close_calls()
+
+
+def _label_spaces_behind(beyond: Int, label: Int32, open_cells: Bool) -> None:
     """Label the spaces behind leaves that are all gap; `beyond` are rows and columns in them."""
     row, col = beyond[:, label[tuple(beyond)] == 0]
     if not len(row):
         return
-    part, count = label_components_2d(open_cells & (label == 0))
-    number = np.zeros(count + 1, dtype=np.int32)
+    part, num_parts = label_components_2d(open_cells & (label == 0))
+    new_label = np.zeros(num_parts + 1, dtype=np.int32)
     parts = np.unique(part[row, col])
-    number[parts] = label.max() + 1 + np.arange(len(parts))
-    label += number[part]
+    new_label[parts] = label.max() + 1 + np.arange(len(parts))
+    label += new_label[part]
 
 
-def spread(label: Int32, open_cells: Bool) -> None:
+def _join_spaces(
+    label: Int32,
+    open_cells: Bool,
+    floor: Float,
+    at_edge: Bool,
+    beyond: Int,
+    cell_size: float,
+    min_area: float,
+) -> Int32:
+    """Join stairs and small spaces to another one; returns labels, 0 where a space is too small.
+
+    Args:
+        label: the space of each cell, shape (height, width).
+        open_cells: cells of spaces and of gaps between them.
+        floor: heights [m].
+        at_edge: see `LevelFlags`.
+        beyond: rows and columns of cells in spaces that leaves lead into, shape (2, n).
+        cell_size: [m].
+        min_area: of a room [m²].
+    """
+    min_cells = min_area / cell_size**2 - CELL_ROUNDING
+    count = int(label.max(initial=0)) + 1
+    num_cells = count_cells_by_label(label, count)
+    num_steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
+    is_stair = num_steep >= MIN_STAIR_SHARE * np.maximum(num_cells, 1)
+    joins = is_stair | (num_cells > 0) & (num_cells < min_cells)
+    if not joins[1:].any():
+        return label
+    num_at_edge = np.bincount(label[at_edge], minlength=count)
+    is_room = np.bincount(label[tuple(beyond)], minlength=count) > 0
+    is_room &= num_at_edge == 0
+    # distances matter up to half the widest gap [half cells]
+    reach = int(MAX_GAP_WIDTH / cell_size) + 2
+    graph = _SpaceGraph(label, num_cells, joins, open_cells, reach)
+    if is_stair.any():
+        sums = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
+        heights = sums / np.maximum(num_cells, 1)
+        peaks = find_peaks(label, squared_distances(mark_wall_nodes(open_cells), reach), count)
+        graph.join_stairs(is_stair, heights, np.sqrt(peaks))
+    graph.join_small(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
+    return graph.find_rooms(min_cells, is_room)[label]
+
+
+def spread_labels(label: Int32, open_cells: Bool) -> None:
     """Spread labels to the open cells without one, wave by wave across edges.
 
     Of several in one wave, the nearest labelled cell wins, then the lower label, then the cell
     further clockwise, which turns with the map.
+
+    Args:
+        label: from 1, 0 for none, shape (height, width); is written into.
+        open_cells: cells that may receive a label.
     """
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
-    # to the cell with a label that each one's is from
-    downs, rights = np.zeros((2, len(labels)), dtype=np.int32)
+    # from each cell to the one that its label is from
+    downs = np.zeros(len(labels), dtype=np.int32)
+    rights = np.zeros(len(labels), dtype=np.int32)
+    # to the four neighbours: rows, columns, and both in the padded array
     steps = (0, 1, 1), (1, 0, width), (0, -1, -1), (-1, 0, -width)
     while len(waiting):
-        reached = np.logical_or.reduce([labels[waiting + step] > 0 for *_, step in steps])
-        if not reached.any():
+        is_reached = np.logical_or.reduce([labels[waiting + step] > 0 for _, _, step in steps])
+        if not is_reached.any():
             break
-        wave = waiting[reached]
-        waiting = waiting[~reached]
-        nearest, own, row, col = np.zeros((4, len(wave)), dtype=np.int32)
-        for to_row, to_col, step in steps:
-            cell = wave + step
-            there = labels[cell]
-            down = downs[cell] + to_row
-            right = rights[cell] + to_col
+        wave = waiting[is_reached]
+        waiting = waiting[~is_reached]
+        best_square = np.zeros(len(wave), dtype=np.int32)
+        best_label = np.zeros(len(wave), dtype=np.int32)
+        best_down = np.zeros(len(wave), dtype=np.int32)
+        best_right = np.zeros(len(wave), dtype=np.int32)
+        for row_step, col_step, step in steps:
+            neighbor = wave + step
+            new_label = labels[neighbor]
+            down = downs[neighbor] + row_step
+            right = rights[neighbor] + col_step
             square = down**2 + right**2
-            same = (there < own) | (there == own) & (col * down - row * right > 0)
-            better = (own == 0) | (square < nearest) | (square == nearest) & same
-            better &= there > 0
-            kept = (nearest, own, row, col)
-            new = (square, there, down, right)
-            for old, array in zip(kept, new, strict=True):
-                np.copyto(old, array, where=better)
-        labels[wave] = own
-        downs[wave] = row
-        rights[wave] = col
+            is_clockwise = best_right * down - best_down * right > 0
+            wins_tie = (new_label < best_label) | (new_label == best_label) & is_clockwise
+            is_nearer = (square < best_square) | (square == best_square) & wins_tie
+            is_better = (new_label > 0) & ((best_label == 0) | is_nearer)
+            np.copyto(best_square, square, where=is_better)
+            np.copyto(best_label, new_label, where=is_better)
+            np.copyto(best_down, down, where=is_better)
+            np.copyto(best_right, right, where=is_better)
+        labels[wave] = best_label
+        downs[wave] = best_down
+        rights[wave] = best_right
     label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
-    """Mark the labelled cells where the floor rises like a stair; what has no label is level."""
-    steps = max(1, round(SLOPE_REACH / cell_size))
-    rise = STEEPNESS * 2 * steps * cell_size
-    steep = np.zeros(label.shape, dtype=np.bool_)
-    if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= rise / 2:
-        return steep
+    """Mark the labelled cells where the floor rises like a stair.
 
-    def mark(first: int, end: int) -> None:
-        around = slice(max(first - steps, 0), end + steps)
-        height = np.where(label[around] > 0, floor[around], np.nan)
-        squares = np.zeros(height.shape)
-        for over, squared in ((height, squares), (height.T, squares.T)):
-            change = over[2 * steps :] - over[: -2 * steps]
-            change *= change
-            squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
-        inner = slice(first - around.start, end - around.start)
-        steep[first:end] = (squares[inner] >= rise**2) & (label[first:end] > 0)
+    Args:
+        label: 0 for cells that do not count, which are as high as any, shape (height, width).
+        floor: heights [m].
+        cell_size: [m].
+    """
+    reach = max(1, round(STEEPNESS_REACH / cell_size))  # [cells]
+    min_rise = MIN_STEEPNESS * 2 * reach * cell_size
+    is_steep = np.zeros(label.shape, dtype=np.bool_)
+    if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= min_rise / 2:
+        return is_steep
 
-    run_in_chunks(mark, len(label), least=2 * steps)
-    return steep
+    def mark_rows(first: int, end: int) -> None:
+        window = slice(max(first - reach, 0), end + reach)
+        height = np.where(label[window] > 0, floor[window], np.nan)
+        squared_rise = np.zeros(height.shape)  # over rows and columns together
+        for along, squared in ((height, squared_rise), (height.T, squared_rise.T)):
+            rise = along[2 * reach :] - along[: -2 * reach]
+            rise *= rise
+            squared[reach:-reach] += np.fmax(rise, 0.0, out=rise)  # NaN becomes 0
+        inner = slice(first - window.start, end - window.start)
+        is_steep[first:end] = (squared_rise[inner] >= min_rise**2) & (label[first:end] > 0)
+
+    run_in_chunks(mark_rows, len(label), least=2 * reach)
+    return is_steep
 
 
-class _Regions:
-    """Regions that touch, as a region adjacency graph, whose nodes are contracted (Haris, 1998)."""
+class Passage(NamedTuple):
+    """Where two spaces touch.
 
-    def __init__(self, label: Int32, cells: Int, joins: Bool, open_cells: Bool, reach: int) -> None:
-        """Passes of regions that may join another, `joins`, are known, and widths up to `reach`."""
-        self._cells = cells.copy()  # of each region from 1
-        self._whole = np.arange(len(cells), dtype=np.int32)  # what each one is part of now
-        # the edges between cells of two regions: these, and the distance at the widest node of each
-        beside = differing_pairs(label)
-        ends = np.sort(label.ravel()[beside].astype(np.int64), axis=0)
-        meet = (ends[0] > 0) & joins[ends].any(axis=0)
-        ends = ends[:, meet]
-        nodes = 2 * np.array(np.divmod(beside[:, meet], label.shape[1])) + 1
-        # an edge and its ends lie across the way from cell to cell
-        across = (nodes[:, 0] == nodes[:, 1]) * np.array([-1, 0, 1])[:, None, None]
-        row, col = ((nodes[:, :1] + nodes[:, 1:]) // 2 + across.swapaxes(0, 1)).reshape(2, -1)
-        widest = distances_at(open_cells, reach, row, col).reshape(3, -1).max(axis=0)
-        keys, place, length = np.unique(
-            ends[0] * len(cells) + ends[1], return_inverse=True, return_counts=True
+    Attributes:
+        distance: to walls at the widest place [half cells].
+        length: how many edges of cells they share.
+    """
+
+    distance: float
+    length: int
+
+
+class _SpaceGraph:
+    """Spaces that touch: a region adjacency graph whose nodes are contracted (Haris, 1998)."""
+
+    def __init__(
+        self, label: Int32, num_cells: Int, joins: Bool, open_cells: Bool, reach: int
+    ) -> None:
+        """Find the passages between spaces.
+
+        Args:
+            label: the space of each cell, 0 for none.
+            num_cells: of each space, by label.
+            joins: by label, whether a space may join another; passages between others are unknown.
+            open_cells: cells of spaces and gaps.
+            reach: up to which distances to walls are measured [half cells].
+        """
+        count = len(num_cells)
+        self._num_cells = num_cells.copy()
+        self._space_of = np.arange(count, dtype=np.int32)  # what each one is part of by now
+        # the edges between cells of two spaces
+        edge_cells = differing_pairs(label)
+        spaces = np.sort(label.ravel()[edge_cells].astype(np.int64), axis=0)
+        meet = (spaces[0] > 0) & joins[spaces].any(axis=0)
+        spaces = spaces[:, meet]
+        row, col = _edge_nodes(edge_cells[:, meet], label.shape[1])
+        squared = squared_distances_at(open_cells, reach, row, col)
+        widest = squared.reshape(3, -1).max(axis=0)
+        keys, key_of_edge, lengths = np.unique(
+            spaces[0] * count + spaces[1], return_inverse=True, return_counts=True
         )
-        saddle = np.zeros(len(keys))
-        np.maximum.at(saddle, place, np.sqrt(widest))
-        # by region and neighbour, the distance at the widest place of the pass, and its edges of
-        # cells
-        self._passes: list[dict[int, tuple[float, int]]] = [{} for _ in cells]
-        for key, *met in zip(keys.tolist(), saddle.tolist(), length.tolist(), strict=True):
-            one, other = divmod(key, len(cells))
-            self._passes[one][other] = self._passes[other][one] = (met[0], met[1])
+        distances = np.zeros(len(keys))
+        np.maximum.at(distances, key_of_edge, np.sqrt(widest))
+        # by space and neighbour
+        self._passages: list[dict[int, Passage]] = [{} for _ in num_cells]
+        for key, distance, length in zip(
+            keys.tolist(), distances.tolist(), lengths.tolist(), strict=True
+        ):
+            first, second = divmod(key, count)
+            passage = Passage(distance, length)
+            self._passages[first][second] = passage
+            self._passages[second][first] = passage
 
     def join_stairs(self, is_stair: Bool, height: Float, peak: Float) -> None:
-        """Join stairs to the lowest region, by mean `height`, that they open to in full width.
+        """Join stairs to the lowest space that they open to in full width.
 
-        `peak` is the distance to walls at each region's widest place [half cells].
+        Args:
+            is_stair: by label.
+            height: the mean height of each space's floor [m].
+            peak: the distance to walls at each space's widest place [half cells]; is written into.
         """
-        for region in np.flatnonzero(is_stair).tolist():
-            if self._whole[region] != region:
+        for stair in np.flatnonzero(is_stair).tolist():
+            if self._space_of[stair] != stair:
                 continue
-            least = peak[region] - ROUGHNESS - ROUNDING
-            mouths = [to for to, (saddle, _) in self._passes[region].items() if saddle >= least]
-            if mouths:
-                to = min(mouths, key=lambda to: (height[to], to))
-                self._join(to, region)
-                peak[to] = max(peak[to], peak[region])
+            min_distance = peak[stair] - WIDTH_ROUGHNESS - CELL_ROUNDING
+            neighbors = [
+                neighbor
+                for neighbor, passage in self._passages[stair].items()
+                if passage.distance >= min_distance
+            ]
+            if neighbors:
+                lowest = min(neighbors, key=lambda neighbor: (height[neighbor], neighbor))
+                self._join(lowest, stair)
+                peak[lowest] = max(peak[lowest], peak[stair])
 
-    def join_small(self, least: float, at_edge: Int, widest: float) -> None:
-        """Join regions of fewer cells, the smallest first, to the one they open to the widest.
+    def join_small(self, min_cells: float, num_at_edge: Int, enough: float) -> None:
+        """Join small spaces, the smallest first, to the one they open to the widest.
 
-        A region with cells `at_edge` of the grid, such as a ledge round a house, joins the one with
-        most cells there, of which `widest` are enough; with more than `widest` it joins only one
-        with as many.
+        A space with cells at the edge of the grid, such as a ledge round a house, joins the one
+        with most cells there; with more than `enough` it joins only one with as many.
+
+        Args:
+            min_cells: spaces with fewer cells are small.
+            num_at_edge: how many cells of each space are at the edge of the grid; is written into.
+            enough: more cells at the edge count no more.
         """
-        is_small = (self._whole == np.arange(len(self._cells))) & (self._cells < least)
-        queue = [(int(self._cells[k]), k) for k in np.flatnonzero(is_small).tolist() if k]
+        is_small = (self._space_of == np.arange(len(self._num_cells))) & (
+            self._num_cells < min_cells
+        )
+        queue = [
+            (int(self._num_cells[space]), space)
+            for space in np.flatnonzero(is_small).tolist()
+            if space
+        ]
         heapq.heapify(queue)
         while queue:
-            cells, small = heapq.heappop(queue)
+            num_cells, small = heapq.heappop(queue)
             # what has grown since it was queued is queued again
-            if self._whole[small] != small or self._cells[small] != cells:
+            if self._space_of[small] != small or self._num_cells[small] != num_cells:
                 continue
-            ranks = [
-                (min(at_edge[to], widest) if at_edge[small] else 0, *met, self._cells[to], -to)
-                for to, met in self._passes[small].items()
-            ]
-            to = -max(ranks)[-1] if ranks else small
-            if to == small or at_edge[small] > widest >= at_edge[to]:
+            ranks = []
+            for neighbor, passage in self._passages[small].items():
+                edge_rank = min(num_at_edge[neighbor], enough) if num_at_edge[small] else 0
+                ranks.append((edge_rank, *passage, self._num_cells[neighbor], -neighbor))
+            if not ranks:
                 continue
-            self._join(to, small)
-            at_edge[to] += at_edge[small]
-            if self._cells[to] < least:
-                heapq.heappush(queue, (int(self._cells[to]), to))
+            best = -max(ranks)[-1]
+            if num_at_edge[small] > enough >= num_at_edge[best]:
+                continue
+            self._join(best, small)
+            num_at_edge[best] += num_at_edge[small]
+            if self._num_cells[best] < min_cells:
+                heapq.heappush(queue, (int(self._num_cells[best]), best))
 
-    def wholes(self, least: float, is_kept: Bool) -> Int32:
-        """The region that each one became part of.
+    def find_rooms(self, min_cells: float, is_room: Bool) -> Int32:
+        """List the space that each label became part of, 0 for too small ones.
 
-        It is 0 where that has fewer than `least` cells, and none of its parts is kept.
+        Args:
+            min_cells: how many cells a space needs.
+            is_room: by label, whether what it became part of needs none.
         """
-        is_room = self._cells >= least
-        is_room[self._whole[is_kept]] = True
-        return np.where(is_room[self._whole], self._whole, np.int32(0))
+        is_large = self._num_cells >= min_cells
+        is_large[self._space_of[is_room]] = True
+        return np.where(is_large[self._space_of], self._space_of, np.int32(0))
 
-    def _join(self, to: int, gone: int) -> None:
-        self._whole[self._whole == gone] = to
-        for other, (saddle, length) in self._passes[gone].items():
-            del self._passes[other][gone]
-            if other != to:
-                own = self._passes[to].get(other, (0.0, 0))
-                met = max(own[0], saddle), own[1] + length
-                self._passes[to][other] = self._passes[other][to] = met
-        self._passes[gone] = {}
-        self._cells[to] += self._cells[gone]
+    def _join(self, joined: int, removed: int) -> None:
+        """Make one space a part of another."""
+        self._space_of[self._space_of == removed] = joined
+        for neighbor, passage in self._passages[removed].items():
+            del self._passages[neighbor][removed]
+            if neighbor == joined:
+                continue
+            former = self._passages[joined].get(neighbor, Passage(0.0, 0))
+            sum_of_both = Passage(
+                max(former.distance, passage.distance), former.length + passage.length
+            )
+            self._passages[joined][neighbor] = sum_of_both
+            self._passages[neighbor][joined] = sum_of_both
+        self._passages[removed] = {}
+        self._num_cells[joined] += self._num_cells[removed]
 
 
-def widest_nodes(label: Int32, distance: Int32, num: int) -> Int32:
-    """The largest distance of a node on any cell of each label, see `wall_nodes`."""
+def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
+    """Rows and columns of the nodes on edges between cells: one end, the middle, the other end.
+
+    Args:
+        cells: the two cells of each edge, shape (2, n).
+        width: of the lattice.
+
+    Returns:
+        Rows and columns, see `mark_wall_nodes`, shape (3 n,): all first ends, all middles, …
+    """
+    centers = 2 * np.array(np.divmod(cells, width)) + 1  # rows and columns of both cells
+    # an edge and its ends lie across the step from cell to cell
+    is_fixed = centers[:, 0] == centers[:, 1]
+    offset = is_fixed * np.array([-1, 0, 1])[:, None, None]
+    nodes = (centers[:, :1] + centers[:, 1:]) // 2 + offset.swapaxes(0, 1)
+    rows, cols = nodes.reshape(2, -1)
+    return rows, cols
+
+
+def find_peaks(label: Int32, distance: Int32, count: int) -> Int32:
+    """Find the largest distance of a node on any cell of each label.
+
+    Args:
+        label: shape (height, width), 0 for none.
+        distance: of the nodes, see `mark_wall_nodes`.
+        count: of labels, 0 included.
+
+    Returns:
+        The distances by label, shape (count,).
+    """
     rows = np.maximum(distance[1::2], np.maximum(distance[:-2:2], distance[2::2]))
     nodes = np.maximum(rows[:, 1::2], np.maximum(rows[:, :-2:2], rows[:, 2::2]))
-    peaks = np.zeros(num, dtype=np.int32)
+    peaks = np.zeros(count, dtype=np.int32)
     np.maximum.at(peaks, label[label > 0], nodes[label > 0])
     return peaks
 
 
-def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
+# ---------------------------------------------------------------- segments and marked rooms
+
+
+def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
     """Give cells (a podium) to the room whose floor lies under theirs, if it is in their segment.
 
     So a house is no part of the ground that it stands on.
+
+    Args:
+        owner: the marked room of each cell, 0 for none, shape (height, width).
+        under: the room whose floor lies under each cell's, 0 for none.
+        segment: the segment of each cell, 0 for none.
+
+    Returns:
+        The room of each cell.
     """
     base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
-    held = np.unique(segment[owner > 0].astype(np.int64) * base + owner[owner > 0])
-    takes = (owner == 0) & (under > 0) & (segment > 0)
-    takes[takes] = np.isin(segment[takes].astype(np.int64) * base + under[takes], held)
-    return np.where(takes, under, owner)
+    owned = owner > 0
+    rooms_in_segments = np.unique(segment[owned].astype(np.int64) * base + owner[owned])
+    is_covered = (owner == 0) & (under > 0) & (segment > 0)
+    keys = segment[is_covered].astype(np.int64) * base + under[is_covered]
+    is_covered[is_covered] = np.isin(keys, rooms_in_segments)
+    return np.where(is_covered, under, owner)
 
 
-def share_rest(
+def assign_unmarked(
     owner: Int32, segment: Int32, cell_size: float, min_area: float, beyond: Int | None = None
 ) -> tuple[Int32, Int32]:
-    """Make rooms of what marked rooms, `owner`, leave of segments: owners, and new rooms.
+    """Divide what marked rooms leave of segments between these rooms and new ones.
 
-    A segment without a mark is a room. In others each connected part of the rest is one, unless it
-    is smaller than `min_area` [m²], or nowhere half a metre wide though its segment is (a doorway's
+    A segment without a mark is a room. In others each connected part without a mark is one, unless
+    it is smaller than `min_area`, or nowhere half a metre wide though its segment is (a doorway's
     depth): then it goes to the marked room that it touches most. What touches none, and has one of
     the cells `beyond` closed leaves, is a room, too.
+
+    Args:
+        owner: the marked room of each cell, 0 for none, shape (height, width).
+        segment: the segment of each cell, 0 for none.
+        cell_size: [m].
+        min_area: of a new room [m²].
+        beyond: ids of cells in the spaces that closed leaves lead into, None for none.
+
+    Returns:
+        The marked room of each cell, with what was added to it.
+        The new room of each cell from 1, 0 for none.
     """
-    least = min_area / cell_size**2 - ROUNDING
+    min_cells = min_area / cell_size**2 - CELL_ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
     has_marks[segment[owner > 0]] = True
-    rest = np.where(owner == 0, segment, 0)
-    part, _ = label_components_2d(np.where(has_marks[rest], rest, 0))
-    cells, wide = _measure_parts(part, cell_size)
-    is_room = (cells >= least) & wide
-    if not (is_room | (cells < least)).all():  # the rest of a ledge is as narrow as the ledge was
-        of_segment = np.zeros(len(cells), dtype=np.int32)
-        of_segment[part] = segment
-        is_room |= (cells >= least) & ~_measure_parts(segment, cell_size)[1][of_segment]
-    touched = _most_touched(part, owner, len(cells))
+    unmarked = np.where(owner == 0, segment, 0)
+    part, _ = label_components_2d(np.where(has_marks[unmarked], unmarked, 0))
+    num_cells, is_wide = _measure_parts(part, cell_size)
+    is_room = (num_cells >= min_cells) & is_wide
+    if not (is_room | (num_cells < min_cells)).all():
+        # what is left of a ledge is as narrow as the ledge was
+        segment_of = np.zeros(len(num_cells), dtype=np.int32)
+        segment_of[part] = segment
+        _, is_segment_wide = _measure_parts(segment, cell_size)
+        is_room |= (num_cells >= min_cells) & ~is_segment_wide[segment_of]
+    touched = _find_most_touched(part, owner, len(num_cells))
     if beyond is not None:
-        leads = np.zeros(len(cells), dtype=np.bool_)
-        leads[part.ravel()[beyond]] = True
-        is_room |= leads & (touched == 0)
+        is_beyond = np.zeros(len(num_cells), dtype=np.bool_)
+        is_beyond[part.ravel()[beyond]] = True
+        is_room |= is_beyond & (touched == 0)
     is_room[0] = False
-    taken = np.where(is_room[part], 0, touched[part])
-    kept = np.where(has_marks[rest], 0, rest + np.int32(len(cells)) * (rest > 0))
-    new, _ = renumber(np.where(is_room[part], part, kept).astype(np.int32))
-    return np.where(owner > 0, owner, taken).astype(np.int32), new
+    added_to = np.where(is_room[part], 0, touched[part])
+    new_owner = np.where(owner > 0, owner, added_to).astype(np.int32)
+    # segments without marks are numbered behind the parts of others
+    unmarked_segment = np.where(
+        has_marks[unmarked], 0, unmarked + np.int32(len(num_cells)) * (unmarked > 0)
+    )
+    new_room, _ = renumber(np.where(is_room[part], part, unmarked_segment).astype(np.int32))
+    return new_owner, new_room
 
 
-def share_leaves(owner: Int32, leaf_cells: Bool) -> None:
+def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
     """Give the cells of leaves without a room to those on their sides; of two as near, the smaller.
 
     Which of two rooms is the smaller turns with the map, unlike their numbers.
+
+    Args:
+        owner: the room of each cell, 0 for none, shape (height, width); is written into.
+        leaf_cells: the cells of leaves.
     """
-    waiting = leaf_cells & (owner == 0)
-    cells = count_cells_by_label(owner, int(owner.max(initial=0)) + 1)
-    by_size = np.append(0, np.argsort(cells[1:], kind="stable") + 1).astype(np.int32)
-    rank = np.empty_like(by_size)
-    rank[by_size] = np.arange(len(by_size))
-    ranks = rank[owner]
-    spread(ranks, waiting)
-    owner[waiting] = by_size[ranks[waiting]]
+    without_room = leaf_cells & (owner == 0)
+    num_cells = count_cells_by_label(owner, int(owner.max(initial=0)) + 1)
+    by_size = np.append(0, np.argsort(num_cells[1:], kind="stable") + 1).astype(np.int32)
+    rank_of = np.empty_like(by_size)
+    rank_of[by_size] = np.arange(len(by_size))
+    rank = rank_of[owner]
+    spread_labels(rank, without_room)
+    owner[without_room] = by_size[rank[without_room]]
 
 
 def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
-    """How many cells each label has, none for 0, and whether it is half a metre wide anywhere."""
-    reach = int(SLIVER / cell_size) + 2
-    around = wall_nodes(label > 0)
+    """Count the cells of each label, none for 0, and find whether it is half a metre wide."""
+    reach = int(MIN_REMAINDER_WIDTH / cell_size) + 2
+    at_boundary = mark_wall_nodes(label > 0)
     height, width = label.shape
     for k in range(3):  # the nodes on each edge between two parts
-        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
-        around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
-    cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
-    peaks = widest_nodes(label, squared_distances(around, reach), len(cells))
-    # twice the distance to what is around, in half cells: the widest disc that fits
-    return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
+        at_boundary[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
+        at_boundary[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
+    num_cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
+    peaks = find_peaks(label, squared_distances(at_boundary, reach), len(num_cells))
+    # twice the distance to the boundary, in half cells: the widest disc that fits
+    return num_cells, peaks >= (MIN_REMAINDER_WIDTH / cell_size) ** 2 - CELL_ROUNDING
 
 
-def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
-    """The owner that each part has most edges in common with, 0 for none; of several the first."""
+def _find_most_touched(part: Int32, owner: Int32, count: int) -> Int32:
+    """Find the owner that each part shares most edges with, 0 for none; of several the first."""
     node = np.where(owner > 0, owner + np.int32(count), part)  # parts have no owner
     low, high = np.sort(node.ravel()[differing_pairs(node)], axis=0)
     base = int(node.max(initial=0)) + 1
-    meet = (low > 0) & (low < count) & (high >= count)
-    keys = low[meet].astype(np.int64) * base + high[meet]
-    key, edges = np.unique(keys, return_counts=True)
-    order = np.lexsort((-key, edges))  # the last one written stays
+    is_shared = (low > 0) & (low < count) & (high >= count)
+    keys = low[is_shared].astype(np.int64) * base + high[is_shared]
+    key, num_edges = np.unique(keys, return_counts=True)
+    order = np.lexsort((-key, num_edges))  # the last one written stays
     touched = np.zeros(count, dtype=np.int32)
     touched[key[order] // base] = key[order] % base - count
     return touched
 
 
 def renumber(label: Int32) -> tuple[Int32, Int]:
-    """Renumber labels from 1 by the first cell of each in reading order; also those so ordered."""
+    """Renumber labels from 1 by the first cell of each in reading order.
+
+    Args:
+        label: 0 for none, shape (height, width).
+
+    Returns:
+        The new labels of the cells.
+        The old labels in the order of the new ones.
+    """
     *_, value = find_row_runs(label)
     used, first = np.unique(value, return_index=True)
     order = used[np.argsort(first)]
-    number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
-    number[order] = np.arange(1, len(order) + 1)
-    return number[label], order
+    new_label = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
+    new_label[order] = np.arange(1, len(order) + 1)
+    return new_label[label], order
 
 
-def find_cavities(
+# ---------------------------------------------------------------- cavities and outdoors
+
+
+def mark_cavities(
     segment: Int32, owner: Int32, flags: RoomFlags, level: int, beyond: Int | None = None
 ) -> Bool:
     """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
 
-    A cavity meets no other space or level, nor the edge of the grid; no leaf leads into it, by the
-    cells `beyond` leaves; and it is smaller or narrower than `CAVITY`. The largest segment is none.
+    A cavity meets no other space or level, nor the edge of the grid; no leaf leads into it; and it
+    is smaller than `MIN_CLOSED_ROOM_AREA` or narrower than `MIN_CLOSED_ROOM_WIDTH`. The largest
+    segment is none.
+
+    Args:
+        segment: the segment of each cell, 0 for none, shape (height, width).
+        owner: the marked room of each cell, 0 for none.
+        flags: of all levels.
+        level: the number of the level.
+        beyond: ids of cells in the spaces that closed leaves lead into, None for none.
+
+    Returns:
+        By segment, from 0, whether it is a cavity.
     """
+    level_flags = flags.levels[level]
     cell_size = flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
     area = count_cells_by_label(segment, count) * cell_size**2
@@ -420,20 +654,20 @@ def find_cavities(
     is_open = np.zeros(count, dtype=np.bool_)
     is_open[0] = True
     is_open[pairs[(pairs > 0).all(axis=0) & (pairs < count)]] = True
-    is_open[segment[flags.levels[level].edge]] = True
+    is_open[segment[level_flags.at_edge]] = True
     if beyond is not None:
         is_open[segment.ravel()[beyond]] = True
-    for side in ((0, 1), (2, 3)):
-        on_level = flags.links[flags.links[:, side[0]] == level]
-        is_open[segment.ravel()[on_level[:, side[1]]]] = True
+    for level_column, cell_column in ((0, 1), (2, 3)):  # of both ends of links
+        on_level = flags.links[flags.links[:, level_column] == level]
+        is_open[segment.ravel()[on_level[:, cell_column]]] = True
     is_open |= area >= area[1:].max(initial=0.0)
-    least, wide = CAVITY
-    cavities: Bool = ~is_open & (area < least)
-    if (is_open | cavities).all():
-        return cavities
-    distance = squared_distances(wall_nodes(segment > 0), int(wide / cell_size) + 2)
-    is_wide = widest_nodes(segment, distance, count) >= (wide / cell_size) ** 2 - ROUNDING
-    return cavities | ~is_open & ~is_wide
+    is_cavity: Bool = ~is_open & (area < MIN_CLOSED_ROOM_AREA)
+    if (is_open | is_cavity).all():
+        return is_cavity
+    reach = int(MIN_CLOSED_ROOM_WIDTH / cell_size) + 2
+    peaks = find_peaks(segment, squared_distances(mark_wall_nodes(segment > 0), reach), count)
+    is_wide = peaks >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
+    return is_cavity | ~is_open & ~is_wide
 
 
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
@@ -441,58 +675,73 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
     They reach the edge of the grid in one piece wider than any door; and at least half of their
     cells have nothing above an agent's head, or lie under eaves. Walls part two pieces of outdoors,
-    unless the ground is endless; a ditch does not. Returns the segments and the numbers of those
-    outdoors.
+    unless the ground is endless; a ditch does not.
+
+    Args:
+        segment: the segment of each cell, 0 for none, shape (height, width).
+        flags: of all levels.
+        level: the number of the level.
+
+    Returns:
+        The segments, united where they are outdoors.
+        The numbers of those outdoors.
     """
-    own = flags.levels[level]
+    level_flags = flags.levels[level]
     cell_size = flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
-    candidates = _longest_runs(segment, own.edge & (segment > 0), count) * cell_size > EDGE_LENGTH
-    if not candidates.any():
+    extents = _measure_edge_extents(segment, level_flags.at_edge & (segment > 0), count)
+    is_candidate = extents * cell_size > MIN_OUTDOOR_EDGE
+    if not is_candidate.any():
         return segment, set()
-    asked = candidates[segment]
-    is_open = own.sky[asked]
-    if not is_open.all() and flags.ends.any():
+    in_candidate = is_candidate[segment]
+    is_open = level_flags.under_sky[in_candidate]
+    if not is_open.all() and flags.scene_ends.any():
         # where the lattice crops the scene, rooms go on beyond it
-        end = asked & edge_cells(flags.empty, flags.ends)
-        if end.any():
-            away = squared_distances(end, int(EAVES / cell_size) + 1)[asked]
-            is_open |= np.sqrt(away) * cell_size <= EAVES
-    open_cells = np.bincount(segment[asked][is_open], minlength=count)
-    all_cells = np.bincount(segment[asked], minlength=count)
-    outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)
-    united = _unite_touching(segment, outdoors, own.bank)
-    if outdoors.any() and flags.has_ground:
-        united[outdoors] = united[outdoors].min()
-    return united[segment], set(np.unique(united[outdoors]).tolist())
+        at_end = in_candidate & mark_edge(flags.is_empty, flags.scene_ends)
+        if at_end.any():
+            reach = int(MAX_EAVES_DEPTH / cell_size) + 1
+            squared = squared_distances(at_end, reach)[in_candidate]
+            is_open |= np.sqrt(squared) * cell_size <= MAX_EAVES_DEPTH
+    candidates = segment[in_candidate]
+    num_open = np.bincount(candidates[is_open], minlength=count)
+    num_cells = np.bincount(candidates, minlength=count)
+    is_outdoors = is_candidate & (num_open >= MIN_OPEN_SHARE * num_cells)
+    united = _unite_touching(segment, is_outdoors, level_flags.is_bank)
+    if is_outdoors.any() and flags.has_ground:
+        united[is_outdoors] = united[is_outdoors].min()
+    return united[segment], set(np.unique(united[is_outdoors]).tolist())
 
 
-def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
-    """By segment, the least chosen one that it touches, maybe over steep ground, or itself."""
-    part, count = label_components_2d(steep)
-    node = np.where(steep, part + len(chosen) - 1, segment)
-    joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
+def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
+    """Unite the segments outdoors that touch, maybe over banks.
+
+    Returns:
+        By segment, the least one that it is united with, or itself.
+    """
+    part, num_parts = label_components_2d(is_bank)
+    node = np.where(is_bank, part + len(is_outdoors) - 1, segment)
+    joins = np.concatenate([is_outdoors, np.ones(num_parts, dtype=np.bool_)])
     pairs = node.ravel()[differing_pairs(node)]
-    # the first node of a part is its least
-    number = label_components(pairs[:, joins[pairs].all(axis=0)], len(joins))
-    least = np.unique(number, return_index=True)[1].astype(np.int32)
-    return least[number][: len(chosen)]
+    # the first node of a component is its least
+    component = label_components(pairs[:, joins[pairs].all(axis=0)], len(joins))
+    least = np.unique(component, return_index=True)[1].astype(np.int32)
+    return least[component][: len(is_outdoors)]
 
 
-def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
-    """The extent of each segment's longest connected piece at the edge [cells]."""
-    cell = np.flatnonzero(edge)
+def _measure_edge_extents(segment: Int32, at_edge: Bool, count: int) -> Float:
+    """Measure the extent of each segment's longest connected piece at the edge [cells]."""
+    cell = np.flatnonzero(at_edge)
     rows, cols = np.divmod(cell, segment.shape[1])
-    number = segment[rows, cols]
+    segment_of = segment[rows, cols]
     pairs = adjacent_pairs(cell, segment.shape[1])
-    run = label_components(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
-    reach = np.zeros(len(cell))
-    for place in (rows, cols):
+    piece = label_components(pairs[:, segment_of[pairs[0]] == segment_of[pairs[1]]], len(cell))
+    extent = np.zeros(len(cell))
+    for position in (rows, cols):
         low = np.full(len(cell), np.inf)
         high = np.full(len(cell), -np.inf)
-        np.minimum.at(low, run, place)
-        np.maximum.at(high, run, place)
-        reach = np.hypot(reach, (high - low)[run])
+        np.minimum.at(low, piece, position)
+        np.maximum.at(high, piece, position)
+        extent = np.hypot(extent, (high - low)[piece])
     longest = np.zeros(count)
-    np.maximum.at(longest, number, reach + 1)
+    np.maximum.at(longest, segment_of, extent + 1)
     return longest

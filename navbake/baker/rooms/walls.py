@@ -14,96 +14,147 @@ from navbake.baker.core.arrays import Facets
 from navbake.baker.core.components import find_row_runs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms import gap_kernels as kernels
-from navbake.baker.rooms.gap_kernels import FAR
+from navbake.baker.rooms.gap_limits import MAX_JAMB_DISTANCE, MAX_WALL_DISTANCE
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
 
-STRIP = 64  # columns that are worth a thread's while
-NO_ROWS = np.empty((0, 0), dtype=np.int32)
-# Directions of walls are taken from their geometry, at points about so far apart [m], in bins of so
-# many degrees and lines so wide [m], if this share of the points lies on walls with a direction
-SPACING = 0.1
-FINE_BIN = 1.0
-FINE_LINE = 0.01
-MOST_POINTS = 0.5
-# Else they are measured at this distance from walls [m], in such bins [°] and lines [cells]
-OFF_WALL = 0.3
-BIN = 5.0
-LINE = 0.5
-# Each direction needs this length of wall [m], and this share of all
-LEAST_WALL = 1.2
-LEAST_SHARE = 0.01
-# So much of a wall lies on one line; its gaps begin or end so near to it [m]
-LINE_WALL = 0.8
-NEAR_WALL = 1.5
-# The steps in which a direction is refined [bins], by about so many points; an axis of the lattice
-# is taken if it is as sharp as this share of the sharpest
-FINE = 0.05
-ENOUGH = 2000
-AS_SHARP = 0.9
-# A direction is one of the whole building if it is the first or at right angles to it, within so
-# many degrees; others are those of the walls near to them
-SQUARE = 1.0
-# The lattice's steps disturb what is nearer to a wall [cells]
-OFF_STEPS = 5
-# Cells round the lattice in which slopes at its edge are measured
-PADDING = 2
+MIN_CHUNK_COLUMNS = 64  # columns that are worth a call on another thread
+NO_ROWS = np.empty((0, 0), dtype=np.int32)  # of `sweep_distances` within columns
 
-RAY_HEIGHT = 0.6  # at which walls are measured over the floor, below the sills of windows [m]
-HEIGHT_BIN = 0.01  # to which the heights of rays are told [m]
-CHUNK = 1 << 14  # triangles that are looked at together
-# Rays begin over a cell's width, as a thin wall lies beside the centres of cells that it is in
-OVER_CELL = np.array([-0.5, 0.0, 0.5])
-NOWHERE = -1e9  # the height of rays from cells without a floor, which meet nothing [m]
-# Most rays end within so many cells; of many, the others are cast once more, as far as needed
-NEAR_CELLS = 2.5
+# ------------------------------------------------------------ directions of walls
+
+# Directions are taken from the walls' geometry, at points about so far apart [m], …
+POINT_SPACING = 0.1
+# … which are counted in bins of angles [°] and on lines of this width [m]: geometry is exact
+GEOMETRY_ANGLE_BIN = 1.0
+GEOMETRY_LINE_WIDTH = 0.01
+# … if this share of the points lies on walls with a direction
+MIN_EXPLAINED_SHARE = 0.5
+# Else they are taken from the cells: from the slope of the distance to closed cells, this far from
+# walls [m], …
+SLOPE_DISTANCE = 0.3
+# … and at least so far, as the lattice's steps disturb what is nearer to a wall [cells]
+MIN_SLOPE_CELLS = 5
+# … with these bins of angles [°] and widths of lines [cells]
+CELL_ANGLE_BIN = 5.0
+CELL_LINE_WIDTH = 0.5
+# Where the change of the distance over four cells is below this, two walls are about as near:
+# across a single one it is 4 [cells]
+MIN_SLOPE = 3.2
+# Each direction needs walls of this length [m], and this share of all points
+MIN_WALL_LENGTH = 1.2
+MIN_POINT_SHARE = 0.01
+# Points count as a wall's where this length of it lies on one line [m]
+MIN_LENGTH_ON_LINE = 0.8
+# A direction that is not one of the whole building is searched this near to its walls [m]
+NEAR_WALL_DISTANCE = 1.5
+# A direction is refined in these steps [bins], by about so many points
+REFINEMENT_STEP = 0.05
+NUM_REFINEMENT_POINTS = 2000
+# An axis of the lattice is taken if it is as sharp as this share of the sharpest angle
+MIN_AXIS_SHARPNESS = 0.9
+# A direction is one of the whole building if it is the first one, or parallel or at right angles to
+# it within this [°]
+RIGHT_ANGLE_TOLERANCE = 1.0
+# Cells beside the lattice in which slopes at its edge are measured
+EDGE_PADDING = 2
+
+# ------------------------------------------------------------ rays to walls
+
+# The height over the floor at which walls are measured, below the sills of windows [m]
+RAY_HEIGHT = 0.6
+# The heights of rays are distinguished by this, to skip triangles at other heights [m]
+HEIGHT_BIN = 0.01
+# Triangles that are compared with heights at a time, so that caches hold them
+TRIANGLE_CHUNK = 1 << 14
+# Rays begin at these offsets across them, as a thin wall lies beside the centres of the cells that
+# it is in [cells]
+RAY_OFFSETS = np.array([-0.5, 0.0, 0.5])
+# The height of rays from cells without a floor, which meet nothing [m]
+NO_FLOOR_HEIGHT = -1e9
+# Of many rays, most end within this [cells]; the others are cast once more, as far as needed
+SHORT_RAY = 2.5
 MANY_RAYS = 200
-FAR_DIAGONAL = math.sqrt(2) * FAR
-# Walls farther from the centres of doorways' end cells are ignored [m]; farther than those of other
-# gaps, `FAR`, as they lean in the lattice where they are at an angle to it
-FAR_OF_DOORWAY = 0.6
-# A sill is at most this thick [m]; it fills every cell it touches, one more on each side
-SILL_THICKNESS = 0.5
-# By how much geometry is widened, so that rays between two tiles find it in both [m]
-HAIR = 1e-6
+# Rays are this long at least, as columns of lines at 45° are √2 cells apart [cells]
+MIN_RAY_LENGTH = math.sqrt(2) * MAX_WALL_DISTANCE
+# Geometry is widened by this, so that rays between two tiles find it in both [m]
+TILE_MARGIN = 1e-6
+
+# ------------------------------------------------------------ sills
+
+# A sill is at most this thick [m]; it fills every cell that it touches, one more on each side
+MAX_SILL_THICKNESS = 0.5
+
+
+# ---------------------------------------------------------------- distances
 
 
 def squared_distances(target: Bool, reach: int) -> Int32:
-    """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`."""
-    target, along = np.ascontiguousarray(target), np.empty(target.shape, dtype=np.int16)
-    run_in_chunks(kernels.sweep, target.shape[1], target, reach, along, NO_ROWS, least=STRIP)
+    """Measure how far each cell, or node, is from the nearest target.
+
+    Args:
+        target: shape (rows, cols).
+        reach: how far distances matter, >= 0 [cells].
+
+    Returns:
+        The squared distance, ``(reach + 1) ** 2`` beyond `reach`, shape (rows, cols), int32.
+    """
+    target = np.ascontiguousarray(target)
+    rows, cols = target.shape
+    along = np.empty(target.shape, dtype=np.int16)
+    run_in_chunks(
+        kernels.sweep_distances, cols, target, reach, along, NO_ROWS, least=MIN_CHUNK_COLUMNS
+    )
     squared = np.empty(target.shape, dtype=np.int32)
-    run_in_chunks(kernels.sweep, len(target), target, reach, along, squared)
+    run_in_chunks(kernels.sweep_distances, rows, target, reach, along, squared)
     return squared
 
 
-def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
-    """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
+def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
+    """Measure how far some nodes are from those on closed cells or the lattice's edge.
+
+    It is as fast as a few sweeps over cells, of which there are a quarter as many as nodes.
+
+    Args:
+        open_cells: shape (height, width).
+        reach: how far distances matter, >= 0 [nodes].
+        row: the nodes' rows, see `mark_wall_nodes`, shape (n,).
+        col: their columns.
+
+    Returns:
+        The `squared_distances` of these nodes to ``mark_wall_nodes(open_cells)``, shape (n,).
+    """
     closed = np.pad(~open_cells, 1, constant_values=True)
+    cols = closed.shape[1]
     along = np.empty(closed.shape, dtype=np.int16)
-    far = reach // 2 + 1
-    run_in_chunks(kernels.sweep, closed.shape[1], closed, far, along, NO_ROWS, least=STRIP)
+    cell_reach = reach // 2 + 1
+    run_in_chunks(
+        kernels.sweep_distances, cols, closed, cell_reach, along, NO_ROWS, least=MIN_CHUNK_COLUMNS
+    )
     nearest = np.full(len(row), (reach + 1) ** 2)
-    over = (row + 1) // 2
-    under = (row + 2) // 2
-    last = closed.shape[1] - 1
+    # the cells above and below each node, which are one where the node is in their middle
+    row_above = (row + 1) // 2
+    row_below = (row + 2) // 2
     for shift in range(-(reach // 2) - 1, reach // 2 + 3):
-        beside = np.clip(col // 2 + shift, 0, last)
-        cells = np.minimum(along[over, beside], along[under, beside]).astype(np.int64)
-        down = np.maximum(2 * cells - row % 2, 0)
-        right = np.abs(2 * beside - 1 - col) - 1  # cells are two nodes wide
+        cell_col = np.clip(col // 2 + shift, 0, cols - 1)
+        num_cells = np.minimum(along[row_above, cell_col], along[row_below, cell_col])
+        down = np.maximum(2 * num_cells.astype(np.int64) - row % 2, 0)
+        right = np.abs(2 * cell_col - 1 - col) - 1  # cells are two nodes wide
         np.minimum(nearest, down**2 + np.maximum(right, 0) ** 2, out=nearest)
     return nearest
 
 
-def wall_nodes(open_cells: Bool) -> Bool:
-    """Mark the nodes, shape (2 height + 1, 2 width + 1), on a closed cell or the lattice's edge.
+def mark_wall_nodes(open_cells: Bool) -> Bool:
+    """Mark the nodes on a closed cell or the lattice's edge.
 
     Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
     corners, so that gaps can be measured to half a cell.
+
+    Returns:
+        The marks, shape (2 height + 1, 2 width + 1).
     """
     closed = np.pad(~open_cells, 1, constant_values=True)
     rows = closed.repeat(2, axis=0)[1:-1]
@@ -112,332 +163,502 @@ def wall_nodes(open_cells: Bool) -> Bool:
     return cols[:, :-1] | cols[:, 1:]
 
 
-class Direction(NamedTuple):
-    """A direction that walls run in."""
+# ---------------------------------------------------------------- directions of walls
 
-    swapped: bool  # rows and columns, to scan it
-    shift: Int  # the row of a line in each column less that in the first
-    slope: float  # the rows that it goes down with each column
-    stretch: float  # the length of a step along it [cells]
-    near: Bool  # cells near to walls that run in it
+
+class WallDirection(NamedTuple):
+    """A direction that walls run in, as a lattice is scanned along it.
+
+    Attributes:
+        swapped: whether rows and columns are swapped to scan it: it is steeper than 45°.
+        shift: the row of a line in each column of the scan less that in the first, (cols,), int64.
+        slope: how many rows it goes down with each column of the scan, -1 to 1.
+        stretch: the length of a step along it from column to column, 1 to √2 [cells].
+        near: cells near to walls that run in it, shape (height, width), not swapped.
+    """
+
+    swapped: bool
+    shift: Int
+    slope: float
+    stretch: float
+    near: Bool
 
 
 class WallPoints(NamedTuple):
-    """Points on walls, from which the directions of these follow."""
+    """Points on walls, from which the directions of these follow.
 
-    place: Float  # (2, n) [rows, columns]
-    angle: Float  # of the wall there, from the columns' axis towards the rows', (n,) [°]
-    apart: float  # how far neighbours on a wall are from each other [m]
-    each: float  # the bins in which they are counted [°]
-    width: float  # of the lines on which they are [cells]
+    Attributes:
+        position: row and column of each, in fractions of cells, shape (2, n).
+        angle: of the wall there, from the columns' axis towards the rows', 0 to 180, (n,) [°].
+        spacing: how far neighbours on a wall are from each other [m].
+        angle_bin: the bins in which angles are counted [°].
+        line_width: how wide the lines are on which points are counted [cells].
+    """
+
+    position: Float
+    angle: Float
+    spacing: float
+    angle_bin: float
+    line_width: float
 
 
 def find_directions(
     open_cells: Bool, cell_size: float, rays: WallRays | None = None
-) -> list[Direction]:
+) -> list[WallDirection]:
     """Find the directions that walls run in.
 
-    They follow from the walls' geometry, or where there is none, or where it is as rough as that of
+    They follow from the walls' geometry; or where there is none, or where it is as rough as that of
     a scan, from the slope of the distance to closed cells.
+
+    Args:
+        open_cells: shape (height, width).
+        cell_size: [m].
+        rays: to the walls' geometry, None for none.
+
+    Returns:
+        The directions, that with most points first.
     """
+    shape = open_cells.shape
     if rays is not None:
-        points, asked = rays.find_points(open_cells)
-        directions, explained = _list_directions(points, open_cells.shape, cell_size)
-        if asked and explained >= MOST_POINTS * asked:
+        points, num_rays = rays.find_points(open_cells)
+        directions, num_explained = _list_directions(points, shape, cell_size)
+        if num_rays and num_explained >= MIN_EXPLAINED_SHARE * num_rays:
             return directions
-    return _list_directions(_find_points(open_cells, cell_size), open_cells.shape, cell_size)[0]
+    directions, _ = _list_directions(_find_cell_points(open_cells, cell_size), shape, cell_size)
+    return directions
 
 
 def _list_directions(
     points: WallPoints, shape: tuple[int, ...], cell_size: float
-) -> tuple[list[Direction], int]:
-    """The directions that points on walls have, and how many of these have one."""
-    foot, angle, apart, each, width = points
-    num = round(180 / each)
-    bins = np.rint(angle / each).astype(np.int64) % num
-    # round the corners of walls the slope has all directions alike
-    around = 2.0 * float(np.median(_smooth(np.bincount(bins, minlength=num))))
-    least = max(LEAST_WALL / apart, LEAST_SHARE * len(bins))
-    directions = list[Direction]()
-    main = 0.0
-    total = 0
-    left = np.ones(len(bins), dtype=np.bool_)
+) -> tuple[list[WallDirection], int]:
+    """List the directions that points on walls have, and count the points that have one.
+
+    The angle that most points have is refined; those of them that lie on common lines are walls of
+    that direction. Then the same is done with the remaining points.
+    """
+    position, angle, spacing, angle_bin, line_width = points
+    num_bins = round(180 / angle_bin)
+    bins = np.rint(angle / angle_bin).astype(np.int64) % num_bins
+    # at the corners of walls the slope has all directions alike
+    at_corners = 2.0 * float(np.median(_sum_three(np.bincount(bins, minlength=num_bins))))
+    min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bins))
+    min_on_line = MIN_LENGTH_ON_LINE / spacing
+    directions = list[WallDirection]()
+    main_angle = 0.0
+    num_explained = 0
+    remaining = np.ones(len(bins), dtype=np.bool_)
     while True:
-        count = _smooth(np.bincount(bins[left], minlength=num))
+        count = _sum_three(np.bincount(bins[remaining], minlength=num_bins))
         best = int(count.argmax())
-        if count[best] < least + around:
-            return directions, total
-        off = np.abs((angle - best * each + 90.0) % 180.0 - 90.0)
-        near = left & (off <= 1.5 * each)
-        chosen = _align(foot[:, near], best, each, width)
+        if count[best] < min_points + at_corners:
+            return directions, num_explained
+        difference = np.abs((angle - best * angle_bin + 90.0) % 180.0 - 90.0)
+        is_near = remaining & (difference <= 1.5 * angle_bin)
+        wall_angle = _refine_angle(position[:, is_near], best, angle_bin, line_width)
         # points on its walls count for no other direction, a few degrees off
-        near = left & (off <= 2.5 * each)
-        explained = _on_walls(foot[:, near], chosen, width, LINE_WALL / apart)
-        if explained.sum() >= least:
-            walls: Bool = np.zeros(shape, dtype=np.bool_)
-            row, col = np.rint(foot[:, near][:, explained]).astype(np.int64)
-            inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-            walls[row[inside], col[inside]] = True
-            found = direction_of(chosen, shape)
-            main = main if directions else chosen
-            if abs((chosen - main + 45.0) % 90.0 - 45.0) > SQUARE:
-                most = round(NEAR_WALL / cell_size)
-                found = found._replace(near=squared_distances(walls, most) <= most**2)
-            directions.append(found)
-            left[near] = ~explained
-            total += int(explained.sum())
-        else:
-            left[near] = False
+        is_near = remaining & (difference <= 2.5 * angle_bin)
+        near_position = position[:, is_near]
+        on_walls = _mark_on_walls(near_position, wall_angle, line_width, min_on_line)
+        if on_walls.sum() < min_points:
+            remaining[is_near] = False
+            continue
+        direction = direction_of(wall_angle, shape)
+        if not directions:
+            main_angle = wall_angle
+        if abs((wall_angle - main_angle + 45.0) % 90.0 - 45.0) > RIGHT_ANGLE_TOLERANCE:
+            near = _mark_near(near_position[:, on_walls], shape, cell_size)
+            direction = direction._replace(near=near)
+        directions.append(direction)
+        remaining[is_near] = ~on_walls
+        num_explained += int(on_walls.sum())
 
 
-def _find_points(open_cells: Bool, cell_size: float) -> WallPoints:
-    """Points on walls by the slope of the distance to them."""
-    reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
-    # the edge of the lattice is no wall: what is there goes on beyond it
-    closed = np.pad(~open_cells, PADDING, mode="edge")
+def _mark_near(position: Float, shape: tuple[int, ...], cell_size: float) -> Bool:
+    """Mark the cells within `NEAR_WALL_DISTANCE` of points, shape (2, n)."""
+    is_wall: Bool = np.zeros(shape, dtype=np.bool_)
+    row, col = np.rint(position).astype(np.int64)
+    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+    is_wall[row[inside], col[inside]] = True
+    reach = round(NEAR_WALL_DISTANCE / cell_size)
+    return np.asarray(squared_distances(is_wall, reach) <= reach**2)
+
+
+def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
+    """Find points on walls by the slope of the distance to closed cells, at cells off the walls."""
+    reach = max(MIN_SLOPE_CELLS, round(SLOPE_DISTANCE / cell_size))
+    # the edge of the lattice is no wall: what is at it goes on beyond it
+    closed = np.pad(~open_cells, EDGE_PADDING, mode="edge")
     squared = squared_distances(closed, reach + 2)
-    at = (squared >= (reach - 1) ** 2) & (squared < reach**2)
-    at[[0, 1, -2, -1]] = at[:, [0, 1, -2, -1]] = False
-    cells = np.flatnonzero(at)
+    is_off_wall = (squared >= (reach - 1) ** 2) & (squared < reach**2)
+    is_off_wall[[0, 1, -2, -1]] = False
+    is_off_wall[:, [0, 1, -2, -1]] = False
+    cells = np.flatnonzero(is_off_wall)
     width = closed.shape[1]
-    beside = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
-    below, above, after, before, distance = np.sqrt(squared.ravel()[beside], dtype=np.float32)
+    neighbors = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
+    distances = np.sqrt(squared.ravel()[neighbors], dtype=np.float32)
+    below, above, after, before, distance = distances
     down = below - above
     right = after - before
     # a wall runs across the slope; where two walls are as near, there is less of one
-    clear = np.hypot(down, right) > 3.2
-    cells = cells[clear]
-    distance = distance[clear]
-    down = down[clear]
-    right = right[clear]
+    is_clear = np.hypot(down, right) > MIN_SLOPE
+    cells = cells[is_clear]
+    distance = distance[is_clear]
+    down = down[is_clear]
+    right = right[is_clear]
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
     slope = np.hypot(down, right)
-    foot = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
-    return WallPoints(foot - PADDING, angle, cell_size, BIN, LINE)
+    on_wall = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
+    return WallPoints(
+        position=on_wall - EDGE_PADDING,
+        angle=angle,
+        spacing=cell_size,
+        angle_bin=CELL_ANGLE_BIN,
+        line_width=CELL_LINE_WIDTH,
+    )
 
 
-def _smooth(count: Int) -> Int:
+def _sum_three(count: Int) -> Int:
+    """Add to each bin of a circle its two neighbours."""
     return count + np.roll(count, 1) + np.roll(count, -1)
 
 
-def _across(foot: Float, angles: Float, width: float) -> Float:
-    """In which line each point lies, (angles, n), of lines in directions [°] so wide [cells]."""
-    turn = np.deg2rad(angles)[:, None]
-    across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
-    return np.asarray((across - across.min(axis=1, keepdims=True)) / width)
+def _find_lines(position: Float, angles: Float, line_width: float) -> Float:
+    """Find the line that each point lies on, of parallel lines in each of some directions.
+
+    Args:
+        position: of points, shape (2, n) [cells].
+        angles: of the lines [°].
+        line_width: [cells].
+
+    Returns:
+        The number of the line, in fractions of lines, shape (angles, n).
+    """
+    radians = np.deg2rad(angles)[:, None]
+    across = position[0] * np.cos(radians) - position[1] * np.sin(radians)
+    return np.asarray((across - across.min(axis=1, keepdims=True)) / line_width)
 
 
-def _on_walls(foot: Float, angle: float, width: float, least: float) -> Bool:
-    """Which points lie on two neighbouring lines that have as many as a wall."""
-    line = _across(foot, np.array([angle]), width)[0].astype(np.int64)
+def _mark_on_walls(position: Float, angle: float, line_width: float, min_points: float) -> Bool:
+    """Mark the points that lie on two neighbouring lines with as many points as a wall has."""
+    line = _find_lines(position, np.array([angle]), line_width)[0].astype(np.int64)
     count = np.pad(np.bincount(line), 1)
     pairs = count[1:] + count[:-1]  # each line with the one before
-    is_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= least
-    return is_wall
+    on_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= min_points
+    return on_wall
 
 
-def _align(foot: Float, number: int, each: float, width: float) -> float:
-    """The angle within 1.5 bins at which points, (2, n), are on the fewest lines [°].
+def _refine_angle(position: Float, bin_number: int, angle_bin: float, line_width: float) -> float:
+    """Find the angle within 1.5 bins at which points, (2, n), lie on the fewest lines [°].
 
     It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
     """
-    foot = foot[:, :: max(1, foot.shape[1] // ENOUGH)]
-    most = round(1.5 / FINE)
-    angles = each * (number + FINE * np.arange(-most, most + 1, dtype=np.float64))
+    position = position[:, :: max(1, position.shape[1] // NUM_REFINEMENT_POINTS)]
+    num_steps = round(1.5 / REFINEMENT_STEP)
+    steps = np.arange(-num_steps, num_steps + 1, dtype=np.float64)
+    angles = angle_bin * (bin_number + REFINEMENT_STEP * steps)
     sharpness = np.zeros(len(angles), dtype=np.int64)
-    for k, across in enumerate(_across(foot, angles, width)):
+    for k, line in enumerate(_find_lines(position, angles, line_width)):
         for phase in (0.0, 0.5):  # so that no wall falls between two lines
-            count = np.bincount((across + phase).astype(np.int64))
+            count = np.bincount((line + phase).astype(np.int64))
             # the squares of the sums of two lines next to each other; whole numbers, so exact
             sharpness[k] = max(sharpness[k], count @ count + count[1:] @ count[:-1])
     is_axis = angles % 90.0 == 0.0
-    if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
+    if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS * sharpness.max()).any():
         return float(angles[is_axis][0])
     return float(angles[sharpness.argmax()])
 
 
-def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
-    """A direction from its angle from the columns' axis towards the rows' [degrees]."""
+def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
+    """Make a direction from its angle, near to which are all cells.
+
+    Args:
+        angle: from the columns' axis towards the rows' [°].
+        shape: of the lattice, (height, width).
+    """
     swapped = 45.0 < angle < 135.0
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
-    count = shape[0] if swapped else shape[1]
-    shift = np.rint(np.arange(count) * slope).astype(np.int64)
-    near = np.broadcast_to(np.True_, shape)
-    return Direction(swapped, shift, float(slope), float(np.hypot(1.0, slope)), near)
+    num_cols = shape[0] if swapped else shape[1]
+    return WallDirection(
+        swapped=swapped,
+        shift=np.rint(np.arange(num_cols) * slope).astype(np.int64),
+        slope=float(slope),
+        stretch=float(np.hypot(1.0, slope)),
+        near=np.broadcast_to(np.True_, shape),
+    )
 
 
-def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
-    """An array as the kernels scan it in a direction: column by column, as it lies in memory."""
+def to_scan_order(array: NDArray[T], direction: WallDirection) -> NDArray[T]:
+    """Arrange an array as kernels scan it in a direction: its columns lie together in memory.
+
+    Args:
+        array: shape (height, width).
+        direction: rows and columns are swapped if this needs it.
+
+    Returns:
+        The array in Fortran order, a view or a copy; `from_scan_order` is the inverse.
+    """
     return np.asfortranarray(array.T if direction.swapped else array)
 
 
+def from_scan_order(array: NDArray[T], direction: WallDirection) -> NDArray[T]:
+    """View an array in a direction's scan order by rows and columns of the lattice.
+
+    Args:
+        array: see `to_scan_order`.
+        direction: in whose scan order it is.
+    """
+    return array.T if direction.swapped else array
+
+
+# ---------------------------------------------------------------- rays to walls
+
+
+class RotatedWalls(NamedTuple):
+    """Walls in a frame in which a direction of theirs points up, so that rays along it are columns.
+
+    Attributes:
+        axes: of the frame, in rows, world frame, shape (3, 3).
+        tiled: the walls in this frame.
+        coded_distance: see `WallRays.measure`.
+    """
+
+    axes: Float
+    tiled: TiledShapes
+    coded_distance: Float
+
+
 class WallRays:
-    """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
+    """Casts level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        self._lattice = lattice
-        self._heights = floor + RAY_HEIGHT
-        # a triangle is met at no heights but those of the floor's rays, told to a HEIGHT_BIN
-        heights = self._heights[~np.isnan(floor)]
-        low = heights.min()
-        high = heights.max()
-        bins = np.zeros(int((high - low) / HEIGHT_BIN) + 1, dtype=np.int64)
-        bins[((heights - low) / HEIGHT_BIN).astype(np.int64)] = 1
-        before = np.append(0, np.cumsum(bins))  # of each bin, those with a ray
-        bounds = walls.triangles.bounds
-        parts = dict[int, Int]()
+        """Prepare rays.
 
-        def choose(first: int, end: int) -> None:
-            for begin in range(first * CHUNK, end * CHUNK, CHUNK):  # which caches hold
-                bottom = bounds[begin : begin + CHUNK, 2]
-                top = bounds[begin : begin + CHUNK, 5]
-                some = np.flatnonzero((bottom <= high) & (top >= low))
-                ends = np.stack([bottom[some] - HAIR, top[some] + HAIR]) - low
-                one, other = (ends / HEIGHT_BIN).astype(np.int64).clip(0, len(bins) - 1)
-                parts[begin] = begin + some[before[other + 1] > before[one]]
-
-        run_in_chunks(choose, -(-len(bounds) // CHUNK))
-        chosen = np.concatenate([np.empty(0, np.int64), *(parts[k] for k in sorted(parts))])
-        triangles = Facets._make(array.take(chosen, axis=0) for array in walls.triangles)
-        self._heights[np.isnan(floor)] = NOWHERE
-        # rays from cells at the lattice's edge reach beyond it
-        self._reach = max(FAR_DIAGONAL, FAR_OF_DOORWAY / lattice.cell_size)
-        self._margin = margin = math.ceil(self._reach) + 1
-        rows, cols = (slice(-margin, count + margin) for count in lattice.shape)
-        self._tiled = tile_shapes(walls, lattice.cut(rows, cols), HAIR, triangles)
-        self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
-
-    def look(self, direction: Direction, cells: Int) -> Float:
-        """Cast rays from `cells`, shape (…, 2), back and on along a direction; -1 for none.
-
-        Returns how far walls are from cells' centres as far as that is known, plus 1, 0 where it
-        isn't, inf for none [columns]: (cells, 2), as the direction scans them.
+        Args:
+            walls: the geometry that rays meet, world frame.
+            lattice: the cells that rays begin in.
+            floor: heights of their floors, NaN for none, shape (height, width) [m].
         """
-        axes, tiled, known = self._turn(direction)
+        self._lattice = lattice
+        has_floor = ~np.isnan(floor)
+        self._heights = floor + RAY_HEIGHT
+        triangle_ids = _choose_triangles(walls.triangles.bounds, self._heights[has_floor])
+        triangles = Facets._make(array.take(triangle_ids, axis=0) for array in walls.triangles)
+        self._heights[~has_floor] = NO_FLOOR_HEIGHT
+        # rays from cells at the lattice's edge reach beyond it
+        self._reach = max(MIN_RAY_LENGTH, MAX_JAMB_DISTANCE / lattice.cell_size)  # [cells]
+        self._margin = math.ceil(self._reach) + 1
+        rows = slice(-self._margin, lattice.height + self._margin)
+        cols = slice(-self._margin, lattice.width + self._margin)
+        self._tiled = tile_shapes(walls, lattice.cut(rows, cols), TILE_MARGIN, triangles)
+        self._rotated = dict[tuple[bool, float], RotatedWalls]()
+
+    def measure(self, direction: WallDirection, cells: Int) -> Float:
+        """Measure how far walls are from the centres of cells, back and on along a direction.
+
+        Args:
+            direction: along which rays are cast.
+            cells: ids of the direction's scan from which a ray goes back, and those from which one
+                goes on, -1 for none; shape (…, 2).
+
+        Returns:
+            By cell of the scan, back and on, the distance plus 1, so that 0 is what was not
+            measured by any call yet; inf for no wall, shape (cells, 2) [columns]. Later calls for
+            the direction write into the same array.
+        """
+        walls = self._rotate(direction)
         at = np.nonzero(cells >= 0)
         cell = cells[at]
-        way = at[-1]
-        new = known[cell, way] == 0.0
-        cell = cell[new]
-        way = way[new]
+        end = at[-1]
+        is_new = walls.coded_distance[cell, end] == 0.0
+        cell = cell[is_new]
+        end = end[is_new]
         if len(cell):
-            row, col = np.divmod(cell, self._heights.shape[0 if direction.swapped else 1])
-            row, col = (col, row) if direction.swapped else (row, col)
-            away, _ = self._cast(axes, tiled, row, col, way == 1, OVER_CELL)
-            known[cell, way] = away / (direction.stretch * self._lattice.cell_size) + 1.0
-        return known
+            if direction.swapped:
+                col, row = np.divmod(cell, self._heights.shape[0])
+            else:
+                row, col = np.divmod(cell, self._heights.shape[1])
+            distance, _ = self._cast(walls, row, col, end == 1, RAY_OFFSETS)
+            step = direction.stretch * self._lattice.cell_size
+            walls.coded_distance[cell, end] = distance / step + 1.0
+        return walls.coded_distance
 
     def find_points(self, open_cells: Bool) -> tuple[WallPoints, int]:
-        """Points on walls that are met from the open cells beside closed ones; how many are asked.
+        """Find points on walls by rays along the lattice's axes, from cells beside closed ones.
 
-        Rays along the lattice's axes meet them.
+        Args:
+            open_cells: shape (height, width).
+
+        Returns:
+            The points, and the number of rays, which met one each or nothing.
         """
         closed = np.pad(~open_cells, 1, mode="edge")
-        size = self._lattice.cell_size
-        has_floor = open_cells & (self._heights > NOWHERE)
-        every = max(1, int(SPACING / size))
+        cell_size = self._lattice.cell_size
+        has_floor = open_cells & (self._heights > NO_FLOOR_HEIGHT)
+        stride = max(1, int(POINT_SPACING / cell_size))  # one cell in so many has a ray
         rows, cols = open_cells.shape
-        places = list[Float]()
+        positions = list[Float]()
         angles = list[Float]()
-        asked = 0
+        num_rays = 0
         for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            beside = closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
-            row, col = np.divmod(np.flatnonzero(has_floor & beside), cols)
-            some = (row + col) % every == 0
-            row = row[some]
-            col = col[some]
-            axes, tiled, _ = self._turn(direction_of(90.0 * abs(down), open_cells.shape))
-            is_after = np.full(len(row), down + right > 0)
-            away, normal = self._cast(axes, tiled, row, col, is_after, np.zeros(1))
+            before_closed = closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
+            row, col = np.divmod(np.flatnonzero(has_floor & before_closed), cols)
+            has_ray = (row + col) % stride == 0
+            row = row[has_ray]
+            col = col[has_ray]
+            walls = self._rotate(direction_of(90.0 * abs(down), open_cells.shape))
+            goes_on = np.full(len(row), down + right > 0)
+            distance, normal = self._cast(walls, row, col, goes_on, np.zeros(1))
             # what is steeper to the ray is met by those along the other axis
-            own = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
-            met = own & np.isfinite(away)
-            asked = asked + int(own.sum())
-            row = row[met]
-            col = col[met]
-            away = away[met] / size
-            places.append(np.stack([row + down * away, col + right * away]))
-            x, y, _ = axes.T @ normal[met].T
+            faces_ray = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
+            num_rays += int(faces_ray.sum())
+            meets_wall = faces_ray & np.isfinite(distance)
+            row = row[meets_wall]
+            col = col[meets_wall]
+            num_cells = distance[meets_wall] / cell_size
+            positions.append(np.stack([row + down * num_cells, col + right * num_cells]))
+            x, y, _ = walls.axes.T @ normal[meets_wall].T
             angles.append(np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0))
-        found = np.concatenate(places, axis=1), np.concatenate(angles)
-        return WallPoints(*found, every * size, FINE_BIN, FINE_LINE / size), asked
+        points = WallPoints(
+            position=np.concatenate(positions, axis=1),
+            angle=np.concatenate(angles),
+            spacing=stride * cell_size,
+            angle_bin=GEOMETRY_ANGLE_BIN,
+            line_width=GEOMETRY_LINE_WIDTH / cell_size,
+        )
+        return points, num_rays
 
     def _cast(
-        self, axes: Float, tiled: TiledShapes, row: Int, col: Int, is_after: Bool, offsets: Float
+        self, walls: RotatedWalls, row: Int, col: Int, goes_on: Bool, offsets: Float
     ) -> tuple[Float, Float]:
-        """Cast rays on or back from cells, at some offsets across them [cells].
+        """Cast rays along a direction, on or back from cells.
 
-        Returns how far walls are [m], inf for none, and the normal there in the rays' frame, (n, 3)
-        of 0 for none.
+        Args:
+            walls: rotated so that rays are vertical.
+            row, col: the cells, shape (n,).
+            goes_on: whether each ray goes on in the direction, else back, shape (n,).
+            offsets: by how much rays begin beside the centres, across them [cells].
+
+        Returns:
+            How far the nearest wall is from each cell's centre over all offsets, inf for none, (n,)
+            [m].
+            The wall's normal there in the rotated frame, 0 for none, shape (n, 3).
         """
         lattice = self._lattice
-        count = len(offsets)
+        axes = walls.axes
+        tiled = walls.tiled
+        num_offsets = len(offsets)
         centers = np.column_stack([lattice.positions(row, col), self._heights[row, col]]) @ axes.T
         # cells of the lattice with its margin
         places = np.stack([row, col]) + (self._margin + 0.5)
-        way = np.where(is_after, 1.0, -1.0)
+        sign = np.where(goes_on, 1.0, -1.0)
         # how a step across a ray and one along it change the row and the column
-        aside, along = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
-        away = np.full(len(row), np.inf)
+        across_step, along_step = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
+        distance = np.full(len(row), np.inf)
         normal = np.zeros((len(row), 3))
-        left = np.arange(len(row))
-        # most rays end near their cells, where there is little to look at
-        for reach in (NEAR_CELLS, self._reach)[len(row) < MANY_RAYS :]:
-            ray = left.repeat(count)
-            offset = np.tile(offsets, len(left))
+        remaining = np.arange(len(row))
+        # most rays end near their cells, where there is little geometry
+        reaches = [self._reach] if len(row) < MANY_RAYS else [SHORT_RAY, self._reach]
+        for reach in reaches:
+            ray = remaining.repeat(num_offsets)
+            offset = np.tile(offsets, len(remaining))
             points = centers[ray, :2]
             points[:, 0] += offset * lattice.cell_size
             ends = np.empty((2, len(ray), 2))
-            ends[..., 0] = places[:, ray] + aside[:, None] * offset
-            ends[..., 1] = ends[..., 0] + along[:, None] * (way[ray] * reach)
+            ends[..., 0] = places[:, ray] + across_step[:, None] * offset
+            ends[..., 1] = ends[..., 0] + along_step[:, None] * (sign[ray] * reach)
             rows, cols = ends.astype(np.int64)
             hits = cast_points(tiled, rows * tiled.lattice.width + cols, points, axes)
-            line = np.repeat(ray, np.diff(hits.start))
-            ahead = way[line] * (hits.z - centers[line, 2])
+            ray_of_hit = np.repeat(ray, np.diff(hits.start))
+            ahead = sign[ray_of_hit] * (hits.z - centers[ray_of_hit, 2])
             ahead[~(ahead >= 0.0)] = np.inf
-            np.minimum.at(away, line, ahead)
-            is_first = np.isfinite(ahead) & (ahead == away[line])
-            normal[line[is_first]] = hits.normal[is_first]
-            left = left[away[left] > reach * lattice.cell_size]
-            if not len(left):
+            np.minimum.at(distance, ray_of_hit, ahead)
+            is_first = np.isfinite(ahead) & (ahead == distance[ray_of_hit])
+            normal[ray_of_hit[is_first]] = hits.normal[is_first]
+            remaining = remaining[distance[remaining] > reach * lattice.cell_size]
+            if not len(remaining):
                 break
-        return away, normal
+        return distance, normal
 
-    def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
-        """A frame in which the direction is up, its axes as rows; the walls in it; see `look`."""
+    def _rotate(self, direction: WallDirection) -> RotatedWalls:
+        """Rotate the walls into a frame in which the direction points up, once per direction."""
         key = direction.swapped, direction.slope
-        if key not in self._turned:
-            way = np.array([1.0, -direction.slope]) / direction.stretch
-            x, y = -way[::-1] if direction.swapped else way
+        if key not in self._rotated:
+            along = np.array([1.0, -direction.slope]) / direction.stretch
+            x, y = -along[::-1] if direction.swapped else along
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             tiled = replace(self._tiled, shapes=self._tiled.shapes.turned(axes))
-            known = np.zeros((self._heights.size, 2))
-            self._turned[key] = axes, tiled, known
-        return self._turned[key]
+            coded_distance = np.zeros((self._heights.size, 2))
+            self._rotated[key] = RotatedWalls(axes, tiled, coded_distance)
+        return self._rotated[key]
 
 
-def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
+def _choose_triangles(bounds: Float, heights: Float) -> Int:
+    """Choose the triangles that are at the height of a ray, to a `HEIGHT_BIN`.
+
+    Args:
+        bounds: of each triangle, shape (n, 6) [m].
+        heights: of the rays, at least one [m].
+
+    Returns:
+        The numbers of the triangles, ascending.
+    """
+    low = heights.min()
+    high = heights.max()
+    has_ray = np.zeros(int((high - low) / HEIGHT_BIN) + 1, dtype=np.int64)
+    has_ray[((heights - low) / HEIGHT_BIN).astype(np.int64)] = 1
+    bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
+    ids_of_chunk = dict[int, Int]()
+
+    def choose(first_chunk: int, end_chunk: int) -> None:
+        for chunk in range(first_chunk, end_chunk):
+            first = chunk * TRIANGLE_CHUNK
+            bottom = bounds[first : first + TRIANGLE_CHUNK, 2]
+            top = bounds[first : first + TRIANGLE_CHUNK, 5]
+            in_range = np.flatnonzero((bottom <= high) & (top >= low))
+            ends = np.stack([bottom[in_range] - TILE_MARGIN, top[in_range] + TILE_MARGIN]) - low
+            first_bin, last_bin = (ends / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
+            meets_ray = bins_before[last_bin + 1] > bins_before[first_bin]
+            ids_of_chunk[chunk] = first + in_range[meets_ray]
+
+    run_in_chunks(choose, -(-len(bounds) // TRIANGLE_CHUNK))
+    ids = [ids_of_chunk[chunk] for chunk in sorted(ids_of_chunk)]
+    return np.concatenate([np.empty(0, np.int64), *ids])
+
+
+# ---------------------------------------------------------------- sills
+
+
+def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
     """Mark the cells of sills and parapets that continue a wall.
 
-    Where walls, floors and furniture are one mesh, it blocks `low` cells below heads only, and
-    `wall` cells above, too. A sill goes from one piece of wall to the next along the wall's
-    direction without a break, and is as thin as a wall, unlike furniture.
+    Where walls, floors and furniture are one mesh, it blocks low cells below heads only, and wall
+    cells above, too. A sill goes from one piece of wall to the next along the wall's direction
+    without a break, and is as thin as a wall, unlike furniture.
+
+    Args:
+        is_low: cells that a building's mesh blocks below heads only, shape (height, width).
+        is_wall: cells of walls.
+        cell_size: [m].
+
+    Returns:
+        The cells of sills, shape (height, width).
     """
-    found = np.zeros(low.shape, dtype=np.bool_)
-    if not low.any():
-        return found
+    is_window = np.zeros(is_low.shape, dtype=np.bool_)
+    if not is_low.any():
+        return is_window
     waiting = []
-    for direction in find_directions(~wall, cell_size):
+    for direction in find_directions(~is_wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
-        scanned = turned(low, direction), turned(wall, direction)
-        bridge = np.zeros_like(scanned[0])
-        wait = run_beside(kernels.mark_bridges, *scanned, direction.shift, bridge)
-        waiting.append((direction, bridge, wait))
-    for direction, bridge, wait in waiting:
+        scanned_low = to_scan_order(is_low, direction)
+        scanned_wall = to_scan_order(is_wall, direction)
+        is_sill = np.zeros_like(scanned_low)
+        wait = run_beside(kernels.mark_sills, scanned_low, scanned_wall, direction.shift, is_sill)
+        waiting.append((direction, is_sill, wait))
+    for direction, is_sill, wait in waiting:
         wait()
-        most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
-        col, top, end, _ = find_row_runs(bridge.T)
-        for k in np.flatnonzero(end - top > most).tolist():
-            bridge[top[k] : end[k], col[k]] = False
-        found |= bridge.T if direction.swapped else bridge
-    return found
+        max_rows = int(MAX_SILL_THICKNESS * direction.stretch / cell_size) + 2
+        col, top, end, _ = find_row_runs(is_sill.T)
+        for k in np.flatnonzero(end - top > max_rows).tolist():
+            is_sill[top[k] : end[k], col[k]] = False
+        is_window |= from_scan_order(is_sill, direction)
+    return is_window

@@ -8,22 +8,29 @@ import pytest
 from scipy import ndimage
 
 from navbake.baker.rooms import gap_kernels as kernels
-from navbake.baker.rooms.gaps import GROWTH, Spaces, find_gaps
+from navbake.baker.rooms.gap_limits import (
+    DECIDING_CELLS,
+    DECIDING_SHARES,
+    JAMB_JITTER,
+    LINE_REACH,
+    MAX_WALL_DISTANCE,
+    WIDENING_FACTOR,
+)
+from navbake.baker.rooms.gaps import SpaceMerger, find_gaps
 from navbake.baker.rooms.walls import (
     RAY_HEIGHT,
     WallRays,
     direction_of,
-    distances_at,
     find_directions,
+    mark_wall_nodes,
     squared_distances,
-    wall_nodes,
+    squared_distances_at,
 )
 from offices import make_plan
 from offices_truth import bake_plan, overlaps
 
 CELL = 0.1
 ANGLES = (0.0, 7.0, 26.5, 44.0, -12.0, -38.0, 90.0, 61.0, 118.0)
-REACH, FAR = kernels.REACH, kernels.FAR
 
 
 def blobs(rng, rows=38, cols=46, smooth=1.6, most=0.1):
@@ -88,21 +95,27 @@ def test_runs_are_as_long_as_lines_go_on(angle):
 @pytest.mark.parametrize("both", [True, False])
 def test_gaps_are_beside_longer_runs(both):
     rng = np.random.default_rng(1)
-    widest, rise, thickness = 14, 2.0, 5
+    limits = kernels.GapLimits(
+        max_width=14,
+        widening_factor=WIDENING_FACTOR,
+        min_widening=2.0,
+        max_thickness=5,
+        only_doorways=both,
+    )
     for _ in range(4):
         is_open = np.asfortranarray(floor_plan(rng))
         scanned = is_open, np.zeros(70, dtype=np.int64), np.ones_like(is_open)
         run = measure_runs(*scanned)
-        gap = np.zeros_like(is_open, dtype=np.uint8)
-        kernels.mark_gaps(*scanned, widest, GROWTH, rise, thickness, both, gap)
+        marks = np.zeros_like(is_open, dtype=np.uint8)
+        kernels.mark_gaps(*scanned, limits, marks)
 
         def widens(here, there):
-            return there >= max(GROWTH * here, here + rise)
+            return there >= max(WIDENING_FACTOR * here, here + limits.min_widening)
 
-        expected = np.zeros_like(gap)
+        expected = np.zeros_like(marks)
         for row, col in np.ndindex(run.shape):
             lane, here = run[:, col], run[row, col]
-            if not 0 < here <= widest:
+            if not 0 < here <= limits.max_width:
                 continue
             above = row > 0 and widens(here, lane[row - 1])
             below = row + 1 < len(lane) and widens(here, lane[row + 1])
@@ -110,18 +123,19 @@ def test_gaps_are_beside_longer_runs(both):
                 expected[row, col] = max(expected[row, col], 1)
             if not above:
                 continue
-            for other in range(row, min(row + thickness, len(lane))):
+            for other in range(row, min(row + limits.max_thickness, len(lane))):
                 there = lane[other]
-                narrower = max(GROWTH * there, there + rise + kernels.JITTER) < here
-                if not 0 < there <= widest or narrower:
+                least = there + limits.min_widening + JAMB_JITTER
+                narrower = max(WIDENING_FACTOR * there, least) < here
+                if not 0 < there <= limits.max_width or narrower:
                     break
                 if other + 1 < len(lane) and widens(there, lane[other + 1]):
                     for between in range(row, other + 1):
                         runs, _ = ndimage.label(is_open[between])
                         expected[between, runs == runs[col]] = 2
                     break
-        np.testing.assert_array_equal(gap, expected)
-        assert (gap > 0).any()
+        np.testing.assert_array_equal(marks, expected)
+        assert (marks > 0).any()
 
 
 @pytest.mark.parametrize("angle", [0.0, 9.0, 33.0, -21.0])
@@ -133,7 +147,7 @@ def test_bridges_lead_from_wall_to_wall(angle):
         low = np.asfortranarray(blobs(rng, smooth=1.0)) & ~wall
         shift = direction_of(angle, low.shape).shift
         bridge = np.zeros_like(low)
-        kernels.mark_bridges(low, wall, shift, bridge)
+        kernels.mark_sills(low, wall, shift, bridge)
         expected = bridges(low, wall, shift)
         np.testing.assert_array_equal(bridge, expected)
         marked += bridge.sum()
@@ -190,17 +204,18 @@ def turned_plan(seed, angle):
 
 
 def share_of(scan, gaps, k, side, depth, whole):
-    """The share of a line behind a gap, as `measure_gaps` says it, and what regions it met."""
-    sides = whole[gaps.above[k]], whole[gaps.below[k]]
+    """The share of a line behind a gap, as `measure_gaps` says it, and what spaces it met."""
+    sides = whole[gaps.label_above[k]], whole[gaps.label_below[k]]
     own, other = sides if side == 0 else sides[::-1]
     sign = 1 if side == 0 else -1
     rows, cols = scan.label.shape
-    width = int(gaps.last[k] - gaps.first[k]) + 1
+    width = int(gaps.last_col[k] - gaps.first_col[k]) + 1
     whole_width, met = width, set()
     for is_last in (False, True):
         length = through = width
-        for end, (way, start) in enumerate(((-1, int(gaps.first[k])), (1, int(gaps.last[k])))):
-            top, bottom = int(gaps.top[k, end]), int(gaps.bottom[k, end])
+        starts = (-1, int(gaps.first_col[k])), (1, int(gaps.last_col[k]))
+        for end, (way, start) in enumerate(starts):
+            top, bottom = int(gaps.top_row[k, end]), int(gaps.bottom_row[k, end])
 
             def cell(row, col, start=start):
                 row = row + int(scan.shift[col] - scan.shift[start]) if 0 <= col < cols else -1
@@ -212,7 +227,7 @@ def share_of(scan, gaps, k, side, depth, whole):
                 down = sign * int(scan.depths[depth])
                 near = cell((top if side == 0 else bottom) - down, col + lean)
                 most = max(whole_width, width + opened) if is_last else cols
-                if step > REACH * most or not 0 <= col + lean < cols:
+                if step > LINE_REACH * most or not 0 <= col + lean < cols:
                     break
                 if near is None or not scan.is_open[near]:
                     before = cell((top if side == 0 else bottom) - down, col + lean - way)
@@ -245,30 +260,33 @@ def test_the_share_that_a_gap_has(angle):
     rng = np.random.default_rng(3)
     measured = 0
     for seed in range(3):
-        found, _, cells = parted(turned_plan(seed, angle))
-        whole = np.arange(len(cells), dtype=np.int32)
-        for _ in range(len(cells) // 3):
-            one, other = whole[rng.integers(1, len(cells), 2)]
+        spaces = parted(turned_plan(seed, angle))
+        count = len(spaces.num_cells)
+        whole = np.arange(count, dtype=np.int32)
+        for _ in range(count // 3):
+            one, other = whole[rng.integers(1, count, 2)]
             whole[whole == max(one, other)] = min(one, other)
-        for _, scan, gaps in found:
-            chosen = np.arange(len(gaps.first))
-            walls = np.full((len(chosen), 2), 0.5), np.full(len(chosen), kernels.FAR)
-            known = np.full((scan.label.size, 2), 1.5)
-            asked = scan, gaps, chosen, whole, (*walls, known)
-            lines, shares, waits, met = kernels.measure_gaps(*asked)
-            assert not waits.any()
-            nothing = *asked[:4], (*walls, np.zeros_like(known))
-            waits = kernels.measure_gaps(*nothing)[2]
-            ended, through = ((lines[..., k : k + 2] >= 0).any(axis=(1, 2, 3)) for k in (4, 6))
-            far = np.abs(shares[..., None] - kernels.DECIDING).min(axis=2) * lines[..., 0].min(
-                axis=2
+        for _, scan, gaps in spaces.directions:
+            chosen = np.arange(len(gaps.first_col))
+            walls = kernels.GapWalls(
+                beside=np.full((len(chosen), 2), 0.5),
+                max_distance=np.full(len(chosen), MAX_WALL_DISTANCE),
+                coded_distance=np.full((scan.label.size, 2), 1.5),
             )
-            is_apart = whole[gaps.above] != whole[gaps.below]
-            wavers = (far <= kernels.WAVERING).any(axis=1)
-            assert (waits == (wavers & ended | through))[is_apart].all()
+            lines, shares, waits, met = kernels.measure_gaps(scan, gaps, chosen, whole, walls)
+            assert not waits.any()
+            unknown = walls._replace(coded_distance=np.zeros((scan.label.size, 2)))
+            waits = kernels.measure_gaps(scan, gaps, chosen, whole, unknown)[2]
+            ends_at_wall = (lines.wall_cell >= 0).any(axis=(1, 2, 3))
+            has_openings = (lines.opening_cell >= 0).any(axis=(1, 2, 3))
+            off = np.abs(shares[..., None] - DECIDING_SHARES).min(axis=2)
+            off_cells = off * lines.length.min(axis=2)
+            is_apart = whole[gaps.label_above] != whole[gaps.label_below]
+            needs_walls = (off_cells <= DECIDING_CELLS).any(axis=1)
+            assert (waits == (needs_walls & ends_at_wall | has_openings))[is_apart].all()
             for k in chosen:
                 listed = {space for gap, space in met if gap == k}
-                if whole[gaps.above[k]] == whole[gaps.below[k]]:
+                if whole[gaps.label_above[k]] == whole[gaps.label_below[k]]:
                     assert shares[k].tolist() == [1, 1] and not listed
                     continue
                 lines = [
@@ -282,7 +300,7 @@ def test_the_share_that_a_gap_has(angle):
     assert measured > 30
 
 
-class Remeasured(Spaces):
+class Remeasured(SpaceMerger):
     """Measures all gaps again whenever two spaces are joined."""
 
     def join(self, gap):
@@ -297,13 +315,14 @@ class Remeasured(Spaces):
 def test_spaces_are_joined_as_if_all_gaps_were_measured_after_each(angle):
     joined = 0
     for seed in range(5):
-        found, _, cells = parted(turned_plan(seed, angle))
-        fast, slow = (kind(found, cells, CELL, None) for kind in (Spaces, Remeasured))
-        for spaces in (fast, slow):
-            spaces.join_all()
-        np.testing.assert_array_equal(fast.whole, slow.whole)
+        spaces = parted(turned_plan(seed, angle))
+        fast = SpaceMerger(spaces, CELL, None)
+        slow = Remeasured(spaces, CELL, None)
+        for merger in (fast, slow):
+            merger.join_all()
+        np.testing.assert_array_equal(fast.space_of, slow.space_of)
         assert fast.close_calls() == slow.close_calls()
-        joined += len(cells) - len(np.unique(fast.whole))
+        joined += len(spaces.num_cells) - len(np.unique(fast.space_of))
     assert joined > 25
 
 
@@ -315,18 +334,17 @@ def test_what_is_far_from_a_change_is_not_measured_again():
         is_open[2:52, 2:-2] = True
         for k in range(niches):
             is_open[52:62, 2 + 17 * k : 17 + 17 * k] = True
-        found, _, cells = parted(is_open)
         measured = 0
 
-        class Counted(Spaces):
+        class Counted(SpaceMerger):
             def measure(self, gaps):
                 nonlocal measured
                 measured += len(gaps)
                 super().measure(gaps)
 
-        spaces = Counted(found, cells, CELL, None)
-        spaces.join_all()
-        assert len(np.unique(spaces.whole)) == 2  # the hall, and 0 for none
+        merger = Counted(parted(is_open), CELL, None)
+        merger.join_all()
+        assert len(np.unique(merger.space_of)) == 2  # the hall, and 0 for none
         counts.append(measured)
     assert counts[1] <= 5 * counts[0]
 
@@ -349,9 +367,10 @@ def test_distances_at_some_nodes(reach):
     rng = np.random.default_rng(reach)
     for shape in ((1, 1), (3, 50), (31, 20)):
         is_open = rng.random(shape) < 0.99
-        every = squared_distances(wall_nodes(is_open), reach)
+        every = squared_distances(mark_wall_nodes(is_open), reach)
         nodes = rng.integers(0, every.shape, (200, 2)).T
-        np.testing.assert_array_equal(distances_at(is_open, reach, *nodes), every[tuple(nodes)])
+        distances = squared_distances_at(is_open, reach, *nodes)
+        np.testing.assert_array_equal(distances, every[tuple(nodes)])
 
 
 @pytest.mark.parametrize("turn", [0.0, 7.4, 26.0, 39.15, 50.67, 71.0])
@@ -385,7 +404,7 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
     plan = make_plan(1001)
     plan.turn = 0.4
     flags = bake_plan(plan, tmp_path, as_mesh=as_mesh).room_flags
-    lattice, is_open, floor = flags.lattice, flags.levels[0].open, flags.levels[0].floor
+    lattice, is_open, floor = flags.lattice, flags.levels[0].is_open, flags.levels[0].floor
     if is_cut:
         part = tuple(slice(count // 4, count // 2) for count in lattice.shape)
         lattice, is_open, floor = lattice.cut(*part), is_open[part], floor[part]
@@ -405,8 +424,8 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
             cells = col * lattice.height + row if direction.swapped else row * lattice.width + col
             sides = np.full((len(row), 2), -1)
             sides[:, int(is_after)] = cells
-            found = rays.look(direction, sides)[cells, int(is_after)] - 1.0
-            found = np.where(found <= FAR, found, 0.5)
+            found = rays.measure(direction, sides)[cells, int(is_after)] - 1.0
+            found = np.where(found <= MAX_WALL_DISTANCE, found, 0.5)
             for k in range(len(row)):
                 here = lattice.positions(row[k], col[k])
                 way = step if is_after else -step
@@ -416,9 +435,9 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
                     for part in (-0.5, 0.0, 0.5)
                 ]
                 nearest = min(hits)
-                expected = nearest if nearest <= FAR else 0.5
+                expected = nearest if nearest <= MAX_WALL_DISTANCE else 0.5
                 assert found[k] == pytest.approx(expected, abs=1e-4)
-                met += nearest <= FAR
+                met += nearest <= MAX_WALL_DISTANCE
     assert met > 100
 
 

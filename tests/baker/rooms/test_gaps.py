@@ -11,7 +11,7 @@ from scipy import ndimage
 from box_worlds import box, stages_of_xml, world
 from navbake.baker.rooms import segmentation
 from navbake.baker.rooms.flags import LevelFlags
-from navbake.baker.rooms.gaps import Spaces, find_gaps
+from navbake.baker.rooms.gaps import SpaceMerger, find_gaps
 from navbake.baker.rooms.walls import find_directions, find_windows
 from offices import Opening, Plan, make_plan
 from offices_truth import bake_plan, count_leaks, overlaps
@@ -179,7 +179,7 @@ def spread(labels):
     label = np.array(labels, dtype=np.int32)
     open_cells = label >= 0
     label[~open_cells] = 0
-    segmentation.spread(label, open_cells)
+    segmentation.spread_labels(label, open_cells)
     return label.tolist()
 
 
@@ -226,12 +226,11 @@ def test_walls_at_an_angle(angle):
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     is_open = (np.abs(u) < 4.5) & (np.abs(v) < 2.5) & ((np.abs(u) > 0.15) | (np.abs(v) < 0.8))
     assert len(find_directions(is_open, CELL)) == 2
-    found, label, cells = find_gaps(is_open, np.zeros_like(is_open), CELL, None)
-    spaces = Spaces(found, cells, CELL, None)
-    spaces.join_all()
-    assert (
-        len(np.unique(spaces.whole[label])) == 3
-    )  # 0 is for gaps; no cells between their lines are a space
+    spaces = find_gaps(is_open, np.zeros_like(is_open), CELL, None)
+    merger = SpaceMerger(spaces, CELL, None)
+    merger.join_all()
+    # 0 is for gaps; no cells between their lines are a space
+    assert len(np.unique(merger.space_of[spaces.label])) == 3
     rooms = segment_by_gaps(is_open)[0]
     assert rooms.max() == 2
     left, right = rooms[is_open & (u < -0.4)], rooms[is_open & (u > 0.4)]

@@ -16,7 +16,7 @@ from navbake.baker.bake.stages import open_stages
 from navbake.baker.core.clock import StageClock
 from navbake.baker.core.constants import WALL
 from navbake.baker.rooms.rooms import Opening, find_openings, find_rooms, match_doors
-from navbake.baker.rooms.segmentation import share_rest
+from navbake.baker.rooms.segmentation import assign_unmarked
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour
@@ -236,16 +236,16 @@ def test_what_marks_leave_is_rooms_by_itself():
     owner = np.zeros_like(segment)
     owner[:, :8] = 1  # most of the first one; what is left of it is as wide as a doorway is deep
     owner[:2, 10:] = 2
-    taken, new = share_rest(owner, segment, 0.25, 1.0)
+    taken, new = assign_unmarked(owner, segment, 0.25, 1.0)
     np.testing.assert_array_equal(taken, owner)
     assert (new[:, 8:10] == 1).all() and (new[2:, 10:] == 2).all() and new.max() == 2
     assert not new[owner > 0].any()
     # too narrow for a room: it goes to the room that it touches most
     owner[:, 8] = 1
-    taken, new = share_rest(owner, segment, 0.25, 0.5)
+    taken, new = assign_unmarked(owner, segment, 0.25, 0.5)
     assert (taken[:, 9] == 1).all() and (new[2:, 10:] == 1).all() and new.max() == 1
     # too small for one
-    taken, new = share_rest(owner, segment, 0.25, 6.0)
+    taken, new = assign_unmarked(owner, segment, 0.25, 6.0)
     assert not new.any() and (taken[2:, 10:] == 2).all()
 
 
@@ -258,13 +258,13 @@ def test_a_mark_changes_no_other_space(ring):
     segment[room] = 2
     owner = np.zeros_like(segment)
     owner[10:20, 10:20] = 1
-    taken, new = share_rest(owner, segment, 0.1, 1.0)
+    taken, new = assign_unmarked(owner, segment, 0.1, 1.0)
     np.testing.assert_array_equal(taken, owner)
     np.testing.assert_array_equal(new, np.where(owner > 0, 0, segment))
     # reaching over the wall, it takes its own cells; the rest of the ring is as wide as ever
     owner[10:20, :20] = 1
     owner[segment == 0] = 0
-    taken, new = share_rest(owner, segment, 0.1, 1.0)
+    taken, new = assign_unmarked(owner, segment, 0.1, 1.0)
     np.testing.assert_array_equal(taken, owner)
     np.testing.assert_array_equal(new, np.where(owner > 0, 0, segment))
 
