@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,262 +12,341 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import DOWN, ERROR, REMARK, RIGHT, Facts, Found, read_inflations
+from navbake.auditor.facts import DOWN, ERROR, REMARK, RIGHT, Facts, Finding, read_inflations
 from navbake.errors import count_of
 from navbake.navgrid.grid import GridBase
-from navbake.types import Bool, Int
+from navbake.types import Bool, Float, Int
 
-MANY = 100  # cells that a grid has at least, if it is to say something that all are free
-FEW = 0.01  # share of a level's cells under which hardly any are free
-LARGE = 1e-3  # metres that a clearance may be off
-MOST_STORED = 65_535  # the number of the islands that the layer's type has no other for
-FARTHEST = 10_000.0  # floors beyond are a wrong unit [m]
-MIN_AREA = 1.0  # of a floor that no step leads to, unless the settings of a bake say another [m²]
-MOST_ROUND = 0.75  # share of a patch's outline that is nearly all of it: a corner may touch a wall
-HALF_ROUND = 0.5  # share from which on nobody would take a patch for a storey beside another
-MOST_PATCHES = 10  # that are told one by one
-MIN_CUT_OFF = 1.0  # of both islands, if what lies between them is to matter [m²]
-MOST_CELLS = 3  # of a gap; what is longer is a thin wall
-MOST_GAPS = 10  # that are told, the widest islands first
+MIN_CELLS = 100  # of a grid or level, if how many are free is to say something
+FEW_FREE = 0.01  # share of a level's cells below which hardly any are free
+CLEARANCE_TOLERANCE = 1e-3  # by which a stored clearance may be off [m]
+MAX_ISLAND_NUMBER = 65_535  # stands for all islands from it on: the layer's type ends there
+FARTHEST_FLOOR = 10_000.0  # floors beyond are in a wrong unit [m]
+MIN_FLOOR_AREA = 1.0  # that no step leads to, unless the settings of a bake say another [m²]
+NEARLY_ALL = 0.75  # share of a patch's outline: a corner of it may touch a wall
+MIN_JUMP_SHARE = 0.5  # share from which on nobody would take a patch for a storey beside another
+MAX_PATCHES = 10  # that are reported one by one
+MIN_CUT_OFF_AREA = 1.0  # of both islands, if what lies between them is to matter [m²]
+MAX_GAP_CELLS = 3  # what is longer is a thin wall
+MAX_GAPS = 10  # that are reported, the largest islands first
 
 
-def check_all_free(facts: Facts) -> Iterator[Found]:
+def check_all_free(facts: Facts) -> Iterator[Finding]:
     """All cells are free: nothing stands there, not even a wall."""
     total = sum(free.size for free in facts.free)
-    if total >= MANY and all(free.all() for free in facts.free):
+    if total >= MIN_CELLS and all(free.all() for free in facts.free):
         text = f"all {total} cells are free: nothing stands on the floor, and it ends nowhere"
-        yield REMARK, None, None, text
+        yield Finding(REMARK, None, None, text)
 
 
-def check_empty_levels(facts: Facts) -> Iterator[Found]:
+def check_empty_levels(facts: Facts) -> Iterator[Finding]:
     """A level has no floor, or nowhere to stand, which an inflation may do; or so has the grid."""
     severity = ERROR
     inflated = ""
-    if facts.reach is not None:
+    if facts.inflation_reach is not None:
         severity = REMARK
-        inflated = f", inflated by {facts.reach:g} m"
+        inflated = f", inflated by {facts.inflation_reach:g} m"
     if not any(free.any() for free in facts.free):
-        yield severity, None, None, f"no cell is free, on any level{inflated}"
+        yield Finding(severity, None, None, f"no cell is free, on any level{inflated}")
         return
-    for number in [number for number, free in enumerate(facts.free) if not free.any()]:
-        has_floor = np.count_nonzero(~np.isnan(facts.floors[number]))
-        text = f"none of its {has_floor} cells with a floor is free{inflated}"
-        yield (severity, number, None, text) if has_floor else (ERROR, number, None, "no floor")
+    for number, free in enumerate(facts.free):
+        if free.any():
+            continue
+        num_floors = np.count_nonzero(~np.isnan(facts.floors[number]))
+        if num_floors:
+            text = f"none of its {num_floors} cells with a floor is free{inflated}"
+            yield Finding(severity, number, None, text)
+        else:
+            yield Finding(ERROR, number, None, "no floor")
 
 
-def check_free_share(facts: Facts) -> Iterator[Found]:
+def check_free_share(facts: Facts) -> Iterator[Finding]:
     """Hardly any cell is free: a map that is black but for a few specks."""
     for number, (level, free) in enumerate(zip(facts.levels, facts.free, strict=True)):
         is_floor = free | ~np.isnan(facts.floors[number])
         total = np.count_nonzero(is_floor) if level.uses_cell_floors else free.size
-        if total >= MANY and 0 < (num_free := np.count_nonzero(free)) < FEW * total:
+        num_free = np.count_nonzero(free)
+        if total >= MIN_CELLS and 0 < num_free < FEW_FREE * total:
             text = f"only {num_free} of {total} cells are free"
-            yield REMARK, number, facts.first(number, free), text
+            yield Finding(REMARK, number, facts.first_place(number, free), text)
 
 
-def check_weights(facts: Facts) -> Iterator[Found]:
+def check_weights(facts: Facts) -> Iterator[Finding]:
     """Weights and occupancy contradict each other, or a weight is none."""
-    reach = facts.reach
+    reach = facts.inflation_reach
     for number, level in enumerate(facts.levels):
         weights = level.weights
         occupied = level.occupancy != 0
         free = facts.free[number]
-        broken = np.isnan(weights) | (weights < 0)
-        yield from facts.on_cells(number, broken, "a weight that is no cost")
+        is_no_cost = np.isnan(weights) | (weights < 0)
+        yield from facts.error_on_cells(number, is_no_cost, "a weight that is no cost")
         if "occupancy" not in level.attributes:
             continue
-        is_opened = (reach is not None) & (level.solid == 0)
-        on_occupied = free & occupied & ~is_opened
-        yield from facts.on_cells(number, on_occupied, "free by weight, but occupied")
-        blocked = ~free & ~broken & ~occupied
+        opened_by_inflation = (reach is not None) & (level.solid == 0)
+        free_but_occupied = free & occupied & ~opened_by_inflation
+        yield from facts.error_on_cells(number, free_but_occupied, "free by weight, but occupied")
+        blocked = ~free & ~is_no_cost & ~occupied
         text = "blocked by weight, but not occupied"
         if reach is not None and blocked.any():
             blocked &= ~find_reasons(facts.grid, number, reach)
             text += f", and nothing that an inflation avoids is within {reach:g} m"
-        yield from facts.on_cells(number, blocked, text)
+        yield from facts.error_on_cells(number, blocked, text)
 
 
 def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
-    """The cells of a level that have something within reach [m] for which they may be closed.
+    """Mark the cells of a level that an inflation may have closed.
 
-    An occupied cell, none, a floor more than a step off, one of another level less than the agent's
-    height away, or the edge; in a square, which misses none.
+    They have within reach, in a square, which misses none: an occupied cell, one without a floor,
+    a floor more than a step off, one of another level less than the agent's height away, or the
+    edge.
+
+    Args:
+        grid: the grid.
+        number: of the level.
+        reach: [m].
+
+    Returns:
+        A mask, shape (height, width).
     """
     level = grid.levels[number]
-    cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
     floor = level.floor
-    size = 2 * cells + 1
-    body = grid.agent_height
-    blocks = (level.occupancy != 0) | np.isnan(floor)
-    known = floor[~np.isnan(floor)]
-    for other in grid.levels:
-        if other is not level and len(known):
-            near = (other.floor > known.min() - body) & (other.floor < known.max() + body)
-            at = other.lattice.positions(*np.nonzero(near))
-            rows, cols = level.lattice.rows_cols(at)
+    has_floor = ~np.isnan(floor)
+    is_avoided = (level.occupancy != 0) | ~has_floor
+    if has_floor.any():
+        lowest = floor[has_floor].min() - grid.agent_height
+        highest = floor[has_floor].max() + grid.agent_height
+        for neighbor in grid.levels:
+            if neighbor is level:
+                continue
+            is_near = (neighbor.floor > lowest) & (neighbor.floor < highest)
+            positions = neighbor.lattice.positions(*np.nonzero(is_near))
+            rows, cols = level.lattice.rows_cols(positions)
             inside = level.lattice.holds(rows, cols)
-            blocks[rows[inside], cols[inside]] = True
-    found: Bool = maximum_filter(blocks, size, mode="constant", cval=True)
-    high = maximum_filter(np.where(np.isnan(floor), -np.inf, floor), size)
-    low = minimum_filter(np.where(np.isnan(floor), np.inf, floor), size)
+            is_avoided[rows[inside], cols[inside]] = True
+    num_cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
+    size = 2 * num_cells + 1
+    has_reason: Bool = maximum_filter(is_avoided, size, mode="constant", cval=True)
+    highest_near = maximum_filter(np.where(has_floor, floor, -np.inf), size)
+    lowest_near = minimum_filter(np.where(has_floor, floor, np.inf), size)
     with np.errstate(invalid="ignore"):  # where there is no floor
-        found |= (high - floor > grid.max_step) | (floor - low > grid.max_step)
-    return found
+        has_reason |= highest_near - floor > grid.max_step
+        has_reason |= floor - lowest_near > grid.max_step
+    return has_reason
 
 
-def check_inflation(facts: Facts) -> Iterator[Found]:
+def check_inflation(facts: Facts) -> Iterator[Finding]:
     """The metadata don't tell for which radius a grid was inflated."""
-    _, broken = read_inflations(facts.grid)
-    if broken is not None:
+    _, problem = read_inflations(facts.grid)
+    if problem is not None:
         # in files of other programs it may mean anything
-        yield ERROR if facts.grid.navbake else REMARK, None, None, broken
+        yield Finding(ERROR if facts.grid.navbake else REMARK, None, None, problem)
 
 
-def check_layers(facts: Facts) -> Iterator[Found]:
+def check_layers(facts: Facts) -> Iterator[Finding]:
     """Stored layers contradict what they follow from: islands and clearance."""
     if not facts.grid.navbake:
         return  # in files of other programs they may be anything
     for number, level in enumerate(facts.levels):
-        stored = level.attributes.get("island")
-        if stored is not None:
-            wrong = stored != np.minimum(facts.islands[number], MOST_STORED)
+        stored_island = level.attributes.get("island")
+        if stored_island is not None:
+            wrong = stored_island != np.minimum(facts.islands[number], MAX_ISLAND_NUMBER)
             text = "a number in the layer `island` that isn't what is connected"
-            yield from facts.on_cells(number, wrong, text)
-        stored = level.attributes.get("clearance")
-        if stored is not None:
-            away = distance_transform_edt(np.pad(level.free_for_point, 1))[1:-1, 1:-1] - 0.5
-            away = np.where(level.free, away * level.lattice.cell_size, 0.0)
-            wrong = np.abs(stored * level.unit - away) > LARGE
-            yield from facts.on_cells(number, wrong, "a wrong `clearance`")
+            yield from facts.error_on_cells(number, wrong, text)
+        stored_clearance = level.attributes.get("clearance")
+        if stored_clearance is not None:
+            # by cells' centres, less half a cell; beyond the edge nothing is free
+            padded = np.pad(level.free_for_point, 1)
+            num_cells = distance_transform_edt(padded)[1:-1, 1:-1] - 0.5
+            clearance = np.where(level.free, num_cells * level.lattice.cell_size, 0.0)
+            wrong = np.abs(stored_clearance * level.unit - clearance) > CLEARANCE_TOLERANCE
+            yield from facts.error_on_cells(number, wrong, "a wrong `clearance`")
 
 
-def check_floors(facts: Facts) -> Iterator[Found]:
+def check_floors(facts: Facts) -> Iterator[Finding]:
     """Free cells have no floor, or one that is absurdly high or low."""
     for number, level in enumerate(facts.levels):
         if level.uses_cell_floors:
             floor = facts.floors[number]
-            missing = facts.free[number] & np.isnan(floor)
-            yield from facts.on_cells(number, missing, "free without a floor")
-            far = np.abs(floor) > FARTHEST  # NaN isn't
-            yield from facts.on_cells(number, far, f"farther than {FARTHEST:g} m from 0")
+            without_floor = facts.free[number] & np.isnan(floor)
+            yield from facts.error_on_cells(number, without_floor, "free without a floor")
+            is_far = np.abs(floor) > FARTHEST_FLOOR  # False for NaN
+            text = f"farther than {FARTHEST_FLOOR:g} m from 0"
+            yield from facts.error_on_cells(number, is_far, text)
 
 
-def check_jumps(facts: Facts) -> Iterator[Found]:
+class _Patch(NamedTuple):
+    """An island whose floor jumps, sorted as it is reported: errors first, the largest first."""
+
+    is_remark: bool
+    negative_area: float
+    island: int
+    text: str
+
+
+def check_jumps(facts: Facts) -> Iterator[Finding]:
     """A patch of floor lies more than a step above or below what is round it.
 
     It is a spike, a pit, or the top of something: an error if it is too small for a floor.
     """
-    settings = facts.settings.get("floors")
-    stated = settings.get("min_area") if isinstance(settings, dict) else None
-    min_area = float(stated) if isinstance(stated, int | float) else MIN_AREA
-    # of each island: cells, edges of its outline, how many of these drop or rise to another one,
-    # and by how much in all [m]
-    islands = facts.islands
-    count = max((int(island.max(initial=0)) for island in islands), default=0) + 1
-    cells, edges = np.zeros((2, count), dtype=np.int64)
-    jumps, total = np.zeros((2, 2, count))
-    for number, island in enumerate(islands):
-        cells += np.bincount(island.ravel(), minlength=count)
-        padded = np.pad(island, 1)  # beyond the rim is none
-        for here, there in DOWN, RIGHT:
-            differ = padded[here] != padded[there]
-            for side in (here, there):
-                edges += np.bincount(padded[side][differ], minlength=count)
-        # free neighbours are on two islands only where they lie more than a step apart
-        for one, step in pairs_across(island, 1):
-            own = island.ravel()
-            floor = facts.floors[number].ravel()
-            one = one[(own[one] > 0) & (own[one + step] > 0)]
-            down = floor[one] - floor[one + step]
-            for patches, drop in (own[one + step], -down), (own[one], down):
-                for num, rise, mask in zip(jumps, total, (drop > 0, drop < 0), strict=True):
-                    num += np.bincount(patches[mask], minlength=count)
-                    rise += np.bincount(patches[mask], np.abs(drop[mask]), minlength=count)
-    cells[0] = 0
-    jumps[:, 0] = 0
-    area = cells * facts.levels[0].lattice.cell_size ** 2
-    found = []
-    for way, num, rise in zip(("above", "below"), jumps, total, strict=True):
-        share = num / np.maximum(edges, 1)
-        for patch in np.flatnonzero(share >= HALF_ROUND).tolist():
-            is_most = share[patch] >= MOST_ROUND
-            by = rise[patch] / num[patch]
-            around = "all" if is_most else "most of what is"
-            size = f"{area[patch]:.3g} m² of floor ({count_of(int(cells[patch]), 'cell')})"
-            text = f"{size} lies {by:.2f} m {way} {around} round it, and no step leads there"
-            found.append((not (is_most and area[patch] < min_area), -area[patch], patch, text))
-    found.sort()
-    for is_remark, _, patch, text in found[:MOST_PATCHES]:
+    patches = sorted(_find_jumping_patches(facts))
+    for patch in patches[:MAX_PATCHES]:
         # the level that has most of it, and a cell in its middle
-        on = [np.flatnonzero(island == patch) for island in islands]
-        number = max(range(len(on)), key=lambda k: len(on[k]))
-        row, col = divmod(int(on[number][len(on[number]) // 2]), facts.levels[number].width)
-        place = facts.place(number, row, col)
-        yield REMARK if is_remark else ERROR, number, place, text
-    if rest := found[MOST_PATCHES:]:
-        severity = REMARK if rest[0][0] else ERROR
-        yield severity, None, None, f"{len(rest)} more patches of floor jump"
+        cells_of_levels = [np.flatnonzero(island == patch.island) for island in facts.islands]
+        number = max(range(len(cells_of_levels)), key=lambda level: len(cells_of_levels[level]))
+        cells = cells_of_levels[number]
+        row, col = divmod(int(cells[len(cells) // 2]), facts.levels[number].width)
+        severity = REMARK if patch.is_remark else ERROR
+        yield Finding(severity, number, facts.place(number, row, col), patch.text)
+    remaining = patches[MAX_PATCHES:]
+    if remaining:
+        severity = REMARK if remaining[0].is_remark else ERROR
+        text = f"{len(remaining)} more patches of floor jump"
+        yield Finding(severity, None, None, text)
+
+
+def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
+    """The islands that lie above or below most of what is round them."""
+    floor_settings = facts.settings.get("floors")
+    min_area = floor_settings.get("min_area") if isinstance(floor_settings, dict) else None
+    if not isinstance(min_area, int | float):
+        min_area = MIN_FLOOR_AREA
+    islands = facts.islands
+    num_islands = max((int(island.max(initial=0)) for island in islands), default=0) + 1
+    num_cells = np.zeros(num_islands, dtype=np.int64)
+    num_edges = np.zeros(num_islands, dtype=np.int64)  # of the outline
+    jumps = {"above": _Jumps.none(num_islands), "below": _Jumps.none(num_islands)}
+    for number, island in enumerate(islands):
+        num_cells += np.bincount(island.ravel(), minlength=num_islands)
+        padded = np.pad(island, 1)  # beyond the edge is no island
+        for first, second in (DOWN, RIGHT):
+            differs = padded[first] != padded[second]
+            num_edges += np.bincount(padded[first][differs], minlength=num_islands)
+            num_edges += np.bincount(padded[second][differs], minlength=num_islands)
+        # free neighbours are on two islands only where they lie more than a step apart
+        flat_island = island.ravel()
+        floor = facts.floors[number].ravel()
+        for cells, offset in pairs_across(island, 1):
+            cells = cells[(flat_island[cells] > 0) & (flat_island[cells + offset] > 0)]
+            drop = floor[cells] - floor[cells + offset]
+            jumps["above"].add(flat_island[cells + offset], -drop)
+            jumps["below"].add(flat_island[cells + offset], drop)
+            jumps["above"].add(flat_island[cells], drop)
+            jumps["below"].add(flat_island[cells], -drop)
+    num_cells[0] = 0
+    area = num_cells * facts.levels[0].lattice.cell_size ** 2
+    for direction, jump in jumps.items():
+        share = jump.num_edges / np.maximum(num_edges, 1)
+        share[0] = 0.0
+        for patch in np.flatnonzero(share >= MIN_JUMP_SHARE).tolist():
+            is_nearly_all = share[patch] >= NEARLY_ALL
+            height = jump.total[patch] / jump.num_edges[patch]
+            surroundings = "all" if is_nearly_all else "most of what is"
+            size = f"{area[patch]:.3g} m² of floor ({count_of(int(num_cells[patch]), 'cell')})"
+            text = f"{size} lies {height:.2f} m {direction} {surroundings} round it, and no step "
+            text += "leads there"
+            is_error = is_nearly_all and area[patch] < min_area
+            yield _Patch(not is_error, -area[patch], patch, text)
+
+
+class _Jumps(NamedTuple):
+    """By island: edges of its outline with a jump in one direction, and their total height [m]."""
+
+    num_edges: Float
+    total: Float
+
+    @classmethod
+    def none(cls, num_islands: int) -> _Jumps:
+        return cls(np.zeros(num_islands), np.zeros(num_islands))
+
+    def add(self, islands: NDArray[np.int32], heights: Float) -> None:
+        """Add edges of islands, with their heights where these are > 0 [m]."""
+        is_jump = heights > 0
+        jumping = islands[is_jump]
+        self.num_edges[:] += np.bincount(jumping, minlength=len(self.num_edges))
+        self.total[:] += np.bincount(jumping, heights[is_jump], minlength=len(self.total))
 
 
 def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
-    """Flat ids of cells whose value differs from that of a cell to the right, then below.
+    """The cells whose value differs from that of a cell to the right, then below.
 
-    With how far that one is in the flat array: `gap` columns, then `gap` rows.
+    Args:
+        values: by cell, shape (height, width).
+        gap: how many columns, or rows, that cell is away.
+
+    Yields:
+        Flat ids of the cells, and how far the others are in the flat array.
     """
     width = values.shape[1]
-    right = values[:, :-gap] != values[:, gap:]
-    below = values[:-gap] != values[gap:]
-    for differ, step in ((right, gap), (below, gap * width)):
-        rows, cols = np.nonzero(differ)  # few do, so that the rest is asked of few
-        yield rows * width + cols, step
+    differs_right = values[:, :-gap] != values[:, gap:]
+    differs_below = values[:-gap] != values[gap:]
+    for differs, offset in ((differs_right, gap), (differs_below, gap * width)):
+        rows, cols = np.nonzero(differs)  # few do, so that later questions are of few
+        yield rows * width + cols, offset
 
 
-def check_cut_off(facts: Facts) -> Iterator[Found]:
+class _Gap(NamedTuple):
+    """Blocked cells between two islands."""
+
+    area: float  # of the smaller island [m²]
+    level: int
+    cells: list[int]  # ascending
+
+
+def check_cut_off(facts: Facts) -> Iterator[Finding]:
     """One cell, or two or three side by side, cut off an island, with all doors open.
 
     More cells between the same two islands are a thin wall; cells in it that nothing occupies are a
     gap closed for a larger agent. The floors on both sides are within a step of each other.
     """
+    gaps = sorted(_find_gaps(facts), key=lambda gap: -gap.area)
+    for gap in gaps[:MAX_GAPS]:
+        level = facts.levels[gap.level]
+        row, col = divmod(gap.cells[len(gap.cells) // 2], level.width)
+        width = len(gap.cells) * level.lattice.cell_size
+        text = f"a gap {width:.2f} m wide is blocked by one cell, and cuts off {gap.area:.1f} m²"
+        yield Finding(REMARK, gap.level, facts.place(gap.level, row, col), text)
+
+
+def _find_gaps(facts: Facts) -> Iterator[_Gap]:
+    """The few blocked cells between two large islands."""
     islands = facts.open_islands
-    cell_size = facts.levels[0].lattice.cell_size
-    largest = max((int(island.max(initial=0)) for island in islands), default=0)
-    counts = [np.bincount(island.ravel(), minlength=largest + 1) for island in islands]
-    area = np.sum(counts, axis=0) * cell_size**2
-    found = []
-    for number, island in enumerate(islands if largest >= 2 else ()):
+    num_islands = max((int(island.max(initial=0)) for island in islands), default=0) + 1
+    if num_islands < 3:
+        return
+    counts = [np.bincount(island.ravel(), minlength=num_islands) for island in islands]
+    area = np.sum(counts, axis=0) * facts.levels[0].lattice.cell_size ** 2
+    for number, level_islands in enumerate(islands):
         occupied = facts.levels[number].occupancy.ravel() != 0
         floor = facts.floors[number].ravel()
-        own = island.ravel()
-        gaps: dict[tuple[int, ...], set[int]] = {}  # blocked cells by the islands on both sides
-        for one, step in pairs_across(island, 2):
-            cell = one + step // 2
-            other = one + step
-            is_gap = (own[one] > 0) & (own[cell] == 0) & (own[other] > 0) & ~np.isnan(floor[cell])
+        island = level_islands.ravel()
+        cells_between: dict[tuple[int, ...], set[int]] = {}  # by the islands on both sides
+        for cells, offset in pairs_across(level_islands, 2):
+            middle = cells + offset // 2
+            beyond = cells + offset
+            is_gap = (island[cells] > 0) & (island[middle] == 0) & (island[beyond] > 0)
+            is_gap &= ~np.isnan(floor[middle])
             with np.errstate(invalid="ignore"):
-                is_gap &= ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
-            pairs = np.sort(np.stack([own[one], own[other]], axis=1)[is_gap], axis=1)
-            for pair, blocked in zip(pairs.tolist(), cell[is_gap].tolist(), strict=True):
-                gaps.setdefault(tuple(pair), set()).add(blocked)
-        for pair, between in gaps.items():
-            cells = {cell for cell in between if not occupied[cell]} or between
-            smaller = min(area[list(pair)])
-            if len(cells) <= MOST_CELLS and smaller >= MIN_CUT_OFF:
-                found.append((smaller, number, cells))
-    for smaller, number, cells in sorted(found, key=lambda gap: -gap[0])[:MOST_GAPS]:
-        row, col = divmod(sorted(cells)[len(cells) // 2], facts.levels[number].width)
-        size = len(cells) * facts.levels[number].lattice.cell_size
-        text = f"a gap {size:.2f} m wide is blocked by one cell, and cuts off {smaller:.1f} m²"
-        yield REMARK, number, facts.place(number, row, col), text
+                is_gap &= ~(np.abs(floor[cells] - floor[beyond]) > facts.step_limit)
+            pairs = np.sort(np.stack([island[cells], island[beyond]], axis=1)[is_gap], axis=1)
+            for pair, cell in zip(pairs.tolist(), middle[is_gap].tolist(), strict=True):
+                cells_between.setdefault(tuple(pair), set()).add(cell)
+        for pair, between in cells_between.items():
+            gap_cells = {cell for cell in between if not occupied[cell]} or between
+            smaller_area = min(area[list(pair)])
+            if len(gap_cells) <= MAX_GAP_CELLS and smaller_area >= MIN_CUT_OFF_AREA:
+                yield _Gap(smaller_area, number, sorted(gap_cells))
 
 
-def check_unreached_levels(facts: Facts) -> Iterator[Found]:
+def check_unreached_levels(facts: Facts) -> Iterator[Finding]:
     """No link leads to a level from the one with the most free cells."""
-    count = len(facts.levels)
-    sizes = [int(free.sum()) for free in facts.free]
-    pairs = coo_array((np.ones(len(facts.links)), tuple(facts.links[:, ::2].T)), (count, count))
-    _, group = connected_components(pairs, directed=False)
-    for number in np.flatnonzero(group != group[np.argmax(sizes)]).tolist():
-        if sizes[number]:  # else a check of empty levels says so
-            area = sizes[number] * facts.levels[number].lattice.cell_size ** 2
-            place = facts.first(number, facts.free[number])
-            yield REMARK, number, place, f"no link leads to its {area:.1f} m²"
+    num_levels = len(facts.levels)
+    num_free = [int(free.sum()) for free in facts.free]
+    linked_levels = tuple(facts.links[:, ::2].T)
+    ones = np.ones(len(facts.links))
+    graph = coo_array((ones, linked_levels), (num_levels, num_levels))
+    _, group = connected_components(graph, directed=False)
+    for number in np.flatnonzero(group != group[np.argmax(num_free)]).tolist():
+        if num_free[number]:  # else `check_empty_levels` reports it
+            area = num_free[number] * facts.levels[number].lattice.cell_size ** 2
+            place = facts.first_place(number, facts.free[number])
+            yield Finding(REMARK, number, place, f"no link leads to its {area:.1f} m²")

@@ -1,4 +1,4 @@
-"""What the checks of an audit look at, layers in metres and what is connected; what they yield."""
+"""The layers and islands of a grid that the checks of an audit read; and what they yield."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import permutations
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import label
@@ -23,16 +23,23 @@ from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
 ERROR = "error"
 REMARK = "remark"
-Found = tuple[str, int | None, Vector3 | None, str]
-"""What a check yields: severity, level, place and text of a `Remark`."""
-MODES = ("exact", "minos")
-MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
-SLACK = 1e-6  # metres that a step may be over the highest one
-
+INFLATION_MODES = ("exact", "minos")
+MAX_INFLATION = 10_000.0  # the largest radius, and the largest clearance [m]
+STEP_SLACK = 1e-6  # by which a step may exceed the highest one [m]
 
 DOWN = (np.s_[:-1], np.s_[1:])
+"""Slices of an array: the cells that have one below, and those below."""
 RIGHT = (np.s_[:, :-1], np.s_[:, 1:])
-"""Where the cells of an array stand that have one below, or to the right; and where these stand."""
+"""Slices of an array: the cells that have one to the right, and those to the right."""
+
+
+class Finding(NamedTuple):
+    """What a check yields; `Remark` adds the name of the check."""
+
+    severity: str  # ERROR or REMARK
+    level: int | None  # 0 is the lowest; None for the whole grid
+    place: Vector3 | None  # world x, y, z [m]; None where no place is meant
+    text: str
 
 
 @dataclass(frozen=True)
@@ -87,147 +94,205 @@ class AuditReport:
 
 
 def number_islands(
-    masks: list[Bool], floors: list[Float], limit: float, links: Int, ways: Int | None = None
+    masks: list[Bool],
+    floors: list[Float],
+    step_limit: float,
+    links: Int,
+    one_way_links: Int | None = None,
 ) -> list[Int32]:
-    """Number the connected parts of all levels' marked cells from 1, the largest first; 0 for none.
+    """Number the connected components of all levels' marked cells.
 
-    Neighbours by an edge hang together unless their floors lie more than a limit [m] apart, and so
-    do the ends of a link (level, cell, level, cell), shape (n, 4), and what `ways`, of the same
-    shape, join in both directions. It shares no code with a bake. Of parts of one size, that with
-    the lowest cell comes first.
+    It shares no code with a bake. Neighbours by an edge are connected unless their floors lie more
+    than a step apart.
+
+    Args:
+        masks: the cells of each level, shape (height, width).
+        floors: their floors, NaN for none, of the same shapes [m].
+        step_limit: how far the floors of connected neighbours may lie apart [m].
+        links: level and cell of both ends of links, shape (n, 4), which connect both ways.
+        one_way_links: of the same shape: what they connect in both directions together is
+            connected.
+
+    Returns:
+        The island of each cell of each level, from 1, the largest first; 0 for none. Of islands of
+        one size, that with the lowest cell comes first.
     """
-    parts = list[Int32]()
-    count = 1
+    labels = list[Int32]()
+    num_labels = 1
     for mask, floor in zip(masks, floors, strict=True):
-        both = [mask[one] & mask[other] for one, other in (DOWN, RIGHT)]
-        with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
-            steps = [np.abs(floor[one] - floor[other]) > limit for one, other in (DOWN, RIGHT)]
-        joints = mask
-        stride = 1
-        if any((pair & step).any() for pair, step in zip(both, steps, strict=True)):
-            joints = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
-            stride = 2
-            joints[::2, ::2] = mask
-            joints[1::2, ::2] = both[0] & ~steps[0]
-            joints[::2, 1::2] = both[1] & ~steps[1]
-        part, num = label(joints, output=np.int32)
-        part = np.ascontiguousarray(part[::stride, ::stride])
-        part[mask] += count - 1
-        parts.append(part)
-        count += num
-    both_ways = np.concatenate([links, links[:, [2, 3, 0, 1]], links[:0] if ways is None else ways])
-    ends = np.zeros((2, len(both_ways)), dtype=np.int64)
-    for number, part in enumerate(parts):
-        for end, (level, cell) in zip(ends, (both_ways[:, :2].T, both_ways[:, 2:].T), strict=True):
-            end[level == number] = part.ravel()[cell[level == number]]
-    ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end joins nothing
-    pairs = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count, count))
-    num, group = connected_components(pairs, connection="strong")
-    first = np.unique(group, return_index=True)[1]
-    group = np.argsort(np.argsort(first))[group]  # numbered by their first parts
-    size = np.sum([np.bincount(group[part.ravel()], minlength=num) for part in parts], axis=0)
-    numbers = np.zeros(num, dtype=np.int32)  # 0 stays the one of no part
-    numbers[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, num)
-    return [numbers[group][part] for part in parts]
+        level_labels, count = _label_walkable(mask, floor, step_limit)
+        level_labels[mask] += num_labels - 1
+        labels.append(level_labels)
+        num_labels += count
+    connections = [links, links[:, [2, 3, 0, 1]]]
+    if one_way_links is not None:
+        connections.append(one_way_links)
+    level_cells = np.concatenate(connections).T
+    ends = np.zeros((2, level_cells.shape[1]), dtype=np.int64)
+    for end, (level, cell) in zip(ends, (level_cells[:2], level_cells[2:]), strict=True):
+        for number, level_labels in enumerate(labels):
+            on_level = level == number
+            end[on_level] = level_labels.ravel()[cell[on_level]]
+    ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end connects nothing
+    graph = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(num_labels, num_labels))
+    num_groups, group = connected_components(graph, connection="strong")
+    # groups are numbered by their first labels
+    first_label = np.unique(group, return_index=True)[1]
+    group = np.argsort(np.argsort(first_label))[group]
+    sizes = [np.bincount(group[part.ravel()], minlength=num_groups) for part in labels]
+    size = np.sum(sizes, axis=0)
+    island = np.zeros(num_groups, dtype=np.int32)  # 0 stays that of no island
+    island[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, num_groups)
+    return [island[group][level_labels] for level_labels in labels]
+
+
+def _label_walkable(mask: Bool, floor: Float, step_limit: float) -> tuple[Int32, int]:
+    """Label the components of a level's marked cells that steps connect; and count them."""
+    pairs = []  # of marked neighbours, downwards and to the right
+    is_step = []  # of these, whether the floors are at most a step apart
+    for cells, neighbors in (DOWN, RIGHT):
+        pairs.append(mask[cells] & mask[neighbors])
+        with np.errstate(invalid="ignore"):  # another check reports infinite floors
+            is_step.append(~(np.abs(floor[cells] - floor[neighbors]) > step_limit))
+    if all((step | ~pair).all() for pair, step in zip(pairs, is_step, strict=True)):
+        labels, count = label(mask, output=np.int32)
+        return np.ascontiguousarray(labels), count
+    # cells, and between them the passages from one to the next
+    passages = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
+    passages[::2, ::2] = mask
+    passages[1::2, ::2] = pairs[0] & is_step[0]
+    passages[::2, 1::2] = pairs[1] & is_step[1]
+    labels, count = label(passages, output=np.int32)
+    return np.ascontiguousarray(labels[::2, ::2]), count
 
 
 def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
-    """What a grid was inflated for; and what is wrong with the first entry that can't be read.
+    """Read what a grid was inflated for.
 
-    Entries have a ``mode``, ``radius`` and ``clearance`` [m].
+    Args:
+        grid: a grid of any program.
+
+    Returns:
+        Entries with a ``mode``, ``radius`` and ``clearance`` [m]; and what is wrong with the first
+        entry that can't be read, None if nothing is.
     """
-    stated = grid.metadata.get("inflation", [])
-    if not isinstance(stated, list):
-        return [], f"`inflation` is {stated!r}, expected a list of what was done"
-    done = list[Json]()
-    broken = None
-    for number, entry in enumerate(stated):
-        known = entry if isinstance(entry, dict) and entry.get("mode") in MODES else {}
-        lengths = {"radius": known.get("radius"), "clearance": known.get("clearance", 0)}
-        if all(is_within(length, 0, MOST_INFLATED) for length in lengths.values()):
-            done.append({"mode": known["mode"], **lengths})
-        elif broken is None:
-            broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
-    return done, broken
+    entries = grid.metadata.get("inflation", [])
+    if not isinstance(entries, list):
+        return [], f"`inflation` is {entries!r}, expected a list of what was done"
+    inflations = list[Json]()
+    problem = None
+    for number, entry in enumerate(entries):
+        has_mode = isinstance(entry, dict) and entry.get("mode") in INFLATION_MODES
+        fields = entry if has_mode else {}
+        lengths = {"radius": fields.get("radius"), "clearance": fields.get("clearance", 0)}
+        if all(is_within(length, 0, MAX_INFLATION) for length in lengths.values()):
+            inflations.append({"mode": fields["mode"], **lengths})
+        elif problem is None:
+            problem = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
+    return inflations, problem
 
 
-def is_within(value: Any, least: float, most: float) -> bool:
-    """Whether something is a number in a range."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and least <= value <= most
+def is_within(value: object, least: float, most: float) -> bool:
+    """Whether a value is a number, no bool, from `least` to `most`."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return least <= value <= most
 
 
 def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
-    """What is wrong with the sizes of an agent that a grid states, by their keys."""
-    wrong = {}
+    """What is wrong with the sizes of the agent that a grid states, by their keys."""
+    problems = {}
     for key, least, expected in (
         ("agentHeight", math.ulp(0.0), "> 0"),
         ("agentRadius", 0.0, ">= 0"),
         ("traversableFloorHeight", 0.0, ">= 0"),
     ):
-        stated = grid.metadata.get(key)
-        if stated is not None and not is_within(stated, least, FARTHEST / grid.unit):
-            wrong[key] = f"`{key}` is {shorten(repr(stated))}, which is no length {expected}"
-    if not wrong and grid.max_step >= grid.agent_height:
-        sizes = grid.agent_height, grid.max_step
-        wrong["step"] = "the agent of {:g} m takes steps of {:g} m".format(*sizes)
-    return wrong
+        length = grid.metadata.get(key)
+        if length is not None and not is_within(length, least, FARTHEST / grid.unit):
+            problems[key] = f"`{key}` is {shorten(repr(length))}, which is no length {expected}"
+    if not problems and grid.max_step >= grid.agent_height:
+        steps = f"takes steps of {grid.max_step:g} m"
+        problems["step"] = f"the agent of {grid.agent_height:g} m {steps}"
+    return problems
 
 
 class Facts:
-    """Layers and parts of a grid without its blocks.
+    """The layers, tables and islands of a grid, without obstacles that were added to it.
 
     Tables that are broken count as empty, and `rooms` are None then: checks report them.
+
+    Attributes:
+        grid: the grid without added obstacles.
+        levels: its levels, 0 is the lowest; the lists below have an entry for each.
+        free: the free cells, shape (height, width).
+        floors: the floors, NaN for none [m].
+        settings: those of the bake; empty for grids of other programs.
+        doors: its doors.
+        rooms: its rooms.
+        links: level and cell of both ends of steps between levels, shape (n, 4).
+        passages: so of open links that the agent fits, from stop to stop.
+        forbidden_areas: the numbers of areas that nobody may enter.
     """
 
     def __init__(self, grid: GridBase) -> None:
         self.grid: GridBase = grid.without_blocks()
         self.levels: list[SceneGrid2D] = self.grid.levels
         self.free: list[Bool] = [level.free for level in self.levels]
-        self.floors: list[Float] = [level.floor for level in self.levels]  # NaN for none [m]
-        stated = self.grid.navbake.get("settings")
-        self.settings: Json = stated if isinstance(stated, dict) else {}
+        self.floors: list[Float] = [level.floor for level in self.levels]
+        settings = self.grid.navbake.get("settings")
+        self.settings: Json = settings if isinstance(settings, dict) else {}
         self.doors: tuple[Door, ...] = ()
         self.rooms: tuple[Room, ...] | None = None
-        self.links: Int = np.empty((0, 4), dtype=np.int64)  # steps between levels
+        self.links: Int = np.empty((0, 4), dtype=np.int64)
         with suppress(FormatError):
             self.doors = self.grid.doors
         with suppress(FormatError):
             self.rooms = self.grid.rooms
         with suppress(FormatError):
             self.links = self.grid.step_array
-        self.ways: Int = np.empty((0, 4), dtype=np.int64)  # over open links, from stop to stop
+        self.passages: Int = np.empty((0, 4), dtype=np.int64)
         with suppress(FormatError):
-            passages = [
-                (one.level, one.cell, other.level, other.cell)
-                for link in self.grid.links
-                if link.state == "open" and (link.width or np.inf) + SLACK >= 2 * self.grid.radius
-                for one, other in permutations(link.stops, 2)
-                if not link.one_way or link.stops.index(one) < link.stops.index(other)
+            self.passages = self._list_passages()
+        self.forbidden_areas: list[int] = []
+        with suppress(FormatError):
+            self.forbidden_areas = [
+                number for number, area in enumerate(self.grid.areas, 1) if area.bars(None)
             ]
-            self.ways = np.array(passages, dtype=np.int64).reshape(-1, 4)
-        self.barred: list[int] = []  # numbers of areas where nobody goes
-        with suppress(FormatError):
-            self.barred = [k for k, area in enumerate(self.grid.areas, 1) if area.bars(None)]
+
+    def _list_passages(self) -> Int:
+        """Level and cell of both stops, for each pair that an open link leads between."""
+        passages = []
+        for link in self.grid.links:
+            width = link.width or np.inf
+            if link.state != "open" or width + STEP_SLACK < 2 * self.grid.radius:
+                continue
+            for start, end in permutations(range(len(link.stops)), 2):
+                if link.one_way and end < start:
+                    continue
+                first = link.stops[start]
+                last = link.stops[end]
+                passages.append((first.level, first.cell, last.level, last.cell))
+        return np.array(passages, dtype=np.int64).reshape(-1, 4)
 
     @cached_property
     def step_limit(self) -> float:
         """How far apart floors of one walk may be: a step, and what float32 rounds off [m]."""
         highest = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
         rounding = float(np.spacing(np.float32(min(highest, FARTHEST))))
-        return self.grid.max_step + SLACK + rounding
+        return self.grid.max_step + STEP_SLACK + rounding
 
     @cached_property
-    def reach(self) -> float | None:
-        """How far from the centre of a cell that an inflation closed the cause may be [m].
+    def inflation_reach(self) -> float | None:
+        """How far from a cell's centre the cause may be for which an inflation closed it [m].
 
         The radius and clearance, the largest of several inflations; None without any.
         """
-        done, _ = read_inflations(self.grid)
-        return max((float(one["radius"] + one["clearance"]) for one in done), default=None)
+        inflations, _ = read_inflations(self.grid)
+        reaches = [float(entry["radius"] + entry["clearance"]) for entry in inflations]
+        return max(reaches, default=None)
 
     def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
-        """The cells of each level that doors block in some states."""
+        """Mark the cells of each level that doors block in given states."""
         masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
         for door, state in doors:
             for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
@@ -237,46 +302,60 @@ class Facts:
     @cached_property
     def passable(self) -> list[Bool]:
         """The cells that are free, or would be without doors."""
-        doors = self.cells_of([(door, state) for door in self.doors for state in door.cells])
-        return [free | door for free, door in zip(self.free, doors, strict=True)]
+        all_states = [(door, state) for door in self.doors for state in door.cells]
+        door_cells = self.cells_of(all_states)
+        return [free | door for free, door in zip(self.free, door_cells, strict=True)]
 
     @cached_property
     def islands(self) -> list[Int32]:
         """The connected parts of the free cells, numbered from 1, the largest first; 0 for none."""
-        return self._number(self.free)
+        return self._number_islands(self.free)
 
     @cached_property
     def open_islands(self) -> list[Int32]:
-        """The same, if no door blocked anything."""
-        return self._number(self.passable)
+        """The islands if no door blocked anything."""
+        return self._number_islands(self.passable)
 
     @cached_property
-    def walks(self) -> list[Int32]:
+    def islands_without_links(self) -> list[Int32]:
         """The islands if there were no named links."""
         return number_islands(self.free, self.floors, self.step_limit, self.links)
 
-    def _number(self, masks: list[Bool]) -> list[Int32]:
-        if self.barred:
-            pairs = zip(masks, self.levels, strict=True)
-            masks = [mask & ~np.isin(level.area_index, self.barred) for mask, level in pairs]
-        return number_islands(masks, self.floors, self.step_limit, self.links, self.ways)
+    def _number_islands(self, masks: list[Bool]) -> list[Int32]:
+        """The islands of each level's marked cells, without areas that nobody may enter."""
+        if self.forbidden_areas:
+            masks = [
+                mask & ~np.isin(level.area_index, self.forbidden_areas)
+                for mask, level in zip(masks, self.levels, strict=True)
+            ]
+        return number_islands(masks, self.floors, self.step_limit, self.links, self.passages)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
-        """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""
+        """World x, y and z of a cell of a level; its ground where the floor has no height [m]."""
         level = self.levels[number]
         x, y = level.lattice.positions(row, col).tolist()
         z = float(self.floors[number][row, col])
         return x, y, z if np.isfinite(z) else level.ground
 
-    def first(self, number: int, mask: Bool) -> Vector3:
+    def first_place(self, number: int, mask: Bool) -> Vector3:
         """The place of the first marked cell of a level."""
         row, col = np.unravel_index(int(np.argmax(mask)), mask.shape)
         return self.place(number, int(row), int(col))
 
-    def on_cells(self, number: int, mask: Bool, what: str) -> Iterator[Found]:
-        """One error on all marked cells of a level, with the place of the first; none on none."""
+    def error_on_cells(self, number: int, mask: Bool, predicate: str) -> Iterator[Finding]:
+        """One error on all marked cells of a level, at the first of them; none if none is marked.
+
+        Args:
+            number: of the level.
+            mask: the wrong cells, shape (height, width).
+            predicate: follows "3 cells are", or "3 cells have" where it begins with "a".
+        """
         count = int(np.count_nonzero(mask))
-        if count:
-            verb = ("have", "has") if what.startswith("a ") else ("are", "is")
-            text = f"{count_of(count, 'cell')} {verb[count == 1]} {what}"
-            yield ERROR, number, self.first(number, mask), text
+        if not count:
+            return
+        if predicate.startswith("a "):
+            verb = "has" if count == 1 else "have"
+        else:
+            verb = "is" if count == 1 else "are"
+        text = f"{count_of(count, 'cell')} {verb} {predicate}"
+        yield Finding(ERROR, number, self.first_place(number, mask), text)

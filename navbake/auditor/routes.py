@@ -14,182 +14,229 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import ERROR, REMARK, AuditReport, Facts, Found, Remark
+from navbake.auditor.facts import ERROR, REMARK, AuditReport, Facts, Finding, Remark
 from navbake.errors import count_of
 from navbake.formats.route_files import read_routes
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import FLOOR, Lane, RouteGraph, directed
 from navbake.types import Bool, Float, Vector3
 
-LEAST_AREA = 4.0  # m² of an island that has to be reached
-SLACK = 1e-5  # metres by which a disc may overlap what it touches
-SHOWN = 5  # names that a remark lists
+MIN_ISLAND_AREA = 4.0  # of an island that has to be reached [m²]
+TOUCH_SLACK = 1e-5  # by which a disc may overlap what it touches [m]
+MAX_NAMES = 5  # that a remark lists
 
 
 def audit_routes(
     graph: RouteGraph | str | PathLike[str], grid: NavGrid, *, radius: float | None = None
 ) -> AuditReport:
-    """Look at a graph of routes, or its file, for lanes that cross walls and what isn't reached.
+    """Look at a graph of routes for lanes that cross walls, and for what isn't reached.
 
-    The grid is of the graph's scene, inflated or not, or a map of one level. The agent's `radius`
-    is that of the graph if None [m]. Raises a FormatError if the file can't be read.
+    Args:
+        graph: the graph, or the path of its file.
+        grid: of the graph's scene, inflated or not, or a map of one level.
+        radius: of the agent [m]; None for the graph's.
+
+    Returns:
+        The remarks, errors first.
+
+    Raises:
+        FormatError: the file can't be read.
     """
     if not isinstance(graph, RouteGraph):
         graph = read_routes(graph)
     facts = Facts(grid)
-    radius = graph.radius if radius is None else radius
-    checks = {
+    if radius is None:
+        radius = graph.radius
+    findings = {
         "nodes": check_nodes(graph, facts),
         "lanes": check_lanes(graph, facts, radius),
-        "parts": check_parts(graph),
+        "parts": check_components(graph),
         "dead ends": check_dead_ends(graph),
         "islands": check_islands(graph, facts),
     }
-    remarks = [Remark(name, *entry) for name, found in checks.items() for entry in found]
+    remarks = [Remark(name, *finding) for name, found in findings.items() for finding in found]
     remarks.sort(key=lambda remark: remark.severity != ERROR)
-    return AuditReport(graph.scene_id, remarks, list(checks))
+    return AuditReport(graph.scene_id, remarks, list(findings))
 
 
-def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
+def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
+    """A node is on no level, in no cell, or in one that isn't free."""
     for node in graph.nodes:
-        what = None
+        problem = None
         if node.level >= len(facts.levels):
-            what = f"is on level {node.level}, which the grid hasn't"
+            problem = f"is on level {node.level}, which the grid hasn't"
         else:
             lattice = facts.levels[node.level].lattice
             row, col = lattice.rows_cols(node.position)
             if not lattice.holds(row, col):
-                what = "lies outside of the grid"
+                problem = "lies outside of the grid"
             elif not facts.passable[node.level][row, col]:
-                what = "stands where no cell is free"
-        if what:
-            yield ERROR, node.level, node.position, f"node {node.name!r} {what}"
+                problem = "stands where no cell is free"
+        if problem:
+            yield Finding(ERROR, node.level, node.position, f"node {node.name!r} {problem}")
 
 
-def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Found]:
+def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Finding]:
+    """A lane crosses what is occupied, or passes it nearer than the agent's radius."""
     for lane in graph.lanes:
-        one = graph.nodes[lane.start]
-        other = graph.nodes[lane.end]
-        if lane.kind != FLOOR or one.level != other.level or one.level >= len(facts.levels):
+        start = graph.nodes[lane.start]
+        end = graph.nodes[lane.end]
+        is_straight = lane.kind == FLOOR and start.level == end.level
+        if not is_straight or start.level >= len(facts.levels):
             continue
-        clear, at = lane_clearance(graph, lane, facts, radius)
-        if clear < radius - SLACK or clear == 0.0:
-            what = "crosses what is occupied" if clear == 0.0 else f"passes it at {clear:.3f} m"
-            needs = f", the agent needs {radius:g} m" if clear else ""
-            yield ERROR, one.level, at, f"lane {lane.name!r} {what}{needs}"
+        clearance, place = lane_clearance(graph, lane, facts, radius)
+        if clearance == 0.0:
+            text = f"lane {lane.name!r} crosses what is occupied"
+            yield Finding(ERROR, start.level, place, text)
+        elif clearance < radius - TOUCH_SLACK:
+            text = f"lane {lane.name!r} passes it at {clearance:.3f} m"
+            text += f", the agent needs {radius:g} m"
+            yield Finding(ERROR, start.level, place, text)
 
 
 def lane_clearance(
     graph: RouteGraph, lane: Lane, facts: Facts, radius: float
 ) -> tuple[float, Vector3]:
-    """The distance from a lane to the nearest occupied square within a radius [m], and where it is.
+    """How far the nearest occupied square is from a lane, and where.
 
     Cells without a floor count as occupied. Squares where another level has a free cell, within
-    the agent's height of the lane, don't: they are where stairs go on. inf if there is nothing.
+    the agent's height of the lane, don't: stairs go on there.
+
+    Args:
+        graph: the lane's graph.
+        lane: along a straight line on one level.
+        facts: of the grid.
+        radius: within which squares are looked for [m].
+
+    Returns:
+        The distance [m], inf if there is nothing within the radius; and the square's centre at the
+        lane's height.
     """
-    one = graph.nodes[lane.start]
-    other = graph.nodes[lane.end]
-    level = facts.levels[one.level]
-    ends = np.array([one.position, other.position])
+    start = graph.nodes[lane.start]
+    end = graph.nodes[lane.end]
+    level = facts.levels[start.level]
     lattice = level.lattice
-    reach = radius + level.lattice.cell_size
-    corners = np.array([ends.min(axis=0)[:2] - reach, ends.max(axis=0)[:2] + reach])
-    (bottom, top), (left, right) = lattice.rows_cols(corners)
-    window = np.s_[max(int(top), 0) : int(bottom) + 1, max(int(left), 0) : int(right) + 1]
-    rows, cols = np.nonzero(level.solid[window])
-    rows = rows + window[0].start
-    cols = cols + window[1].start
-    centers = lattice.positions(rows, cols)
-    centers = centers[~_is_over(facts, one.level, centers, ends[:, 2])]
+    ends = np.array([start.position, end.position])
+    reach = radius + lattice.cell_size
+    lower_left = ends.min(axis=0)[:2] - reach
+    upper_right = ends.max(axis=0)[:2] + reach
+    (bottom, top), (left, right) = lattice.rows_cols(np.array([lower_left, upper_right]))
+    first_row = max(int(top), 0)
+    first_col = max(int(left), 0)
+    window = level.solid[first_row : int(bottom) + 1, first_col : int(right) + 1]
+    rows, cols = np.nonzero(window)
+    centers = lattice.positions(rows + first_row, cols + first_col)
+    centers = centers[~_has_free_cell_of_other_level(facts, start.level, centers, ends[:, 2])]
     if not len(centers):
-        return math.inf, one.position
-    far = distances(ends[:, :2], centers, lattice.cell_size / 2)
-    nearest = int(np.argmin(far))
+        return math.inf, start.position
+    distance = distances_to_squares(ends[:, :2], centers, lattice.cell_size / 2)
+    nearest = int(np.argmin(distance))
     x, y = centers[nearest].tolist()
-    return (float(far[nearest]) if far[nearest] < radius else math.inf), (x, y, one.position[2])
+    clearance = float(distance[nearest]) if distance[nearest] < radius else math.inf
+    return clearance, (x, y, start.position[2])
 
 
-def _is_over(facts: Facts, number: int, places: Float, z: Float) -> Bool:
-    """Whether another level has a free cell at places x, y near the heights of a lane [m]."""
-    found = np.zeros(len(places), dtype=np.bool_)
-    for other, level in enumerate(facts.levels):
-        row, col = level.lattice.rows_cols(places)
+def _has_free_cell_of_other_level(facts: Facts, number: int, positions: Float, z: Float) -> Bool:
+    """Whether another level has a free cell at x, y near the heights z of a lane [m]."""
+    is_over = np.zeros(len(positions), dtype=np.bool_)
+    for other_number, level in enumerate(facts.levels):
+        row, col = level.lattice.rows_cols(positions)
         inside = level.lattice.holds(row, col)
-        if other == number or not inside.any():
+        if other_number == number or not inside.any():
             continue
         row = row[inside]
         col = col[inside]
-        floor = facts.floors[other][row, col]
-        reach = facts.grid.agent_height
-        near = (floor > z.min() - reach) & (floor < z.max() + reach)  # False for NaN
-        found[inside] |= near & level.free_for_point[row, col]
-    return found
+        floor = facts.floors[other_number][row, col]
+        height = facts.grid.agent_height
+        is_near = (floor > z.min() - height) & (floor < z.max() + height)  # False for NaN
+        is_over[inside] |= is_near & level.free_for_point[row, col]
+    return is_over
 
 
-def distances(ends: Float, centers: Float, half: float) -> Float:
-    """Distances from a line to squares along the axes, shape (n,); 0 where it enters them [m].
+def distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
+    """How far squares along the axes are from a line.
 
-    `ends` has shape (2, 2), `centers` (n, 2); a square reaches `half` to each side.
+    Args:
+        ends: of the line, shape (2, 2) [m].
+        centers: of the squares, shape (n, 2) [m].
+        half: half of a square's edge [m].
+
+    Returns:
+        Distances, shape (n,), 0 where the line enters the square [m].
     """
     start = ends[0]
-    way = ends[1] - ends[0]
+    direction = ends[1] - ends[0]
+    # the shares of the line at which it enters and leaves each square's strips along x and y
+    inner_half = half - TOUCH_SLACK
     with np.errstate(divide="ignore", invalid="ignore"):
-        sides = (-half + SLACK, half - SLACK)
-        cuts = np.sort([(centers + side - start) / way for side in sides], axis=0)
-    within = np.abs(centers - start) < half - SLACK  # of a line along an axis
-    enter = np.where(way == 0, np.where(within, -np.inf, np.inf), cuts[0]).max(axis=1)
-    leave = np.where(way == 0, np.where(within, np.inf, -np.inf), cuts[1]).min(axis=1)
-    meets = np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
-    beyond = [np.linalg.norm(np.maximum(np.abs(centers - end) - half, 0.0), axis=1) for end in ends]
+        crossings = np.sort(
+            [(centers + side - start) / direction for side in (-inner_half, inner_half)], axis=0
+        )
+    in_strip = np.abs(centers - start) < inner_half  # always or never, of a line along an axis
+    always_in = np.where(in_strip, -np.inf, np.inf)
+    enters = np.where(direction == 0, always_in, crossings[0]).max(axis=1)
+    leaves = np.where(direction == 0, -always_in, crossings[1]).min(axis=1)
+    meets = np.maximum(enters, 0.0) <= np.minimum(leaves, 1.0)
+    # else the nearest are an end of the line and the square, or a corner and the line
+    distances = []
+    for end in ends:
+        outside = np.maximum(np.abs(centers - end) - half, 0.0)
+        distances.append(np.linalg.norm(outside, axis=1))
     for corner in half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]):
-        own = centers + corner - start
-        share = np.clip(own @ way / max(float(way @ way), 1e-300), 0.0, 1.0)
-        beyond.append(np.linalg.norm(own - share[:, None] * way, axis=1))
-    return np.where(meets, 0.0, np.min(beyond, axis=0))
+        to_corner = centers + corner - start
+        share = to_corner @ direction / max(float(direction @ direction), 1e-300)
+        nearest = np.clip(share, 0.0, 1.0)[:, None] * direction
+        distances.append(np.linalg.norm(to_corner - nearest, axis=1))
+    return np.where(meets, 0.0, np.min(distances, axis=0))
 
 
-def check_parts(graph: RouteGraph) -> Iterator[Found]:
+def check_components(graph: RouteGraph) -> Iterator[Finding]:
+    """Nodes that no lanes connect with the others, and lanes that lead nowhere back."""
     if not graph.nodes:
-        yield ERROR, None, None, "the graph has no nodes"
+        yield Finding(ERROR, None, None, "the graph has no nodes")
         return
-    size = len(graph.nodes)
+    num_nodes = len(graph.nodes)
     ends = np.array([(lane.start, lane.end) for lane in directed(graph.lanes)]).reshape(-1, 2)
-    matrix = csr_array((np.ones(len(ends)), tuple(ends.T)), shape=(size, size))
-    _, part = connected_components(matrix, directed=False)
-    sizes = np.bincount(part)
+    matrix = csr_array((np.ones(len(ends)), tuple(ends.T)), shape=(num_nodes, num_nodes))
+    _, component = connected_components(matrix, directed=False)
+    sizes = np.bincount(component)
     for number in np.argsort(-sizes, kind="stable")[1:].tolist():
-        node = graph.nodes[int(np.argmax(part == number))]
+        node = graph.nodes[int(np.argmax(component == number))]
         text = f"{count_of(int(sizes[number]), 'node')} from {node.name!r} on are a part apart"
-        yield REMARK, node.level, node.position, text
-    _, strong = connected_components(matrix, connection="strong")
-    lanes = [lane for lane in graph.lanes if strong[lane.start] != strong[lane.end]]
-    for lane in lanes:
-        start = graph.nodes[lane.start]
-        end = graph.nodes[lane.end]
-        text = f"no lanes lead back from {end.name!r} to {start.name!r}"
-        yield REMARK, end.level, end.position, text
-
-
-def check_dead_ends(graph: RouteGraph) -> Iterator[Found]:
-    ends: list[set[int]] = [set() for _ in graph.nodes]
+        yield Finding(REMARK, node.level, node.position, text)
+    _, group = connected_components(matrix, connection="strong")
     for lane in graph.lanes:
-        ends[lane.start].add(lane.end)
-        ends[lane.end].add(lane.start)
-    found = [node for node, own in zip(graph.nodes, ends, strict=True) if len(own) < 2]
-    found = [node for node in found if node.kind in ("junction", "waypoint")]
-    if found:
-        listed = ", ".join(repr(node.name) for node in found[:SHOWN])
-        more = ", …" if len(found) > SHOWN else ""
-        text = f"{count_of(len(found), 'dead end')}: {listed}{more}"
-        yield REMARK, found[0].level, found[0].position, text
+        if group[lane.start] != group[lane.end]:
+            start = graph.nodes[lane.start]
+            end = graph.nodes[lane.end]
+            text = f"no lanes lead back from {end.name!r} to {start.name!r}"
+            yield Finding(REMARK, end.level, end.position, text)
 
 
-def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
+def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
+    """Junctions and waypoints with less than two neighbours."""
+    neighbors: list[set[int]] = [set() for _ in graph.nodes]
+    for lane in graph.lanes:
+        neighbors[lane.start].add(lane.end)
+        neighbors[lane.end].add(lane.start)
+    dead_ends = [
+        node
+        for node, node_neighbors in zip(graph.nodes, neighbors, strict=True)
+        if len(node_neighbors) < 2 and node.kind in ("junction", "waypoint")
+    ]
+    if dead_ends:
+        names = ", ".join(repr(node.name) for node in dead_ends[:MAX_NAMES])
+        more = ", …" if len(dead_ends) > MAX_NAMES else ""
+        text = f"{count_of(len(dead_ends), 'dead end')}: {names}{more}"
+        yield Finding(REMARK, dead_ends[0].level, dead_ends[0].position, text)
+
+
+def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
     """Islands of the grid, as it is, that are large and have no node."""
     areas: dict[int, float] = {}
     for level, islands in zip(facts.levels, facts.islands, strict=True):
-        for number, count in enumerate(np.bincount(islands.ravel()).tolist()):
-            areas[number] = areas.get(number, 0.0) + count * level.lattice.cell_size**2
+        for island, count in enumerate(np.bincount(islands.ravel()).tolist()):
+            areas[island] = areas.get(island, 0.0) + count * level.lattice.cell_size**2
     reached = set()
     for node in graph.nodes:
         if node.level < len(facts.levels):
@@ -197,8 +244,9 @@ def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
             row, col = lattice.rows_cols(node.position)
             if lattice.holds(row, col):
                 reached.add(int(facts.islands[node.level][row, col]))
-    for number, area in areas.items():
-        if number and area >= LEAST_AREA and number not in reached:
-            on = next(k for k, islands in enumerate(facts.islands) if (islands == number).any())
-            text = f"no node is on island {number} ({area:.2f} m²)"
-            yield REMARK, on, facts.first(on, facts.islands[on] == number), text
+    for island, area in areas.items():
+        if island == 0 or area < MIN_ISLAND_AREA or island in reached:
+            continue
+        number = next(k for k, islands in enumerate(facts.islands) if (islands == island).any())
+        place = facts.first_place(number, facts.islands[number] == island)
+        yield Finding(REMARK, number, place, f"no node is on island {island} ({area:.2f} m²)")
