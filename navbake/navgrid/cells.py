@@ -1,7 +1,7 @@
 """Finds the cell and level of a position, the position of a cell, and the layers at both.
 
-A position is on the level with the nearest floor below it, or at most a step above. So a position
-under a bridge is on the level below, one on the bridge on the level above.
+A position is on the level with the nearest floor below it, or at most a step above it. So a
+position under a bridge is on the level below, one on the bridge on the level above.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,156 +21,257 @@ from navbake.navgrid.islands import STEP_SLACK, clearance, islands_of
 from navbake.navgrid.lattice import Cell as Cell
 from navbake.navgrid.lattice import Cells as Cells
 from navbake.navgrid.obstacle_state import BLOCKED
-from navbake.types import Float, Int
+from navbake.types import Bool, Float, Int
 
-ROUNDING = 1e-6  # relative rounding of float32
+FLOAT32_ROUNDING = 1e-6  # relative, of floors in files
+CellsLike = Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
+"""Level, row and column: of one cell, or of several as arrays."""
 
-LAYERS: dict[str, tuple[Callable[[NavGrid], list[NDArray[Any]]], float]] = {
-    "floor": (lambda grid: [level.floor for level in grid.levels], np.nan),
-    "free": (lambda grid: [level.free for level in grid.levels], False),
-    "occupancy": (lambda grid: [level.occupancy for level in grid.levels], 1),
-    "weight": (lambda grid: [level.weights.astype(np.float64) for level in grid.levels], np.inf),
-    "room": (lambda grid: [level.room_index for level in grid.levels], 0),
-    "island": (lambda grid: list(islands_of(grid)), 0),
-    "clearance": (lambda grid: [clearance(level) for level in grid.levels], 0),
+
+class Layer(NamedTuple):
+    """A layer that `values_at` returns."""
+
+    make: Callable[[NavGrid], list[NDArray[Any]]]  # the arrays of the levels, of a grid
+    outside: float  # the value where there is no cell
+
+
+LAYERS = {
+    "floor": Layer(lambda grid: [level.floor for level in grid.levels], np.nan),
+    "free": Layer(lambda grid: [level.free for level in grid.levels], False),
+    "occupancy": Layer(lambda grid: [level.occupancy for level in grid.levels], 1),
+    "weight": Layer(
+        lambda grid: [level.weights.astype(np.float64) for level in grid.levels], np.inf
+    ),
+    "room": Layer(lambda grid: [level.room_index for level in grid.levels], 0),
+    "island": Layer(lambda grid: list(islands_of(grid)), 0),
+    "clearance": Layer(lambda grid: [clearance(level) for level in grid.levels], 0),
 }
-"""How each layer is made, one array a level, and its value where there is no cell."""
+"""The layers that are not attributes, by name."""
 
 
 def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Cell | None:
-    """Find the cell of a position.
+    """Return the cell of a position; see `GridBase.cell_at`.
 
-    Its level is the one whose floor in that column is the nearest at or below the position, a
-    step (`traversableFloorHeight`) above it included. If no level has such a floor, the levels'
-    grounds count instead.
+    Args:
+        grid: The grid.
+        position: World x, y, z [m], shape (3,), or x, y.
+        level: The level of the cell, 0 is the lowest; None to find it by z.
 
-    `position` is world x, y, z [m]; x, y are enough on one level. With a `level`, 0 is the lowest,
-    z is ignored. Returns None outside the grid, and below all of its floors. Raises a QueryError
-    if the level does not exist, or the position is invalid.
+    Raises:
+        QueryError: The level does not exist, or the position is not valid.
     """
-    found = cells_at(grid, position, level)
-    if found.level.ndim:
-        raise QueryError(f"expected one position, got an array of shape {np.shape(position)}")
-    cell = Cell(*(int(v) for v in found))
+    cells = cells_at(grid, position, level)
+    if cells.level.ndim:
+        shape = np.shape(position)
+        raise QueryError(
+            f"expected one position, got an array of shape {shape}",
+            key="position",
+            value=position,
+            expected="one position",
+        )
+    cell = Cell(int(cells.level), int(cells.row), int(cells.col))
     return cell if cell.level >= 0 else None
 
 
 def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> Cells:
-    """Find the cells of positions, shape (..., 3), or (..., 2) on one level; see `cell_at`.
+    """Return the cells of positions; see `GridBase.cells_at`.
 
-    Returns level, row and column, each of shape (...), int64; -1 for no cell.
+    Args:
+        grid: The grid.
+        positions: World x, y, z [m], shape (..., 3), or x, y.
+        level: The level of all cells, 0 is the lowest; None to find each by z.
+
+    Returns:
+        Level, row and column, each of shape (...), int64; -1 for no cell.
+
+    Raises:
+        QueryError: The level does not exist, or a position is not valid.
     """
-    p = check_positions(positions, len(grid.levels), level)
-    flat = p.reshape(-1, p.shape[-1])
-    if level is None and p.shape[-1] == 3:
-        found = _cells_under(grid, flat)
+    checked = check_positions(positions, len(grid.levels), level)
+    flat = checked.reshape(-1, checked.shape[-1])
+    if level is None and checked.shape[-1] == 3:
+        cells = _cells_below(grid, flat)
     else:
-        found = _cells_on(grid, level or 0, flat)
-    return Cells(*(v.reshape(p.shape[:-1]) for v in found))
+        cells = _cells_on_level(grid, level or 0, flat)
+    shape = checked.shape[:-1]
+    return Cells(cells[0].reshape(shape), cells[1].reshape(shape), cells[2].reshape(shape))
 
 
-def position_of(
-    grid: GridBase, cells: Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
-) -> Float:
-    """World positions of cells' centres, on the floor: x, y, z [m], shape (..., 3), float64.
+def position_of(grid: GridBase, cells: CellsLike) -> Float:
+    """Return the centres of cells, on the floor; see `GridBase.position_of`.
 
-    z is the level's ground where there is no floor. `cells` are one, or many of shape (...); a
-    tuple (level, row, col) is enough. Raises a QueryError if one does not exist.
+    Args:
+        grid: The grid.
+        cells: Level, row and column, of shape (...).
+
+    Returns:
+        World x, y, z [m], shape (..., 3), float64.
+
+    Raises:
+        QueryError: A cell does not exist.
     """
-    level, row, col = check_cells(grid, cells)
-    positions = np.empty((*level.shape, 3), dtype=np.float64)
-    for number, part in enumerate(grid.levels):
-        here = level == number
-        floor = _floors(part, row[here], col[here])
-        positions[here, :2] = part.lattice.positions(row[here], col[here])
-        positions[here, 2] = np.where(np.isnan(floor), part.ground, floor)
+    checked = check_cells(grid, cells)
+    positions = np.empty((*checked.level.shape, 3), dtype=np.float64)
+    for number, level in enumerate(grid.levels):
+        is_on_level = checked.level == number
+        rows = checked.row[is_on_level]
+        cols = checked.col[is_on_level]
+        floor = _floors(level, rows, cols)
+        positions[is_on_level, :2] = level.lattice.positions(rows, cols)
+        positions[is_on_level, 2] = np.where(np.isnan(floor), level.ground, floor)
     return positions
 
 
-def check_cells(
-    grid: GridBase, cells: Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
-) -> Cells:
-    """Check that cells exist, and broadcast them to one shape, int64."""
+def check_cells(grid: GridBase, cells: CellsLike) -> Cells:
+    """Check that cells exist, and broadcast them to one shape, int64.
+
+    Args:
+        grid: The grid.
+        cells: Level, row and column, of shapes that can be broadcast.
+
+    Raises:
+        QueryError: They are no integers, or a cell does not exist.
+    """
     try:
-        arrays = np.broadcast_arrays(*(np.asarray(v) for v in cells))
+        arrays = np.broadcast_arrays(*(np.asarray(axis) for axis in cells))
     except (TypeError, ValueError):
         arrays = ()
-    if len(arrays) != 3 or any(v.dtype.kind not in "iu" and v.size for v in arrays):
-        raise QueryError(f"expected cells as (level, row, col), whole numbers, got {cells!r}")
-    level, row, col = found = Cells(*(v.astype(np.int64) for v in arrays))
-    known = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
-    shapes = np.array([part.shape for part in grid.levels])[np.where(known, level, 0)]
-    known &= (row < shapes[..., 0]) & (col < shapes[..., 1])
-    if not known.all():
-        first = tuple(int(v[~known].ravel()[0]) for v in found)
-        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r}")
-    return found
+    if len(arrays) != 3 or any(array.dtype.kind not in "iu" and array.size for array in arrays):
+        expected = "cells as (level, row, col), whole numbers"
+        raise QueryError(
+            f"expected {expected}, got {cells!r}", key="cells", value=cells, expected=expected
+        )
+    checked = Cells(*(array.astype(np.int64) for array in arrays))
+    level, row, col = checked
+    exists = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
+    # any level's shape stands in for that of a level that does not exist
+    shapes = np.array([each.shape for each in grid.levels])[np.where(exists, level, 0)]
+    exists &= (row < shapes[..., 0]) & (col < shapes[..., 1])
+    if not exists.all():
+        missing = tuple(int(axis[~exists].ravel()[0]) for axis in checked)
+        raise QueryError(
+            f"no cell (level, row, col) = {missing} in {grid.scene_id!r}",
+            key="cells",
+            value=missing,
+        )
+    return checked
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
-    """World positions [m] as float64, shape (..., 3); (..., 2) with one level or a given one."""
+    """Check world positions, and return them as an array.
+
+    Args:
+        positions: World x, y, z [m], shape (..., 3); (..., 2) with a level or on one level.
+        num_levels: Number of levels of the grid.
+        level: The level that they are on, 0 is the lowest; None to find it by z.
+
+    Returns:
+        The positions, shape (..., 3) or (..., 2), float64.
+
+    Raises:
+        QueryError: The level does not exist, or a position is not valid.
+    """
     check_level(level, num_levels)
     try:
-        p = np.asarray(positions, dtype=np.float64)
+        checked = np.asarray(positions, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        hint = "; names like room:NAME are goals, not places" if isinstance(positions, str) else ""
-        expected = "expected world positions x, y, z [m]"
-        raise QueryError(f"{expected}, got {positions!r}{hint}") from error
-    if p.ndim == 0 or p.shape[-1] not in (2, 3):
-        raise QueryError(f"expected world positions of shape (..., 3) [m], got {p.shape}")
-    if p.shape[-1] == 2 and num_levels > 1 and level is None:
+        expected = "world positions x, y, z [m]"
+        hint = None
+        message = f"expected {expected}, got {positions!r}"
+        if isinstance(positions, str):
+            hint = "names like room:NAME are goals, not places"
+            message += f"; {hint}"
+        raise QueryError(
+            message, key="position", value=positions, expected=expected, hint=hint
+        ) from error
+    if checked.ndim == 0 or checked.shape[-1] not in (2, 3):
+        expected = "world positions of shape (..., 3) [m]"
+        raise QueryError(
+            f"expected {expected}, got {checked.shape}",
+            key="position",
+            value=positions,
+            expected=expected,
+        )
+    if checked.shape[-1] == 2 and num_levels > 1 and level is None:
         raise QueryError(
             f"expected x, y, z or a level, got x, y: the grid has {num_levels} levels, 0 to "
-            f"{num_levels - 1}"
+            f"{num_levels - 1}",
+            key="position",
+            value=positions,
+            expected="x, y, z or a level",
         )
-    finite = np.isfinite(p)
-    if not finite.all():
-        first = p[~finite.all(axis=-1)][0] if p.ndim > 1 else p
+    is_finite = np.isfinite(checked)
+    if not is_finite.all():
+        faulty = checked[~is_finite.all(axis=-1)][0] if checked.ndim > 1 else checked
+        text = ", ".join(f"{coordinate:g}" for coordinate in faulty)
+        expected = "a position of finite numbers"
         raise QueryError(
-            f"expected a position of finite numbers, got {', '.join(f'{v:g}' for v in first)}"
+            f"expected {expected}, got {text}",
+            key="position",
+            value=tuple(faulty.tolist()),
+            expected=expected,
         )
-    return p
+    return checked
 
 
 def check_level(level: int | None, num_levels: int) -> None:
-    """Raise a QueryError for an unknown level."""
-    if level is not None and not (isinstance(level, int | np.integer) and 0 <= level < num_levels):
-        raise QueryError(f"no level {level!r}: expected 0 to {num_levels - 1}")
+    """Raise a QueryError for a level that does not exist.
+
+    Args:
+        level: Number of the level, 0 is the lowest; None passes.
+        num_levels: Number of levels of the grid.
+    """
+    if level is None:
+        return
+    if not isinstance(level, int | np.integer) or not 0 <= level < num_levels:
+        expected = f"0 to {num_levels - 1}"
+        raise QueryError(
+            f"no level {level!r}: expected {expected}", key="level", value=level, expected=expected
+        )
 
 
-def _cells_under(grid: GridBase, p: Float) -> Int:
-    """Cells of the nearest floors at or below positions, shape (n, 3); returns as `_cells_on`."""
-    # float32 moved the floors, in proportion to their height
-    limit = p[:, 2] + grid.max_step + STEP_SLACK + np.abs(p[:, 2]) * ROUNDING
-    found, on_ground = np.full((2, 3, len(p)), -1, dtype=np.int64)
-    highest, highest_ground = np.full((2, len(p)), -np.inf)
-    # the highest floor so far below each position's limit; grounds count only without such a floor
-    for number, part in enumerate(grid.levels):
-        cells = _cells_on(grid, number, p)
-        inside = cells[0] >= 0
-        floor = np.full(len(p), np.nan)
-        floor[inside] = _floors(part, *cells[1:, inside])
-        nearer = (floor <= limit) & (floor > highest)  # False for NaN
-        highest[nearer] = floor[nearer]
-        found[:, nearer] = cells[:, nearer]
-        nearer = inside & np.isnan(floor) & (part.ground <= limit) & (part.ground > highest_ground)
-        highest_ground[nearer] = part.ground
-        on_ground[:, nearer] = cells[:, nearer]
-    return np.where(found[0] >= 0, found, on_ground)
+def _cells_below(grid: GridBase, positions: Float) -> Int:
+    """The cells of the nearest floors at or below positions, shape (n, 3).
+
+    Returns level, row and column, shape (3, n); -1 for no cell.
+    """
+    z = positions[:, 2]
+    # float32 moved the floors of files, in proportion to their height
+    limit = z + grid.max_step + STEP_SLACK + np.abs(z) * FLOAT32_ROUNDING
+    num_positions = len(positions)
+    cells_on_floor = np.full((3, num_positions), -1, dtype=np.int64)
+    cells_on_ground = np.full((3, num_positions), -1, dtype=np.int64)
+    highest_floor = np.full(num_positions, -np.inf)
+    highest_ground = np.full(num_positions, -np.inf)
+    # the highest floor below each limit counts; a ground counts only if there is no such floor
+    for number, level in enumerate(grid.levels):
+        cells = _cells_on_level(grid, number, positions)
+        is_inside = cells[0] >= 0
+        floor = np.full(num_positions, np.nan)
+        floor[is_inside] = _floors(level, cells[1, is_inside], cells[2, is_inside])
+        is_nearer = (floor <= limit) & (floor > highest_floor)  # False for NaN
+        highest_floor[is_nearer] = floor[is_nearer]
+        cells_on_floor[:, is_nearer] = cells[:, is_nearer]
+        has_ground_only: Bool = is_inside & np.isnan(floor)
+        is_nearer = has_ground_only & (level.ground <= limit) & (level.ground > highest_ground)
+        highest_ground[is_nearer] = level.ground
+        cells_on_ground[:, is_nearer] = cells[:, is_nearer]
+    return np.where(cells_on_floor[0] >= 0, cells_on_floor, cells_on_ground)
 
 
-def _cells_on(grid: GridBase, level: int, p: Float) -> Int:
+def _cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
     """Level, row and column of positions on a level, shape (3, n); -1 outside its rectangle."""
-    x_min, y_max, cell_size, width, height = grid.levels[level].lattice
-    row = np.floor((y_max - p[:, 1]) / cell_size)
-    col = np.floor((p[:, 0] - x_min) / cell_size)
-    # compare as floats: far positions overflow int64
-    inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-    return np.where(inside, (np.full(len(p), level), row, col), -1.0).astype(np.int64)
+    x_min, y_max, cell_size, width, height = grid.levels[number].lattice
+    row = np.floor((y_max - positions[:, 1]) / cell_size)
+    col = np.floor((positions[:, 0] - x_min) / cell_size)
+    # compared as floats: far positions overflow int64
+    is_inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    level = np.full(len(positions), number)
+    return np.where(is_inside, (level, row, col), -1.0).astype(np.int64)
 
 
 def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
-    """Floors of cells [m]; the ground if the level has no cell floors."""
+    """Floors of cells [m], NaN for none; the ground if the level has no floors of cells."""
     if not level.uses_cell_floors:
         return np.full(rows.shape, level.ground)
     return level.attributes["floorHeight"][rows, cols].astype(np.float64) * level.unit
@@ -181,83 +282,131 @@ def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
 
 @dataclass(frozen=True)
 class Place:
-    """The layers of a grid in one cell."""
+    """All layers of a grid in one cell.
 
-    cell: Cell  #: Level, row and column.
-    floor: float | None  #: World z of the floor [m], None where there is none.
-    free: bool  #: An agent can stand here.
-    occupied: bool  #: Something stands in the agent's way.
-    weight: float  #: Cost of the cell, infinite where it isn't free.
-    room: str | None  #: Id of the room in the grid's `rooms`, None for none.
-    area: str | None  #: Name of the area in the grid's `areas`, None for none.
-    grid: NavGrid = field(repr=False, compare=False)  #: The grid.
+    Attributes:
+        cell: Level, row and column.
+        floor: World z of the floor [m]; None where there is none.
+        free: Whether an agent can stand in the cell.
+        occupied: Whether something stands in the agent's way.
+        weight: Cost of the cell, inf where it is not free.
+        room: Id of the room in the grid's `rooms`; None for no room.
+        area: Name of the area in the grid's `areas`; None for no area.
+        grid: The grid.
+    """
+
+    cell: Cell
+    floor: float | None
+    free: bool
+    occupied: bool
+    weight: float
+    room: str | None
+    area: str | None
+    grid: NavGrid = field(repr=False, compare=False)
 
     @property
     def island(self) -> int | None:
-        """Number of the connected part, from 1, the largest; None where the cell isn't free."""
+        """Number of the connected part, from 1, the largest; None where the cell is not free."""
+        if not self.free:
+            return None
         level, row, col = self.cell
-        return int(islands_of(self.grid)[level][row, col]) or None if self.free else None
+        return int(islands_of(self.grid)[level][row, col]) or None
 
     @property
     def is_blocked(self) -> bool:
-        """Whether `grid.block` currently blocks the cell."""
+        """Whether an obstacle of `grid.block` currently blocks the cell."""
         level, row, col = self.cell
         state = self.grid.levels[level].obstacle_state
         return state is not None and bool(state.mask_of(BLOCKED)[row, col])
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
-    """Look up all layers in the cell of a position; see `cell_at`."""
+    """Return all layers in the cell of a position; see `GridBase.at`.
+
+    Args:
+        grid: The grid.
+        position: As of `cell_at`.
+        level: As of `cell_at`.
+    """
     cell = cell_at(grid, position, level)
     return None if cell is None else place_in(grid, cell)
 
 
 def place_in(grid: NavGrid, cell: Cell) -> Place:
-    part = grid.levels[cell.level]
-    at = (cell.row, cell.col)
-    floor = float(part.floor_height[at])
-    weight = float(part.weights[at])
-    free = math.isfinite(weight)
-    index = int(part.room_index[at])
-    area = int(part.area_index[at])
-    of_table = (r.id for r in grid.stated_rooms or () if (r.level, r.index) == (cell.level, index))
+    """Return all layers in a cell.
+
+    Args:
+        grid: The grid.
+        cell: A cell that exists.
+    """
+    level = grid.levels[cell.level]
+    floor = float(level.floor_height[cell.row, cell.col])
+    weight = float(level.weights[cell.row, cell.col])
+    is_free = math.isfinite(weight)
+    area = int(level.area_index[cell.row, cell.col])
     return Place(
         cell=cell,
-        floor=None if math.isnan(floor) else floor * part.unit,
-        free=free,
-        occupied=bool(part.occupancy[at]),
-        weight=weight if free else math.inf,
-        room=next(of_table, f"{cell.level}:{index}") if index else None,
+        floor=None if math.isnan(floor) else floor * level.unit,
+        free=is_free,
+        occupied=bool(level.occupancy[cell.row, cell.col]),
+        weight=weight if is_free else math.inf,
+        room=_room_id(grid, cell),
         area=grid.areas[area - 1].name if 0 < area <= len(grid.areas) else None,
         grid=grid,
     )
 
 
+def _room_id(grid: NavGrid, cell: Cell) -> str | None:
+    """The id of a cell's room, ``level:index`` for a room without an entry; None for no room."""
+    index = int(grid.levels[cell.level].room_index[cell.row, cell.col])
+    if not index:
+        return None
+    for room in grid.stated_rooms or ():
+        if room.level == cell.level and room.index == index:
+            return room.id
+    return f"{cell.level}:{index}"
+
+
 def values_at(
     grid: NavGrid, layer: str, positions: ArrayLike, level: int | None = None
 ) -> NDArray[Any]:
-    """Look up one layer at positions as `cells_at` takes them.
+    """Return one layer at many positions; see `GridBase.values_at`.
 
-    Layers are ``floor`` (world z [m], float64), ``free`` (bool), ``occupancy`` (uint8), ``weight``
-    (float64), ``room`` (its number on its level, uint16), ``island`` (int32), ``clearance`` ([m],
-    float32, as `navbake.navgrid.islands.clearance`), or a stored attribute by its name in the
-    file. Shape (...). Outside the grid: NaN, False, 1, inf, 0, 0, 0; of an attribute NaN or 0,
-    by its dtype. Raises QueryError for an unknown layer.
+    Args:
+        grid: The grid.
+        layer: A name of `LAYERS`, or of an attribute as the file stores it.
+        positions: As of `cells_at`.
+        level: As of `cells_at`.
+
+    Returns:
+        The values, shape (...).
+
+    Raises:
+        QueryError: The layer or the level does not exist, or a position is not valid.
     """
     cells = cells_at(grid, positions, level)
-    find, outside = LAYERS.get(layer, (None, None))
-    # an attribute, of all levels in one dtype; some may not have it
-    layers = find(grid) if find else [part.attributes.get(layer) for part in grid.levels]
-    arrays = {number: array for number, array in enumerate(layers) if array is not None}
+    outside: float | None = None
+    arrays: dict[int, NDArray[Any]] = {}  # by level; some may not have the attribute
+    if layer in LAYERS:
+        outside = LAYERS[layer].outside
+        arrays = dict(enumerate(LAYERS[layer].make(grid)))
+    else:
+        for number, of_level in enumerate(grid.levels):
+            if layer in of_level.attributes:
+                arrays[number] = of_level.attributes[layer]
     if not arrays:
-        known = [*LAYERS, *(key for part in grid.levels for key in part.attributes)]
-        hint = suggest(layer, known, limit=len(known))
-        raise QueryError(f"no layer {layer!r} in {grid.scene_id!r}: {hint}")
+        names = [*LAYERS]
+        for of_level in grid.levels:
+            names += of_level.attributes
+        hint = suggest(layer, names, limit=len(names))
+        raise QueryError(
+            f"no layer {layer!r} in {grid.scene_id!r}: {hint}", key="layer", value=layer, hint=hint
+        )
     dtype = np.result_type(*arrays.values())
     if outside is None:
         outside = np.nan if dtype.kind == "f" else 0
     values = np.full(cells.level.shape, outside, dtype=dtype)
     for number, array in arrays.items():
-        here = cells.level == number
-        values[here] = array[cells.row[here], cells.col[here]]
+        is_on_level = cells.level == number
+        values[is_on_level] = array[cells.row[is_on_level], cells.col[is_on_level]]
     return values

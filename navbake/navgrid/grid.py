@@ -1,9 +1,11 @@
-"""Navigation grids in memory.
+"""Navigation grids in memory: `SceneGrid2D` of one level, and `MultiLevelGrid` of several.
 
 Arrays are ``[row, col]``, shape (height, width): col along file X, row along file Z. Arrays,
 `cell_size`, `min_yup` and `bbox_yup` are as in the file: y up, in file units (metres in every
 file that navbake writes). Positions in methods are in the world frame: z up, metres;
 `SceneGrid2D.lattice` converts between the two.
+
+This folder imports nothing of the folders above it but in `navbake.navgrid.grid_methods`.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 from weakref import WeakSet
 
 import numpy as np
@@ -41,7 +43,9 @@ if TYPE_CHECKING:
 
 Table = TypeVar("Table")
 
-MAX_RADIUS = 10_000.0  # [m]
+MAX_RADIUS = 10_000.0  # of an agent [m]
+DEFAULT_HEIGHT = 1.14  # of an agent, where a file states none [m]
+DEFAULT_STEP = 0.25  # the highest step of an agent, where a file states none [m]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -49,32 +53,42 @@ class GridBase(GridMethods):
     """Common base of grids of one level and of several.
 
     Its `rooms`, `doors`, `steps`, `links`, `areas` and `agents` are tables of the file, which are
-    read when first asked for: they raise a FormatError if the file's table is broken.
+    parsed on first access: they raise a FormatError if the table of the file is broken.
+
+    Attributes:
+        cell_size: Edge of a cell [file units], > 0.
+        unit: Metres per file unit, > 0.
+        metadata: The metadata, as in the file.
+        timings: The timings, as in the file; comparisons of grids ignore them.
+        extra: Fields of the file that are not the format's own; they are written back.
+        cached_islands: The last result of `navbake.navgrid.islands.islands_of`, after the digest of
+            what it depends on.
+        obstacles: The current obstacles, each a `navbake.runtime.blocking.AddedObstacle`.
+        fitted_grids: Grids that were made of this one for agents of other sizes, and whose
+            obstacles follow those of this one.
     """
 
-    cell_size: float  #: Edge of a cell [file units], > 0.
-    unit: float = 1.0  #: Metres per file unit, > 0.
-    metadata: Json = field(default_factory=dict, repr=False)  #: As in the file.
-    #: As in the file; they don't count in comparisons of grids.
+    cell_size: float
+    unit: float = 1.0
+    metadata: Json = field(default_factory=dict, repr=False)
     timings: Json = field(default_factory=dict, repr=False)
-    #: Fields of the file that are not the format's own; they are written back.
     extra: Json = field(default_factory=dict, repr=False)
-    #: The last result of `navbake.navgrid.islands.islands_of`, after its digest.
     cached_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
-    #: The current blocks, and grids made of this one for agents of other sizes, which follow them.
     obstacles: list[Any] = field(default_factory=list, init=False, repr=False)
-    fitted_grids: WeakSet[Any] | None = field(default=None, init=False, repr=False)
-    _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
+    fitted_grids: WeakSet[NavGrid] | None = field(default=None, init=False, repr=False)
+    # parsed tables by name, each after the entries of the metadata that it was parsed of
+    _tables: dict[str, tuple[object, object]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
-        """Leave out caches and blocks in copies and pickles."""
-        without: Json = {
+        """Leave caches and obstacles out of copies and pickles."""
+        return {
+            **self.__dict__,
             "cached_islands": None,
-            "_tables": {},
             "obstacles": [],
             "fitted_grids": None,
+            "obstacle_state": None,
+            "_tables": {},
         }
-        return {**self.__dict__, **without, "obstacle_state": None}
 
     @property
     def levels(self) -> list[SceneGrid2D]:
@@ -82,54 +96,64 @@ class GridBase(GridMethods):
         raise NotImplementedError
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Replace the levels by as many others, see `SceneGrid2D.with_layers`.
+        """Return the grid with other levels, as many as it has; see `SceneGrid2D.with_layers`.
 
-        Metadata are unchanged if None; levels that took theirs over from the grid take over these.
+        Args:
+            levels: The new levels, lowest first.
+            metadata: The new metadata of the grid; None to keep them. Levels that inherited their
+                metadata from the grid inherit these.
         """
         raise NotImplementedError
 
     @property
     def is_blocked(self) -> bool:
-        """Whether any cell is currently blocked."""
-        return any(
-            level.obstacle_state and level.obstacle_state.is_blocked for level in self.levels
-        )
+        """Whether an obstacle currently blocks a cell."""
+        states = [level.obstacle_state for level in self.levels]
+        return any(state is not None and state.is_blocked for state in states)
 
     def without_blocks(self) -> Self:
-        """The grid without blocks; itself if it has none."""
+        """Return the grid without obstacles; itself if it has none."""
         if not self.is_blocked:
             return self
         return self.with_levels([level.unblocked() for level in self.levels])
 
     @property
     def scene_id(self) -> str | None:
-        """The scene's name, if the file has one."""
+        """The name of the scene; None if the file has none."""
         name = self.metadata.get("sceneId")
         return name if isinstance(name, str) else None
 
     @property
     def agent_height(self) -> float:
         """Height of the grid's agent [m]; 1.14 if the file states none."""
-        return self._metres("agentHeight") or 1.14
+        return self._length("agentHeight") or DEFAULT_HEIGHT
 
     @property
     def agent_radius(self) -> float:
         """Radius of the agent of the bake [m]; 0 if the file states none."""
-        return self._metres("agentRadius") or 0.0
+        return self._length("agentRadius") or 0.0
 
     @property
     def exact_inflations(self) -> list[Json]:
-        """What the metadata note of each inflation in mode ``exact``."""
-        done = self.metadata.get("inflation")  # in files of other programs this may be anything
-        entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
-        return [entry for entry in entries if entry.get("mode") == "exact"]
+        """What the metadata state of each inflation in mode ``exact``."""
+        inflations = self.metadata.get("inflation")
+        if not isinstance(inflations, list):  # files of other programs may hold anything here
+            return []
+        return [
+            inflation
+            for inflation in inflations
+            if isinstance(inflation, dict) and inflation.get("mode") == "exact"
+        ]
 
     @property
     def inflated_radius(self) -> float:
-        """The radius that the grid was inflated for in mode ``exact`` [m]; 0 if it wasn't."""
-        radii = [entry.get("radius") for entry in self.exact_inflations]
-        numbers = (float(r) for r in radii if isinstance(r, int | float))
-        return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
+        """The radius that the grid was inflated for in mode ``exact`` [m]; 0 if it was not."""
+        largest = 0.0
+        for inflation in self.exact_inflations:
+            radius = inflation.get("radius")
+            if isinstance(radius, int | float) and 0 <= radius <= MAX_RADIUS:
+                largest = max(largest, float(radius))
+        return largest
 
     @property
     def radius(self) -> float:
@@ -139,21 +163,21 @@ class GridBase(GridMethods):
     @property
     def max_step(self) -> float:
         """The highest step that the agent takes [m]; 0.25 if the file states none."""
-        stated = self._metres("traversableFloorHeight")
-        return 0.25 if stated is None else stated
+        step = self._length("traversableFloorHeight")
+        return DEFAULT_STEP if step is None else step
 
-    def _metres(self, key: str) -> float | None:
-        """A length of the metadata [m]; None unless from 0 to 1e10 m."""
-        stated = self.metadata.get(key)
-        if not isinstance(stated, int | float) or not 0 <= stated * self.unit <= FARTHEST:
+    def _length(self, key: str) -> float | None:
+        """A length of the metadata [m]; None unless it is from 0 to 1e10 m."""
+        length = self.metadata.get(key)
+        if not isinstance(length, int | float) or not 0 <= length * self.unit <= FARTHEST:
             return None
-        return float(stated) * self.unit
+        return float(length) * self.unit
 
     @property
     def navbake(self) -> Json:
         """The metadata under ``navbake``; {} in files of other programs."""
-        own = self.metadata.get("navbake")
-        return own if isinstance(own, dict) else {}
+        metadata = self.metadata.get("navbake")
+        return metadata if isinstance(metadata, dict) else {}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -162,32 +186,33 @@ class GridBase(GridMethods):
         Each level has those of the whole scene. Changes of the grid (`inflate`, `with_doors`)
         neither add nor remove warnings.
         """
-        stated = self.navbake.get("warnings")
-        lines = stated if isinstance(stated, list) else []
-        return tuple(line for line in lines if isinstance(line, str))
+        warnings = self.navbake.get("warnings")
+        if not isinstance(warnings, list):
+            return ()
+        return tuple(line for line in warnings if isinstance(line, str))
 
     @property
     def rooms(self) -> tuple[Room, ...]:
         """The rooms by level and index, measured from `room_index` if the file has no table."""
-        stated = self.stated_rooms
-        if stated is not None:
-            return stated
-        rooms = (level.measure_rooms(number) for number, level in enumerate(self.levels))
-        return tuple(chain.from_iterable(rooms))
+        rooms = self.stated_rooms
+        if rooms is not None:
+            return rooms
+        measured = (level.measure_rooms(number) for number, level in enumerate(self.levels))
+        return tuple(chain.from_iterable(measured))
 
     @property
     def stated_rooms(self) -> tuple[Room, ...] | None:
-        """The rooms of the file's table, None without one."""
+        """The rooms in the table of the file; None without a table."""
         if self.navbake.get("rooms") is None:
             return None
-        return self._table("rooms", lambda stated: parse_rooms(stated, len(self.levels)))
+        return self._table("rooms", lambda entries: parse_rooms(entries, len(self.levels)))
 
     @property
     def doors(self) -> tuple[Door, ...]:
         """The doors in the file's order."""
         if "doors" not in self.navbake:
             return ()
-        return self._table("doors", lambda stated: parse_doors(stated, self._num_cells))
+        return self._table("doors", lambda entries: parse_doors(entries, self._cell_counts))
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -197,16 +222,18 @@ class GridBase(GridMethods):
     @property
     def step_array(self) -> Int:
         """`steps` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
-        return self._table("links", lambda stated: parse_steps(stated, self._num_cells), "steps")
+        return self._table(
+            "links", lambda entries: parse_steps(entries, self._cell_counts), part="steps"
+        )
 
     @property
     def links(self) -> tuple[Link, ...]:
         """The named links, lifts and others, in the file's order; see `with_links`."""
-        return self._table("links", lambda stated: parse_links(stated, self._num_cells))
+        return self._table("links", lambda entries: parse_links(entries, self._cell_counts))
 
     @property
     def areas(self) -> tuple[Area, ...]:
-        """The areas in the file's order, that of the numbers in `SceneGrid2D.area_index`."""
+        """The areas in the file's order; `SceneGrid2D.area_index` counts them in it."""
         return self._table("areas", parse_areas)
 
     @property
@@ -215,27 +242,35 @@ class GridBase(GridMethods):
         return dict(self._table("agents", parse_agents))
 
     @property
-    def _num_cells(self) -> list[int]:
+    def _cell_counts(self) -> list[int]:
+        """The number of cells of each level."""
         return [level.width * level.height for level in self.levels]
 
     def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
-        """A table of navbake's metadata, or part of it, parsed once for each metadata object."""
-        stated = self.navbake.get(name)
+        """Parse a table of the metadata, once for each object that holds its entries.
+
+        Args:
+            name: Key of the table under ``navbake``.
+            parse: Converts the entries.
+            part: Name of the part that `parse` returns, if a table has several.
+        """
+        entries = self.navbake.get(name)
         key = part or name
-        if key not in self._tables or self._tables[key][0] is not stated:
-            self._tables[key] = (stated, parse(stated))
-        found: Table = self._tables[key][1]
-        return found
+        if key not in self._tables or self._tables[key][0] is not entries:
+            self._tables[key] = (entries, parse(entries))
+        return cast("Table", self._tables[key][1])
 
     @property
     def level_names(self) -> list[str]:
         """The levels' names, lowest first; ``level 0``, ``level 1``, … if the file has none."""
-        stated = self.navbake.get("levels")
-        entries = stated if isinstance(stated, list) else []
         names = [f"level {number}" for number in range(len(self.levels))]
+        entries = self.navbake.get("levels")
+        if not isinstance(entries, list):
+            return names
         for number, entry in enumerate(entries[: len(names)]):
             name = entry.get("name") if isinstance(entry, dict) else None
-            names[number] = name if isinstance(name, str) and name else names[number]
+            if isinstance(name, str) and name:
+                names[number] = name
         return names
 
     @property
@@ -245,9 +280,10 @@ class GridBase(GridMethods):
 
 
 class DerivedWeights:
-    """The attribute `SceneGrid2D.weights`: as given, else derived from the occupancy on first use.
+    """The attribute `SceneGrid2D.weights`, which may be derived from the occupancy on first use.
 
-    A million of them take as long to write as the rest of a small update.
+    Deriving the weights of a million cells takes as long as the rest of a small update, which does
+    not need them.
     """
 
     def __get__(self, level: SceneGrid2D, owner: type | None = None) -> NDArray[Any]:
@@ -257,39 +293,50 @@ class DerivedWeights:
             level.__dict__["weights"] = weights
         return np.asarray(weights)
 
-    def __set__(self, level: SceneGrid2D, weights: Any) -> None:
+    def __set__(self, level: SceneGrid2D, weights: NDArray[Any] | DerivedWeights | None) -> None:
         level.__dict__["weights"] = None if weights is self else weights
 
 
 DERIVED: Any = DerivedWeights()
-"""In place of the weights of a level: 1 where its occupancy is 0, inf elsewhere."""
+"""Stands for the weights of a level: 1 where its occupancy is 0, inf elsewhere."""
 
 
 @dataclass(eq=False, kw_only=True)
 class SceneGrid2D(GridBase):
-    """The navigation grid of one level."""
+    """The navigation grid of one level.
 
-    width: int  #: Number of columns, >= 1.
-    height: int  #: Number of rows, >= 1.
-    min_yup: Vector3  #: Lower corner of cell 0, file frame [file units]; Y is the level's ground.
-    #: Lower and upper corner of the level, file frame [file units], or None.
+    Attributes:
+        width: Number of columns, >= 1.
+        height: Number of rows, >= 1.
+        min_yup: Lower corner of cell 0, file frame [file units]; its Y is the level's ground.
+        bbox_yup: Lower and upper corner of the level, file frame [file units], or None.
+        weights: Costs of cells, shape (height, width), float32 or float64; inf where an agent can't
+            stand. If they are not given, 1 where the occupancy is 0, else inf.
+        attributes: Further layers by name (``floorHeight``, …), shape (height, width), with dtypes
+            of their own.
+        user_data: The file's data of single cells, by cell id; parsed on first use.
+        obstacle_state: The obstacles on the level; None before the first `block`.
+    """
+
+    width: int
+    height: int
+    min_yup: Vector3
     bbox_yup: tuple[Vector3, Vector3] | None = None
-    #: Costs of cells, shape (height, width), float32 or float64; inf where an agent can't stand.
-    #: Without them, 1 where the occupancy is 0.
     weights: NDArray[Any] = field(default=DERIVED, repr=False)
-    #: Further layers by name (``floorHeight``, …), shape (height, width), own dtypes.
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    #: The file's data of single cells, by cell id; parsed on first use.
     user_data: MutableMapping[int, Json] = field(default_factory=UserData, repr=False)
-    #: The blocks of its cells, None before the first.
     obstacle_state: ObstacleState | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        given = {"weights": self.__dict__["weights"], **self.attributes}
-        for name, array in given.items():
+        layers = {"weights": self.__dict__["weights"], **self.attributes}
+        for name, array in layers.items():
             if array is not None and array.shape != self.shape:
+                expected = f"(height, width) = {self.shape}"
                 raise FormatError(
-                    f"{name} has shape {array.shape}, expected (height, width) = {self.shape}"
+                    f"{name} has shape {array.shape}, expected {expected}",
+                    key=name,
+                    value=array.shape,
+                    expected=expected,
                 )
 
     @property
@@ -299,13 +346,14 @@ class SceneGrid2D(GridBase):
 
     @property
     def levels(self) -> list[SceneGrid2D]:
+        """The level itself, as the only one of a list."""
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
+        """Return another level in place of this one, with other metadata unless they are None."""
         (level,) = levels
-        derived: Any = level if metadata is None else level.with_layers(metadata=metadata)
-        own: Self = derived
-        return own
+        changed = level if metadata is None else level.with_layers(metadata=metadata)
+        return cast("Self", changed)
 
     def with_layers(
         self,
@@ -315,48 +363,59 @@ class SceneGrid2D(GridBase):
         user_data: MutableMapping[int, Json] | None = None,
         metadata: Json | None = None,
     ) -> Self:
-        """Replace layers of the level; None leaves a layer as it is.
+        """Return the level with other layers; None leaves a layer as it is.
 
-        `attributes` are added or replaced one by one. The new level shares arrays with this one,
-        except those that `block` changes in place once it was called here.
+        The new level shares its arrays with this one, except those that `block` changes in place
+        once it was called here.
+
+        Args:
+            weights: The new weights, shape (height, width).
+            attributes: Attributes to add or replace, by name, shape (height, width).
+            user_data: The new data of single cells, by cell id.
+            metadata: The new metadata.
         """
-        kept = dict(self.attributes)
+        layers = dict(self.attributes)
         if self.obstacle_state is not None:
-            kept |= {name: kept[name].copy() for name in CHANGING & kept.keys()}
+            for name in CHANGING & layers.keys():
+                layers[name] = layers[name].copy()
             weights = self.weights.copy() if weights is None else weights
         if weights is None:
-            # what isn't derived yet is derived from the new level's occupancy, if that is the same
-            is_other = attributes is not None and "occupancy" in attributes
-            weights = self.weights if is_other else self.__dict__["weights"]
+            # weights that are not derived yet are derived from the occupancy of the new level, if
+            # that is the same
+            is_replaced = attributes is not None and "occupancy" in attributes
+            weights = self.weights if is_replaced else self.__dict__["weights"]
         return replace(
             self,
             weights=DERIVED if weights is None else weights,
-            attributes={**kept, **(attributes or {})},
+            attributes={**layers, **(attributes or {})},
             user_data=self.user_data if user_data is None else user_data,
             metadata=self.metadata if metadata is None else metadata,
         )
 
     def unblocked(self) -> Self:
-        """The level without blocks; itself if it has none."""
+        """Return the level without obstacles; itself if it has none."""
         state = self.obstacle_state
         if state is None or not state.is_blocked:
             return self
         occupied = {
-            name: np.where(state.mask_of(OCCUPIED), clean, self.attributes[name])
-            for name, clean in state.occupied.items()
+            name: np.where(state.mask_of(OCCUPIED), without_obstacles, self.attributes[name])
+            for name, without_obstacles in state.occupied.items()
         }
         weights = np.where(state.mask_of(BLOCKED), state.weights, self.weights)
         return self.with_layers(weights=weights, attributes=occupied)
 
     @property
     def uses_cell_floors(self) -> bool:
-        """Whether cells have own floors, and the metadata lack ``useCellFloorHeight: false``."""
-        stated = self.metadata.get("useCellFloorHeight")
-        return "floorHeight" in self.attributes and stated is not False
+        """Whether cells have floors of their own.
+
+        They do if the file has ``floorHeight``, and does not say ``useCellFloorHeight: false``.
+        """
+        is_used = self.metadata.get("useCellFloorHeight")
+        return "floorHeight" in self.attributes and is_used is not False
 
     @property
     def lattice(self) -> Lattice:
-        """The cells' positions in the world [m]."""
+        """The positions of the cells in the world [m]."""
         # 0.0 - z, because -z would turn 0.0 into -0.0
         x_min = self.min_yup[0] * self.unit
         y_max = 0.0 - self.min_yup[2] * self.unit
@@ -383,9 +442,11 @@ class SceneGrid2D(GridBase):
         stored = self.attributes.get("floorHeight")
         if stored is None or not self.uses_cell_floors:
             has_floor = self.free if stored is None else self.free | ~np.isnan(stored)
-            return _derived(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
-        with np.errstate(over="ignore"):  # overflows float32 to infinity
-            return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
+            return _read_only(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
+        if stored.dtype == np.float32:
+            return stored
+        with np.errstate(over="ignore"):  # what float32 can't hold becomes infinite
+            return _read_only(stored.astype(np.float32))
 
     @property
     def floor(self) -> Float:
@@ -393,12 +454,17 @@ class SceneGrid2D(GridBase):
         return self.floor_of(slice(None), slice(None))
 
     def floor_of(self, rows: Int | slice, cols: Int | slice) -> Float:
-        """World z of the floor of some cells [m], float64, NaN for no floor; see `floor_height`."""
+        """Return world z of the floor of some cells [m], float64, NaN for no floor.
+
+        Args:
+            rows: The rows of the cells, as an index of `floor_height`.
+            cols: Their columns.
+        """
         return self.floor_height[rows, cols].astype(np.float64) * self.unit
 
     @property
     def floor_or_ground(self) -> Float:
-        """World z of the floor, or of the level's ground where there is none [m]; as `floor`."""
+        """World z of the floor [m], of the level's ground where there is none; as `floor`."""
         floor = self.floor
         return np.where(np.isnan(floor), self.ground, floor)
 
@@ -406,69 +472,76 @@ class SceneGrid2D(GridBase):
     def occupancy(self) -> NDArray[np.uint8]:
         """1 for an obstacle in the agent's way, shape (height, width), uint8.
 
-        A file without ``occupancy`` is occupied at infinite weights; one with another dtype where
-        it is not 0. Read-only unless it is the attribute itself.
+        If the file has no ``occupancy``, cells of infinite weight are occupied; if it has one of
+        another dtype, cells where it is not 0. Read-only unless it is the attribute itself.
         """
-        return _flags(self.attributes.get("occupancy", ~self.free))
+        return _as_flags(self.attributes.get("occupancy", ~self.free))
 
     @property
     def solid(self) -> NDArray[np.uint8]:
         """1 where a geom overlaps the cell's square or there is no floor, uint8 as `occupancy`.
 
-        A bake stores it if the disc of its `agentRadius` reaches beyond the square; else it is
-        `occupancy`. Inflation for other agents starts from it. Read-only unless it is the attribute
-        itself.
+        A bake stores this layer if the disc of its `agentRadius` reaches beyond the square;
+        otherwise it equals `occupancy`. Inflation for other agents starts from it. Read-only unless
+        it is the attribute itself.
         """
         stored = self.attributes.get("solid")
         if stored is None or not self.navbake:  # other programs may use the name for anything
             return self.occupancy
-        return _flags(stored)
+        return _as_flags(stored)
 
     @property
     def free_for_point(self) -> Bool:
-        """Where an agent without a radius can stand, as far as the file has it; bool.
+        """Where an agent without a radius can stand, as far as the file shows it; bool.
 
         These are the free cells and, with a layer ``solid``, those that only the disc of the baked
-        radius or the margin of a block closed. Cells closed by an inflation stay closed.
+        radius or the margin of an obstacle closed. Cells that an inflation closed stay closed.
         """
         free = self.free
         if "solid" not in self.attributes or not self.navbake or "inflation" in self.metadata:
             return free
-        by_radius = self.occupancy != 0
+        is_closed = self.occupancy != 0
         if self.obstacle_state is not None:
-            by_radius |= self.obstacle_state.mask_of(BLOCKED)
-        return np.asarray(free | (by_radius & (self.solid == 0)))
+            is_closed |= self.obstacle_state.mask_of(BLOCKED)
+        return np.asarray(free | (is_closed & (self.solid == 0)))
 
     @property
     def room_index(self) -> NDArray[np.uint16]:
         """The room of each cell from 1, 0 for none, shape (height, width), uint16.
 
-        All 0 without ``roomIndex``; in other dtypes, values beyond uint16 are 0, too. Read-only
-        unless it is the attribute itself.
+        All 0 if the file has no ``roomIndex``; values of other dtypes beyond uint16 are 0 as well.
+        Read-only unless it is the attribute itself.
         """
-        return self._numbers("roomIndex", np.uint16)
+        return self._index_layer("roomIndex", np.uint16)
 
     @property
     def area_index(self) -> NDArray[np.uint8]:
-        """The place of each cell's area in the grid's `areas`, from 1, 0 for none; as `room_index`.
+        """The area of each cell as its place in `areas` from 1, 0 for none; as `room_index`.
 
-        It means something only where the grid has areas; numbers beyond their table are none.
+        It means something only if the grid has areas; numbers beyond their table are no area.
         """
-        return self._numbers("area", np.uint8)
+        return self._index_layer("area", np.uint8)
 
-    def _numbers(self, name: str, dtype: type[Any]) -> NDArray[Any]:
-        """A layer as unsigned integers, 0 where it has none or a number beyond them."""
+    def _index_layer(self, name: str, dtype: type[Any]) -> NDArray[Any]:
+        """An attribute as unsigned integers, 0 where it is missing or beyond the dtype."""
         stored = self.attributes.get(name)
         if stored is None:
-            return _derived(np.zeros(self.shape, dtype=dtype))
+            return _read_only(np.zeros(self.shape, dtype=dtype))
         if stored.dtype == dtype:
             return stored
-        inside = (stored >= 0) & (stored <= np.iinfo(dtype).max)
-        return _derived(np.where(inside, stored, 0).astype(dtype))
+        is_index = (stored >= 0) & (stored <= np.iinfo(dtype).max)
+        return _read_only(np.where(is_index, stored, 0).astype(dtype))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
-        """Describe the rooms of level `number` of a grid from `room_index` alone."""
-        if not self.room_index.any():  # as in maps of other programs, which may be large
+        """Describe the rooms of the level from `room_index` alone.
+
+        Args:
+            number: The number of the level in the grid that the rooms are for.
+
+        Returns:
+            The rooms by index, without names and neighbours.
+        """
+        if not self.room_index.any():  # saves time on maps of other programs, which may be large
             return []
         return measure_rooms(self.room_index, self.floor_or_ground, self.lattice, number)
 
@@ -477,11 +550,14 @@ class SceneGrid2D(GridBase):
 class MultiLevelGrid(GridBase):
     """The navigation grids of a scene with several levels.
 
-    A level without metadata of its own takes over the parts of the whole grid's that are about it
-    (see `navbake.navgrid.metadata`), so that each level is a grid by itself.
+    A level without metadata of its own inherits the parts of the grid's that are about it (see
+    `navbake.navgrid.metadata`), so that each level is a grid by itself.
+
+    Attributes:
+        grids: The levels, lowest first, at least one.
     """
 
-    grids: list[SceneGrid2D]  #: The levels, lowest first, at least one.
+    grids: list[SceneGrid2D]
     _inherited_metadata: list[Json] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -490,18 +566,31 @@ class MultiLevelGrid(GridBase):
         for number, grid in enumerate(self.grids):
             if not grid.metadata or grid.metadata == self.metadata:
                 grid.metadata = cut_metadata(self.metadata, number)
-            # for comparison with a level's metadata, which are writable
+            # another copy, to compare with the metadata of the level, which callers may change
             self._inherited_metadata.append(cut_metadata(self.metadata, number))
 
     @property
     def levels(self) -> list[SceneGrid2D]:
+        """The levels, lowest first; `grids` itself."""
         return self.grids
 
     def inherits_metadata(self, number: int, level: SceneGrid2D) -> bool:
-        """Whether a level still has the metadata taken over as level `number` of this grid."""
+        """Whether a level still has the metadata that level `number` of this grid inherited.
+
+        Args:
+            number: Number of the level in this grid.
+            level: That level, or one made of it.
+        """
         return level.metadata == self._inherited_metadata[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
+        """Return the grid with other levels, and other metadata unless they are None.
+
+        Args:
+            levels: As many levels as this grid has, lowest first. One that has the metadata that it
+                inherited from this grid inherits those of the new one.
+            metadata: The new metadata of the grid.
+        """
         grids = [
             level.with_layers(metadata={}) if self.inherits_metadata(number, level) else level
             for number, level in enumerate(levels)
@@ -509,15 +598,18 @@ class MultiLevelGrid(GridBase):
         return replace(self, grids=grids, metadata=self.metadata if metadata is None else metadata)
 
 
-def _flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
-    """A layer as uint8, 1 where it is not 0; itself if it has that dtype."""
-    return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+def _as_flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
+    """A layer as uint8, 1 where it is not 0; the array itself if it has that dtype."""
+    if stored.dtype == np.uint8:
+        return stored
+    return _read_only((stored != 0).astype(np.uint8))
 
 
-def _derived(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Make a computed array read-only: writing to it would not change the grid."""
     array.flags.writeable = False
     return array
 
 
 NavGrid: TypeAlias = SceneGrid2D | MultiLevelGrid
+"""A grid of one level or of several: what functions take and return."""

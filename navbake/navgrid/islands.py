@@ -1,4 +1,4 @@
-"""The connected parts of a grid, and the clearance of its cells."""
+"""The islands of a grid, which are the connected parts of its free cells, and their clearance."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from navbake.navgrid.links import MAX_AREAS, find_arcs
 from navbake.navgrid.obstacle_state import Window
 from navbake.types import Bool, Int, Int32
 
-STEP_SLACK = 1e-6  # [m] tolerance of the highest step
-TOO_MANY = 65535  # the number of all further islands in a file
+STEP_SLACK = 1e-6  # tolerance of the highest step [m]
+MAX_STORED = 65535  # number of all further islands in a file, which are uint16
 
 
 def find_islands(grid: GridBase) -> list[Int32]:
@@ -26,8 +26,9 @@ def find_islands(grid: GridBase) -> list[Int32]:
     lead from each to the other. A free cell without floor height is level with each of its
     neighbours. Cells of an area whose cost is infinite count as not free.
 
-    Returns one array a level, shape (height, width), int32: the number of each free cell's part,
-    else 0. Parts of equal size are numbered by their lowest (level, cell id).
+    Returns:
+        An array for each level, shape (height, width), int32: the number of each free cell's
+        island, else 0. Islands of equal size are numbered by their lowest (level, cell id).
     """
     levels = grid.levels
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
@@ -35,16 +36,33 @@ def find_islands(grid: GridBase) -> list[Int32]:
     free = np.concatenate([level.free.ravel() for level in levels])
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     free &= ~cells_of_areas(grid, [area.bars(None) for area in grid.areas], False)
-    # one row of cells for all levels, so that steps join cells like edges do
+    # flat ids over all levels, so that steps join cells as edges do
     steps = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
     arcs = find_arcs(grid.links, start)
-    ways = arcs.ends[arcs.fits_radius(grid.radius)]
-    island = label_islands(start, width, free, floor, step_limit(grid), steps, ways)
+    island = label_islands(
+        start=start,
+        width=width,
+        free=free,
+        floor=floor,
+        limit=step_limit(grid),
+        steps=steps,
+        arcs=arcs.ends[arcs.fits_radius(grid.radius)],
+    )
     return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
 def cells_of_areas(grid: GridBase, values: Sequence[Any], outside: Any) -> NDArray[Any]:
-    """The values of areas by their cells, by flat id; without areas one value, `outside`."""
+    """Spread a value of each area over its cells.
+
+    Args:
+        grid: The grid.
+        values: A value for each of its areas, in their order.
+        outside: The value of cells in no area.
+
+    Returns:
+        The value of each cell by flat id over all levels; of one entry, `outside`, if the grid has
+        no areas.
+    """
     if not len(values):
         return np.array([outside])
     table = np.array([outside, *values, *[outside] * (MAX_AREAS - len(values))])
@@ -58,9 +76,9 @@ def label_islands(
     floor: NDArray[Any],
     limit: float,
     steps: Int,
-    ways: Int | None = None,
+    arcs: Int | None = None,
 ) -> Int32:
-    """Number the parts by the rule of `find_islands`; returns int32 by flat id, 0 if not free.
+    """Number the connected parts by the rule of `find_islands`.
 
     Connected components by runs of cells along rows. Each run points at the lowest run known to be
     connected with it, at first itself. Alternately, the ends of all pairs of connected runs are
@@ -68,34 +86,38 @@ def label_islands(
     have equal ends (Shiloach and Vishkin, 1982).
 
     Args:
-        start: the first flat id of each level, and the number of cells, shape (levels + 1,).
-        width: columns of each level, shape (levels,).
-        free, floor: of each cell, shape (n,).
-        limit: largest difference of neighbours' floors, in the unit of `floor`.
-        steps: pairs of connected cells, shape (m, 2).
-        ways: cells that links lead from and to, shape (k, 2).
+        start: First flat id of each level, and the number of cells, shape (levels + 1,).
+        width: Columns of each level, shape (levels,).
+        free: Whether each cell is free, by flat id, shape (n,).
+        floor: Floor of each cell, NaN for none, shape (n,).
+        limit: Largest difference of neighbours' floors, in the unit of `floor`.
+        steps: Pairs of connected cells, shape (m, 2).
+        arcs: Cells that links lead from and to, shape (k, 2).
+
+    Returns:
+        The number of each cell's island by flat id, int32; 0 if it is not free.
     """
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)
-    begins = free.copy()
+    begins_run = free.copy()
     pairs = [steps[free[steps].all(axis=1)]]
-    for first, last, columns in zip(start[:-1], start[1:], width, strict=True):
-        own = slice(first, last)
-        is_free = free[own].reshape(-1, columns)
-        height = floor[own].reshape(-1, columns)
-        is_first = begins[own].reshape(-1, columns)
-        # an unknown floor is level with its neighbours
-        right = is_free[:, 1:] & is_free[:, :-1]
-        right &= ~(np.abs(height[:, 1:] - height[:, :-1]) > limit)
-        is_first[:, 1:] &= ~right
-        down = is_free[1:] & is_free[:-1] & ~(np.abs(height[1:] - height[:-1]) > limit)
+    for first_cell, end_cell, num_cols in zip(start[:-1], start[1:], width, strict=True):
+        level_cells = slice(first_cell, end_cell)
+        is_free = free[level_cells].reshape(-1, num_cols)
+        height = floor[level_cells].reshape(-1, num_cols)
+        begins_here = begins_run[level_cells].reshape(-1, num_cols)
+        # an unknown floor, NaN, is level with its neighbours
+        joins_right = is_free[:, 1:] & is_free[:, :-1]
+        joins_right &= ~(np.abs(height[:, 1:] - height[:, :-1]) > limit)
+        begins_here[:, 1:] &= ~joins_right
+        joins_down = is_free[1:] & is_free[:-1] & ~(np.abs(height[1:] - height[:-1]) > limit)
         # one pair of cells for each pair of runs
-        down[:, 1:] &= ~down[:, :-1] | is_first[1:, 1:] | is_first[:-1, 1:]
-        upper = np.flatnonzero(down) + first
-        pairs.append(np.stack([upper, upper + columns], axis=1))
-    run = np.cumsum(begins) - 1
-    ends = run[np.concatenate(pairs)]
-    root = np.arange(np.count_nonzero(begins))
+        joins_down[:, 1:] &= ~joins_down[:, :-1] | begins_here[1:, 1:] | begins_here[:-1, 1:]
+        upper_cell = np.flatnonzero(joins_down) + first_cell
+        pairs.append(np.stack([upper_cell, upper_cell + num_cols], axis=1))
+    run_of_cell = np.cumsum(begins_run) - 1
+    ends = run_of_cell[np.concatenate(pairs)]
+    root = np.arange(np.count_nonzero(begins_run))
     while len(ends):
         ends = root[ends]
         ends = ends[ends[:, 0] != ends[:, 1]]
@@ -103,99 +125,122 @@ def label_islands(
         while (root[root] != root).any():
             root = root[root]
     number = np.unique(root, return_inverse=True)[1]
-    if ways is not None and free[ways].all(axis=1).any():
-        number = _join(number, number[run[ways[free[ways].all(axis=1)]]])
-    number = number[run[free]]
+    if arcs is not None and free[arcs].all(axis=1).any():
+        free_arcs = arcs[free[arcs].all(axis=1)]
+        number = _join_linked(number, number[run_of_cell[free_arcs]])
+    number = number[run_of_cell[free]]
     size = np.bincount(number, minlength=1)
     rank = np.empty(len(size), dtype=np.int32)
-    # stable, so that equal parts stay in the order of their first cells
+    # stable, so that islands of one size stay in the order of their first cells
     rank[np.argsort(-size, kind="stable")] = np.arange(1, len(size) + 1)
     island = np.zeros(len(free), dtype=np.int32)
     island[free] = rank[number]
     return island
 
 
-def _join(number: Int, ways: Int) -> Int:
-    """Number parts again, from 0 in their order, where those that lead to each other are one.
+def _join_linked(number: Int, linked: Int) -> Int:
+    """Number islands again, from 0 in their order, where those that lead to each other are one.
 
-    `number` has the part of each run, `ways` the parts that links lead from and to, shape (k, 2).
+    Args:
+        number: The island of each run.
+        linked: The islands that links lead from and to, shape (k, 2).
     """
     from scipy.sparse import coo_array  # scipy loads slowly
     from scipy.sparse.csgraph import connected_components  # the same
 
     count = int(number.max()) + 1
-    graph = coo_array((np.ones(len(ways)), tuple(ways.T)), shape=(count, count))
-    joined = connected_components(graph, connection="strong")[1]
+    graph = coo_array((np.ones(len(linked)), tuple(linked.T)), shape=(count, count))
+    component = connected_components(graph, connection="strong")[1]
     lowest = np.full(count, count)
-    np.minimum.at(lowest, joined, np.arange(count))
-    return np.unique(lowest[joined][number], return_inverse=True)[1]
+    np.minimum.at(lowest, component, np.arange(count))
+    return np.unique(lowest[component][number], return_inverse=True)[1]
 
 
 def islands_of(grid: GridBase) -> list[Int32]:
-    """The islands stored in the file, or else the cached result of `find_islands`.
+    """Return the islands stored in the file, or else the cached result of `find_islands`.
 
-    A stored layer ``island`` is used only in files that navbake wrote, and only without blocks: in
-    files of other programs it may mean anything. The arrays must not be modified.
+    A stored layer ``island`` counts only in files that navbake wrote, and only without obstacles:
+    in files of other programs it may mean anything. The arrays must not be modified.
     """
     stored = [level.attributes.get("island") for level in grid.levels]
     if (
         grid.navbake
         and not grid.is_blocked
-        and all(s is not None and s.max(initial=0) < TOO_MANY for s in stored)
+        and all(layer is not None and layer.max(initial=0) < MAX_STORED for layer in stored)
     ):
-        return [np.asarray(s).astype(np.int32) for s in stored]
-    # a hash of all that the islands depend on, because a grid's arrays can be written to
-    tables = grid.step_array.tolist(), grid.links, grid.areas, grid.radius
+        return [np.asarray(layer).astype(np.int32) for layer in stored]
+    digest = _digest_sources(grid)
+    if grid.cached_islands is None or grid.cached_islands[0] != digest:
+        grid.cached_islands = (digest, find_islands(grid))
+    return grid.cached_islands[1]
+
+
+def _digest_sources(grid: GridBase) -> bytes:
+    """Hash all that the islands depend on, because callers may write to a grid's arrays."""
+    tables = (grid.step_array.tolist(), grid.links, grid.areas, grid.radius)
     digest = blake2b(repr((step_limit(grid), *tables)).encode())
     for level in grid.levels:
         digest.update(level.area_index.data if grid.areas else b"")
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)
-    if grid.cached_islands is None or grid.cached_islands[0] != digest.digest():
-        grid.cached_islands = (digest.digest(), find_islands(grid))
-    return grid.cached_islands[1]
+    return digest.digest()
 
 
 def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
-    From centre to centre, less half a cell; outside the grid is not free. Cells that only the disc
-    of the baked radius closed count as free: see `SceneGrid2D.free_for_point`. Shape of the level
-    or of the window, float32; 0 in cells that are not free. A window ignores the cells outside it.
+    It is the distance of the centres less half a cell; cells outside the grid are not free. Cells
+    that only the disc of the baked radius closed count as free: see `SceneGrid2D.free_for_point`.
+
+    Args:
+        level: The level.
+        window: Measure these cells only, as if there were no cells outside of it; None for all.
+
+    Returns:
+        The clearance, of the shape of the level or of the window, float32; 0 in cells that are not
+        free.
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly
 
-    row0, row1, col0, col1 = window or (0, level.height, 0, level.width)
-    free = level.free[row0:row1, col0:col1]
-    is_open = level.free_for_point[row0:row1, col0:col1]
+    first_row, end_row, first_col, end_col = window or (0, level.height, 0, level.width)
+    free = level.free[first_row:end_row, first_col:end_col]
+    is_open = level.free_for_point[first_row:end_row, first_col:end_col]
     # one closed cell beyond each side that is at the grid's edge
-    top = int(row0 == 0)
-    left = int(col0 == 0)
-    sides = (top, int(row1 == level.height)), (left, int(col1 == level.width))
-    cells = distance_transform_edt(np.pad(is_open, sides))
-    cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
-    return np.where(free, (cells - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
+    pad_top = int(first_row == 0)
+    pad_left = int(first_col == 0)
+    pad_bottom = int(end_row == level.height)
+    pad_right = int(end_col == level.width)
+    padded = np.pad(is_open, ((pad_top, pad_bottom), (pad_left, pad_right)))
+    distance = distance_transform_edt(padded)  # in cells
+    distance = distance[pad_top : pad_top + free.shape[0], pad_left : pad_left + free.shape[1]]
+    return np.where(free, (distance - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
 
 
 def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
-    """Group steps from one level to another whose cells on the first touch, as treads of a stair.
+    """Group steps between two levels by stairs: their cells on the first level touch.
 
-    `steps` are rows of `step_array`, and so are the groups, by the numbers of the levels.
+    Args:
+        grid: The grid.
+        steps: Rows of its `step_array`.
+
+    Yields:
+        The rows of each group, by the numbers of the two levels.
     """
     from scipy import ndimage  # scipy loads slowly
 
-    for pair in np.unique(steps[:, ::2], axis=0).tolist():
-        own = steps[(steps[:, ::2] == pair).all(axis=1)]
-        level = grid.levels[pair[0]]
-        marks = np.zeros(level.shape, dtype=np.bool_)
-        cells = np.divmod(own[:, 1], level.width)
-        marks[cells] = True
-        group = ndimage.label(marks, np.ones((3, 3)))[0][cells]
-        yield from (own[group == number] for number in np.unique(group).tolist())
+    for level_pair in np.unique(steps[:, ::2], axis=0).tolist():
+        steps_of_pair = steps[(steps[:, ::2] == level_pair).all(axis=1)]
+        level = grid.levels[level_pair[0]]
+        is_step = np.zeros(level.shape, dtype=np.bool_)
+        cells = np.divmod(steps_of_pair[:, 1], level.width)
+        is_step[cells] = True
+        group = ndimage.label(is_step, np.ones((3, 3)))[0][cells]
+        for number in np.unique(group).tolist():
+            yield steps_of_pair[group == number]
 
 
 def step_limit(grid: GridBase) -> float:
-    """The largest difference of neighbours' floors [file units] that is a step.
+    """Return the largest difference of neighbours' floors that is a step [file units].
 
     It is the grid's `traversableFloorHeight`, plus 1e-6 m and the float32 rounding of its highest
     floor, so that a step exactly as high as allowed is one.
@@ -207,18 +252,21 @@ def step_limit(grid: GridBase) -> float:
 
 
 def renew_islands(grid: GridBase) -> None:
-    """Store the islands anew where the levels have a layer of them."""
+    """Compute and store the islands anew if the levels have a layer of them."""
     add_layers(grid, {name for level in grid.levels for name in level.attributes} & {"island"})
 
 
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
-    """Compute and store, or replace, the layers among `names` that are known.
+    """Compute derived layers and store them as attributes, also in place of old ones.
 
-    These are ``island`` (uint16; numbers above 65535 become 65535) and ``clearance`` (float32 [m]).
+    Args:
+        grid: The grid, which changes.
+        names: Names of layers; only ``island`` (uint16; islands above 65535 become 65535) and
+            ``clearance`` (float32 [m]) are computed, other names are ignored.
     """
     if "island" in names:
         for level, island in zip(grid.levels, find_islands(grid), strict=True):
-            level.attributes["island"] = np.minimum(island, TOO_MANY).astype(np.uint16)
+            level.attributes["island"] = np.minimum(island, MAX_STORED).astype(np.uint16)
     if "clearance" in names:
         for level in grid.levels:
             level.attributes["clearance"] = clearance(level)

@@ -15,38 +15,47 @@ from numpy.typing import ArrayLike
 
 from navbake.types import Bool, Float, Int
 
-FARTHEST = 1e10  # [m] from the origin, MuJoCo's mjMAXVAL
-LEAST_EDGE = 1e-9  # of a cell [m]
+FARTHEST = 1e10  # greatest distance from the origin, MuJoCo's mjMAXVAL [m]
+LEAST_EDGE = 1e-9  # smallest edge of a cell [m]
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
-MAX_CORNERS = 10_000  # of one outline
-PAIRS = 1 << 18  # of an outline's sides compared at once, to limit memory
+MAX_CORNERS = 10_000  # corners of one outline
+MAX_PAIRS = 1 << 18  # pairs of an outline's sides that are compared at once, to limit memory
 
 
 class Cell(NamedTuple):
-    """One cell of a grid: its level (0 is the lowest), row and column."""
+    """One cell of a grid."""
 
-    level: int
-    row: int
-    col: int
+    level: int  #: Number of its level, 0 is the lowest.
+    row: int  #: Its row; row 0 has the largest y.
+    col: int  #: Its column; column 0 has the smallest x.
 
 
 class Cells(NamedTuple):
-    """Cells of a grid: level, row and column of each, int64, of one shape; -1 for none."""
+    """Cells of a grid, as three arrays of one shape, int64; -1 in all three for no cell."""
 
-    level: Int
-    row: Int
-    col: Int
+    level: Int  #: Number of the level of each, 0 is the lowest.
+    row: Int  #: Row of each.
+    col: Int  #: Column of each.
 
 
 def rounded(value: float, digits: int = 6) -> float:
-    """Round a length [m], by default to a micrometre, without -0.0."""
+    """Round a length, without -0.0.
+
+    Args:
+        value: The length [m].
+        digits: Decimal digits; 6 for micrometres.
+    """
     return round(float(value), digits) + 0.0
 
 
 def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
     """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
 
-    An excess below 1e-6 of a cell and `rounding` [m] adds no cell.
+    Args:
+        extent: Length to cover [m].
+        cell_size: Edge of a cell [m], > 0.
+        rounding: How much too large the extent may be [m]. An excess below that and 1e-6 of a cell
+            adds no cell.
     """
     return max(1, math.ceil((extent - rounding) / cell_size - CELL_SLACK))
 
@@ -64,17 +73,21 @@ class Lattice(NamedTuple):
     def cover(
         cls, bounds: Sequence[float], cell_size: float, margin: float = 0.0, rounding: float = 0.0
     ) -> Lattice:
-        """Make the lattice of a scene: ``ceil(extent / cell_size)`` cells an axis, centred.
+        """Make the lattice of a scene: ``ceil(extent / cell_size)`` cells along each axis.
 
-        `bounds` are (x_min, y_min, x_max, y_max), world frame [m], extended by `margin` [m] on each
-        side, and too large by at most `rounding` [m].
+        The cells are centred on the extent.
+
+        Args:
+            bounds: x_min, y_min, x_max and y_max of the scene, world frame [m].
+            cell_size: Edge of a cell [m], > 0.
+            margin: Length that is added on each side [m].
+            rounding: How much too large the bounds may be [m].
         """
-        x0, y0, x1, y1 = bounds
-        width = num_cells(x1 - x0 + 2 * margin, cell_size, rounding)
-        height = num_cells(y1 - y0 + 2 * margin, cell_size, rounding)
-        # centre the whole cells on the extent
-        x_mid = (x0 + x1) / 2
-        y_mid = (y0 + y1) / 2
+        x_low, y_low, x_high, y_high = bounds
+        width = num_cells(x_high - x_low + 2 * margin, cell_size, rounding)
+        height = num_cells(y_high - y_low + 2 * margin, cell_size, rounding)
+        x_mid = (x_low + x_high) / 2
+        y_mid = (y_low + y_high) / 2
         x_min = x_mid - width * cell_size / 2
         y_max = y_mid + height * cell_size / 2
         return cls(x_min, y_max, cell_size, width, height)
@@ -103,40 +116,71 @@ class Lattice(NamedTuple):
         return self.y_max - (np.arange(self.height, dtype=np.float64) + 0.5) * self.cell_size
 
     def rows_cols(self, xy: ArrayLike) -> tuple[Int, Int]:
-        """Row and column of finite positions, shape (..., 2) or (..., 3), world frame [m].
+        """Return the rows and columns of positions; they go on beyond the lattice.
 
-        Each has shape (...), int64; outside the lattice, indices are extrapolated.
+        Args:
+            xy: Finite positions, world x, y and maybe z [m], shape (..., 2) or (..., 3).
+
+        Returns:
+            Rows and columns, each of shape (...), int64.
         """
-        p = np.asarray(xy, dtype=np.float64)
-        rows = np.floor((self.y_max - p[..., 1]) / self.cell_size).astype(np.int64)
-        cols = np.floor((p[..., 0] - self.x_min) / self.cell_size).astype(np.int64)
+        positions = np.asarray(xy, dtype=np.float64)
+        rows = np.floor((self.y_max - positions[..., 1]) / self.cell_size).astype(np.int64)
+        cols = np.floor((positions[..., 0] - self.x_min) / self.cell_size).astype(np.int64)
         return rows, cols
 
     def positions(self, rows: ArrayLike, cols: ArrayLike) -> Float:
-        """World x, y of cells' centres [m], shape (..., 2), float64."""
+        """Return the centres of cells.
+
+        Args:
+            rows: Rows of the cells, of any shape.
+            cols: Their columns, of a shape that broadcasts with that of the rows.
+
+        Returns:
+            World x, y [m], shape (..., 2), float64.
+        """
         x = self.x_min + (np.asarray(cols) + 0.5) * self.cell_size
         y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
     def holds(self, rows: Any, cols: Any) -> Any:
-        """Whether cells lie on the lattice, by their rows and columns; bool, of their shape."""
+        """Whether cells lie on the lattice.
+
+        Args:
+            rows: Rows of the cells, as an integer or an array.
+            cols: Their columns, of the same shape.
+
+        Returns:
+            A bool, or an array of bools of that shape.
+        """
         return (rows >= 0) & (cols >= 0) & (rows < self.height) & (cols < self.width)
 
     def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
-        """Find the rows and columns of the cells near a box, one more on each side.
+        """Return the rows and columns of the cells that a box covers, and one more on each side.
 
-        `bounds` are its corners, shape (2, 2) or (2, 3), world frame [m], each moved out by
-        `reach` [m]. None for a box outside the lattice.
+        Args:
+            bounds: Lower and upper corner of the box, shape (2, 2) or (2, 3), world frame [m].
+            reach: Length by which the box is enlarged on each side [m].
+
+        Returns:
+            The rows and the columns; None for a box outside the lattice.
         """
-        x0, y0 = bounds[0, :2] - reach
-        x1, y1 = bounds[1, :2] + reach
-        row, col = self.rows_cols([[x0, y1], [x1, y0]])
+        x_low, y_low = bounds[0, :2] - reach
+        x_high, y_high = bounds[1, :2] + reach
+        row, col = self.rows_cols([[x_low, y_high], [x_high, y_low]])
         rows = slice(max(int(row[0]) - 1, 0), min(int(row[1]) + 2, self.height))
         cols = slice(max(int(col[0]) - 1, 0), min(int(col[1]) + 2, self.width))
-        return (rows, cols) if rows.start < rows.stop and cols.start < cols.stop else None
+        if rows.start >= rows.stop or cols.start >= cols.stop:
+            return None
+        return rows, cols
 
     def cut(self, rows: slice, cols: slice) -> Lattice:
-        """The part of this lattice in ``[rows, cols]``."""
+        """Return the lattice of the cells ``[rows, cols]`` of this one.
+
+        Args:
+            rows: The rows, from a start to an end.
+            cols: The columns, from a start to an end.
+        """
         return self._replace(
             x_min=self.x_min + cols.start * self.cell_size,
             y_max=self.y_max - rows.start * self.cell_size,
@@ -149,11 +193,13 @@ class Lattice(NamedTuple):
 
 
 def find_outline_fault(points: ArrayLike) -> str | None:
-    """Describe the fault of an outline; None if it is valid.
+    """Describe what is wrong with an outline; None if it is valid.
 
-    Faults are no area, crossing sides, more than 10,000 corners, and corners beyond 1e10 m.
-    Corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch, and
-    corners may be repeated.
+    Faults are no area, crossing sides, more than 10,000 corners, and corners beyond 1e10 m. Sides
+    may touch, and corners may be repeated.
+
+    Args:
+        points: Corners in order, shape (n, 2), the first not repeated at the end.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     if len(corners) > MAX_CORNERS:
@@ -163,77 +209,101 @@ def find_outline_fault(points: ArrayLike) -> str | None:
     if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-
-    def are_split(by: Float, sides: Float) -> Bool:
-        """Whether lines through sides (n, 4) separate the ends of sides (m, 4); shape (n, m)."""
-        x0, y0, x1, y1 = np.moveaxis(by, -1, 0)
-        a, b, c, d = np.moveaxis(sides, -1, 0)
-        turns = ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) for x, y in ((a, b), (c, d)))
-        one, other = map(np.sign, turns)
-        return np.asarray(one * other < 0)
-
-    rows = max(1, PAIRS // len(sides))
-    for first in range(0, len(sides), rows):
-        ones = sides[first : first + rows, None]
-        crossing = np.argwhere(are_split(ones, sides[None]) & are_split(sides[None], ones))
-        if len(crossing):  # by the first side, which comes before the other
-            pair = first + crossing[0, 0], crossing[0, 1]
-            named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[[*pair]]]
-            return "sides that cross: " + " and ".join(named)
+    num_rows = max(1, MAX_PAIRS // len(sides))
+    for first in range(0, len(sides), num_rows):
+        some_sides = sides[first : first + num_rows, None]
+        is_crossing = _separates(some_sides, sides[None]) & _separates(sides[None], some_sides)
+        crossing = np.argwhere(is_crossing)
+        if len(crossing):  # the first side that crosses one, and the first that it crosses
+            row, col = crossing[0]
+            pair = sides[[first + row, col]]
+            texts = [f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in pair]
+            return "sides that cross: " + " and ".join(texts)
     return None
+
+
+def _separates(lines: Float, sides: Float) -> Bool:
+    """Whether the lines through sides (..., 4) have the ends of other sides on both their sides."""
+    x0, y0, x1, y1 = np.moveaxis(lines, -1, 0)
+    start_x, start_y, end_x, end_y = np.moveaxis(sides, -1, 0)
+    # signed areas: which side of the line the start and the end of a side are on
+    turn_to_start = np.sign((x1 - x0) * (start_y - y0) - (y1 - y0) * (start_x - x0))
+    turn_to_end = np.sign((x1 - x0) * (end_y - y0) - (y1 - y0) * (end_x - x0))
+    return np.asarray(turn_to_start * turn_to_end < 0)
 
 
 def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     """Mark the cells whose centres lie in a polygon, by the even-odd rule.
 
     A centre on a lower or left side is inside, one on an upper or right side outside; so of two
-    polygons with a common side, each centre on it is in one. `rings` are outlines, holes and
-    further parts, each of shape (n, 2), world x, y [m].
+    polygons with a common side, each centre on it is in one.
+
+    Args:
+        rings: Outlines, holes and further parts of the polygon, each of shape (n, 2), world x, y
+            [m].
+        lattice: The cells.
+
+    Returns:
+        Shape (height, width), bool.
     """
     # Each side toggles all cells of its rows right of it: marks where the toggles are, then a
     # running sum along each row; odd sums are inside (scan conversion by edge flags, Ackland and
     # Weste 1981).
-    turns = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
+    num_toggles = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
     x = lattice.center_x()
     y = lattice.center_y()
     for ring in rings:
         corners = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
-        for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             # always upwards, so that two polygons get the same crossings from a shared side
-            low, high = (one, other) if one[1] <= other[1] else (other, one)
+            low, high = (start, end) if start[1] <= end[1] else (end, start)
             # y descends: rows with low <= y < high
             rows = slice(*(len(y) - np.searchsorted(y[::-1], [high[1], low[1]])))
             slope = (high[0] - low[0]) / (high[1] - low[1]) if high[1] > low[1] else 0.0
             cols = np.searchsorted(x, low[0] + (y[rows] - low[1]) * slope)
-            np.add.at(turns, (np.arange(rows.start, rows.stop), cols), 1)
-    inside: Bool = np.cumsum(turns[:, :-1], axis=1) % 2 == 1
-    return inside
+            np.add.at(num_toggles, (np.arange(rows.start, rows.stop), cols), 1)
+    is_inside: Bool = np.cumsum(num_toggles[:, :-1], axis=1) % 2 == 1
+    return is_inside
 
 
 def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
-    """Mark the cells whose open squares a polygon meets; rings as of `cover_cells`.
+    """Mark the cells whose open squares a polygon meets.
 
     What reaches less than a millionth of a cell into a square only touches it. So a keep-out zone
     has no gaps, however thin it is.
+
+    Args:
+        rings: As of `cover_cells`.
+        lattice: The cells.
+
+    Returns:
+        Shape (height, width), bool.
     """
-    met = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
-    corner = np.array([lattice.x_min, lattice.y_max])
+    # +1 at the first column that a side meets in a row, -1 after the last one
+    changes = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
+    origin = np.array([lattice.x_min, lattice.y_max])
     for ring in rings:
-        # column and row, as fractions, of each corner
-        at = (np.asarray(ring, dtype=np.float64).reshape(-1, 2) - corner) / lattice.cell_size
-        at[:, 1] *= -1.0
-        for one, other in zip(at, np.roll(at, -1, axis=0), strict=True):
-            (c0, r0), (c1, r1) = (one, other) if one[1] <= other[1] else (other, one)
-            first = math.floor(r0 + CELL_SLACK)
-            end = math.ceil(r1 - CELL_SLACK)
-            rows = np.arange(max(first, 0), min(end, lattice.height))
-            # the part of the side in each row, by its ends' columns
-            ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], r0, r1)
-            cols = c0 + (ends - r0) * ((c1 - c0) / (r1 - r0) if r1 > r0 else 0.0)
-            cols = np.array([[c0], [c1]]) if r1 - r0 < CELL_SLACK else cols
-            left = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)
-            right = np.ceil(cols.max(axis=0) - CELL_SLACK).clip(left, lattice.width)
-            np.add.at(met, (rows, left.astype(np.int64)), 1)
-            np.add.at(met, (rows, right.astype(np.int64)), -1)
-    touched: Bool = cover_cells(rings, lattice) | (np.cumsum(met[:, :-1], axis=1) > 0)
-    return touched
+        # column and row of each corner, with fractions
+        corners = (np.asarray(ring, dtype=np.float64).reshape(-1, 2) - origin) / lattice.cell_size
+        corners[:, 1] *= -1.0
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            upper, lower = (start, end) if start[1] <= end[1] else (end, start)
+            col0, row0 = upper
+            col1, row1 = lower
+            first_row = math.floor(row0 + CELL_SLACK)
+            end_row = math.ceil(row1 - CELL_SLACK)
+            rows = np.arange(max(first_row, 0), min(end_row, lattice.height))
+            # the part of the side in each row, by the columns of its ends
+            row_ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], row0, row1)
+            cols = col0 + (row_ends - row0) * (
+                (col1 - col0) / (row1 - row0) if row1 > row0 else 0.0
+            )
+            if row1 - row0 < CELL_SLACK:
+                cols = np.array([[col0], [col1]])
+            first_col = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)
+            end_col = np.ceil(cols.max(axis=0) - CELL_SLACK).clip(first_col, lattice.width)
+            np.add.at(changes, (rows, first_col.astype(np.int64)), 1)
+            np.add.at(changes, (rows, end_col.astype(np.int64)), -1)
+    is_on_side = np.cumsum(changes[:, :-1], axis=1) > 0
+    is_touched: Bool = cover_cells(rings, lattice) | is_on_side
+    return is_touched
