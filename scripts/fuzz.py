@@ -37,7 +37,7 @@ from hypothesis import strategies as st
 
 import navbake
 from navbake.arena import map_descriptor
-from navbake.baker.readers.mesh import read_mesh_parts
+from navbake.baker.readers.mesh import read_named_meshes
 from navbake.baker.scene.scene import load_scene
 from navbake.batch.scenes import list_jobs
 from navbake.config.settings import BakeConfig, SceneSettings, load_config
@@ -289,7 +289,7 @@ def use_voxels(path: Path) -> None:
 
 def use_mesh(path: Path) -> None:
     """Parts have names of their own, finite corners, and triangles of these."""
-    parts = read_mesh_parts(path)
+    parts = read_named_meshes(path)
     assert len({part.name for part in parts}) == len(parts), "two parts have one name"
     for part in parts:
         faces: Any = part.faces

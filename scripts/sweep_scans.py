@@ -136,7 +136,7 @@ def check(scan: Scan, path: Path) -> tuple[bool, bool, str]:
     # with the specks that the bake leaves out, so that vertices are the scan's own
     (part,) = load_scene(
         config.model_copy(update={"scene": config.scene.model_copy(update={"scan": False})})
-    ).parts.values()
+    ).exact_meshes.values()
     given = scan.mesh.vertices[np.unique(scan.mesh.faces)]
     middle, center = given.mean(axis=0), part.vertices.mean(axis=0)
     turn = np.linalg.lstsq(given - middle, part.vertices - center, rcond=None)[0].T

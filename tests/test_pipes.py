@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from navbake.baker.scene.model import CompileLimits
-from navbake.baker.scene.scene import open_file
+from navbake.baker.scene.scene import load_scene_file
 from navbake.batch.store import read_file
 from navbake.config.settings import load_config
 from navbake.errors import ConfigError, FormatError, NavbakeError, SceneError
@@ -43,12 +43,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("name", [*SCENES, "robot.urdf"])
 def test_of_a_scene(name):
     with pytest.raises(SceneError, match=r"cannot read pipe\.\w+: expected a file, got a pipe"):
-        open_file(load_config(name).scene)
+        load_scene_file(load_config(name).scene)
 
 
 def test_of_a_scene_that_is_compiled_apart():
     with pytest.raises(SceneError, match=r"cannot read pipe\.obj: expected a file, got a pipe"):
-        open_file(load_config("mesh.xml").scene, CompileLimits())
+        load_scene_file(load_config("mesh.xml").scene, CompileLimits())
 
 
 def test_of_settings(folder):

@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from navbake.baker.bake.pipeline import BakeResult, run_bake
-from navbake.baker.readers.mesh import read_mesh_parts
+from navbake.baker.readers.mesh import read_named_meshes
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.navgrid.grid import SceneGrid2D
@@ -390,7 +390,7 @@ def hits(
 def test_recast_mesh_is_read_whole(name, number):
     path = DATA / "recast_meshes" / f"{name}.obj"
     assert len(read_obj(path)) == number
-    assert sum(len(part.faces) for part in read_mesh_parts(path, up="y")) == number
+    assert sum(len(part.faces) for part in read_named_meshes(path, up="y")) == number
     assert len(load_scene(config_of(name)).shapes.triangles.corners) == number
 
 
@@ -464,7 +464,7 @@ def test_recast_levels(name, num_levels, free, largest):
 
 def test_simple_room():
     """A slab of 10.5 x 10.9 m with a table of 1.4 m and a cube of 2 m on it."""
-    parts = read_mesh_parts(DATA / SCENES["simple_room"]["scene"]["path"])
+    parts = read_named_meshes(DATA / SCENES["simple_room"]["scene"]["path"])
     slab = max(parts, key=lambda part: float(np.ptp(part.vertices[:, 0]))).vertices
     size, top = np.ptp(slab, axis=0), float(slab[:, 2].max())
 
@@ -483,6 +483,6 @@ def test_stage_floor1():
     (level,) = levels_of("stage_floor1")
     assert level.free.all()
     assert island_areas("stage_floor1") == pytest.approx([400.0])
-    (part,) = read_mesh_parts(DATA / SCENES["stage_floor1"]["scene"]["path"], up="y")
+    (part,) = read_named_meshes(DATA / SCENES["stage_floor1"]["scene"]["path"], up="y")
     assert level.floor_height.min() == pytest.approx(part.vertices[:, 2].min(), abs=0.05)
     assert level.floor_height.max() == pytest.approx(part.vertices[:, 2].max(), abs=0.05)

@@ -160,11 +160,11 @@ def view(
 
     def bake() -> Exhibit:
         from navbake.baker.bake.pipeline import run_bake
-        from navbake.baker.scene.scene import load_scene, open_file
+        from navbake.baker.scene.scene import load_scene, load_scene_file
 
         config = load_config(source, overrides or [])
         with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
-            opened = open_file(config.scene)
+            opened = load_scene_file(config.scene)
             grid = run_bake(config, progress=progress, opened=opened).grid
         print_warnings(list(grid.warnings))
         baked = load_scene(config, opened=opened)

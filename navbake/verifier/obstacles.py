@@ -101,12 +101,12 @@ class Obstacles:
         self._meshes: dict[tuple[int, str], list[_Piece]] = {}
         self._halves: dict[tuple[int, bytes], list[str]] = {}
         self._facing: dict[int, list[Json]] = {}
-        for geom, choice in enumerate(scene.choices):
+        for geom, choice in enumerate(scene.selections):
             if not choice.counted or geom in left_out:
                 continue
             mat = data.geom_xmat[geom].reshape(3, 3).copy()
             pos = data.geom_xpos[geom]
-            if geom in scene.parts:  # in the world's frame
+            if geom in scene.exact_meshes:  # in the world's frame
                 mat = np.eye(3)
                 pos = np.zeros(3)
             for piece in self._pieces_of(geom, choice.mesh):
@@ -164,7 +164,7 @@ class Obstacles:
     def _pieces_of(self, geom: int, mode: str) -> list[_Piece]:
         """What a geom of the scene is made of; a mesh may have several parts."""
         model = self._scene.model
-        part = self._scene.parts.get(geom)
+        part = self._scene.exact_meshes.get(geom)
         kind = int(model.geom_type[geom])
         size = model.geom_size[geom].copy()
         if part is not None:

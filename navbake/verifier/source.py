@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.model import is_in_memory, name_of, open_memory
+from navbake.baker.scene.model import is_in_memory, load_from_memory, name_of
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import (
@@ -78,7 +78,7 @@ def find_source(
             config = parse_config({**stated, "scene": {**own, "path": path}})
         except ConfigError:  # of another version
             config = parse_config({"scene": {"path": path}}, str(path))
-        opened = open_memory(given, data, config.scene) if in_memory else None
+        opened = load_from_memory(given, data, config.scene) if in_memory else None
     else:
         config = as_config(given)
     scene = load_scene(config, opened=opened)

@@ -62,9 +62,9 @@ def read_mesh(path: str, *, by_trimesh: bool = False) -> dict[str, Any]:
     """Read a mesh file by the clock, as a warm bake does, or as trimesh."""
     import trimesh
 
-    from navbake.baker.readers.mesh import read_mesh_parts
+    from navbake.baker.readers.mesh import read_named_meshes
 
-    read: Callable[[], Any] = partial(read_mesh_parts, Path(path))
+    read: Callable[[], Any] = partial(read_named_meshes, Path(path))
     if by_trimesh:
         read = partial(trimesh.load, path, process=False, force="mesh")
     else:

@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from navbake.baker.scene.model import CompileLimits, OpenScene, is_in_memory, name_of, open_memory
+from navbake.baker.scene.model import (
+    CompileLimits,
+    SceneModel,
+    is_in_memory,
+    load_from_memory,
+    name_of,
+)
 from navbake.baker.scene.names import all_names
-from navbake.baker.scene.scene import open_file
+from navbake.baker.scene.scene import load_scene_file
 from navbake.config.field_types import make_config_error
 from navbake.config.keywords import config_with, memory_config
 from navbake.config.settings import BakeConfig, ExcludeSettings
@@ -21,24 +27,24 @@ from navbake.known_names import suggest
 WILDCARDS = re.compile(r"([*?[])")
 
 
-def take_input(
+def parse_arguments(
     scene: Any,
     data: Any,
     settings: Mapping[str, Any],
     exclude: Mapping[str, Any] | None = None,
     robot: Any = None,
     limits: CompileLimits | None = None,
-) -> tuple[BakeConfig, OpenScene | None]:
+) -> tuple[BakeConfig, SceneModel | None]:
     """Check the arguments of `navbake.bake`; `limits` are for MuJoCo to compile a file.
 
     Returns all settings; and the scene's model, None where the bake loads the settings' file.
     """
-    opened: OpenScene | None = None
+    opened: SceneModel | None = None
     if is_in_memory(scene):
         if limits is not None:
             raise ConfigError("`isolate` is for scene files: this scene is in memory")
         config = memory_config(name_of(scene), settings)
-        opened = open_memory(scene, data, config.scene)
+        opened = load_from_memory(scene, data, config.scene)
     else:
         if data is not None:
             raise ConfigError(
@@ -54,7 +60,7 @@ def take_input(
     if exclude is None and robot is None:
         return config, opened
     # whether there are such bodies is seen in the model, which the bake then has no need to load
-    opened = opened or open_file(config.scene, limits)
+    opened = opened or load_scene_file(config.scene, limits)
     names = all_names(opened.model)
     own = config.scene.exclude
     given = {} if exclude is None else exclude

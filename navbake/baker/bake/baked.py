@@ -31,7 +31,7 @@ class FloorLattice(NamedTuple):
     window: Window
 
 
-class StandingLayers(NamedTuple):
+class StructureLayers(NamedTuple):
     """Layers of a level as they are written, of its own rectangle.
 
     Attributes:
@@ -46,7 +46,7 @@ class StandingLayers(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Standing:
+class BakedStructure:
     """What follows from what stands, and from closed leaves: nothing that moves changes it.
 
     Attributes:
@@ -57,24 +57,24 @@ class Standing:
         rooms: the room of each cell.
         boxes: the rectangle and the box of each level.
         link_geometry: what an agent on a link may collide with; None where there are none.
-        stated_settings: the settings and their digest, as a file states them.
+        settings_metadata: the settings and their digest, as a file states them.
         steps: the steps of the floors, with cells counted on each level's own rectangle.
         warnings: what the user should know of it, one line each.
     """
 
     lattice: Lattice
     floors: Floors
-    layers: list[StandingLayers]
+    layers: list[StructureLayers]
     occupants: StandingOccupants | None
     rooms: Rooms
     boxes: LevelBoxes
     link_geometry: CollisionGeometry | None
-    stated_settings: Json
+    settings_metadata: Json
     steps: list[list[int]]
     warnings: list[str]
 
 
-class CutDoor(NamedTuple):
+class GridDoor(NamedTuple):
     """A door as the grid has it.
 
     Attributes:
@@ -89,7 +89,7 @@ class CutDoor(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Moving:
+class BakedPose:
     """What depends on the pose of a scene: what can move, doors, areas, links.
 
     Attributes:
@@ -99,7 +99,7 @@ class Moving:
         occupants: what can move, and leaves that are no doors; and all cells that are occupied,
             but by doors.
         lost_floors: by body id, how much floor there would be on what can move [m²].
-        cut_doors: the doors as the grid has them.
+        grid_doors: the doors as the grid has them.
         room_table: the table of rooms as a file states it, with the doors between them.
         areas: the areas of the settings, painted on the levels.
         links: the named links.
@@ -110,7 +110,7 @@ class Moving:
     in_the_way: Bool
     occupants: MovableOccupants
     lost_floors: dict[int, float]
-    cut_doors: list[CutDoor]
+    grid_doors: list[GridDoor]
     room_table: list[Json]
     areas: PaintedAreas
     links: BakedLinks

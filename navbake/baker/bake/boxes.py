@@ -84,7 +84,7 @@ def find_level_boxes(
     return LevelBoxes(windows, boxes, int(lost.sum()), np.flatnonzero(lost).tolist())
 
 
-def written_ground(level: LevelFloor) -> float:
+def rounded_ground(level: LevelFloor) -> float:
     """A level's ground height without what rounding added to it [m]."""
     return round(level.ground, DIGITS) + 0.0  # + 0.0: without a minus before 0
 

@@ -15,7 +15,7 @@ from navbake.types import Float
 BOX_ROUNDING = 1e-6  # of a box's farthest coordinate; float32 has 6e-8, and is computed with
 
 
-def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
+def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     """Lay one lattice over the scene, or over the bounds of the settings.
 
     A scene's extents are reduced by `BOX_ROUNDING`, so that meshes in float32, in inches or 10 km
@@ -47,7 +47,9 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     return Lattice.cover(bounds, settings.cell_size, settings.margin, rounding)
 
 
-def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[Lattice, Window]:
+def extend_lattice(
+    lattice: Lattice, bounds: Float | None, max_cells: int
+) -> tuple[Lattice, Window]:
     """Extend a lattice to the whole scene; returns it, and the given one as its window.
 
     It is extended by whole cells up to the scene's `bounds`, (2, 3) [m], but not if these are None,

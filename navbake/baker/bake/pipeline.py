@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake._version import __version__
-from navbake.baker.bake.arguments import take_input
-from navbake.baker.bake.baked import Moving, Standing
-from navbake.baker.bake.boxes import written_ground
+from navbake.baker.bake.arguments import parse_arguments
+from navbake.baker.bake.baked import BakedPose, BakedStructure
+from navbake.baker.bake.boxes import rounded_ground
 from navbake.baker.bake.stages import open_stages
 from navbake.baker.bake.warnings import collect_warnings
 from navbake.baker.core.clock import Progress, StageClock
 from navbake.baker.core.windows import crop_cells
 from navbake.baker.occupants.movable import name_occupants
-from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
+from navbake.baker.scene.model import CompileLimits, SceneModel, mujoco_version
 from navbake.baker.scene.scene import GeomReport, Scene
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
@@ -120,7 +120,7 @@ def bake(
         >>> path = finder.find_path(finder.random_point(), finder.random_point())
     """
     limits = CompileLimits() if isolate else None
-    config, opened = take_input(scene, data, settings, exclude, robot, limits)
+    config, opened = parse_arguments(scene, data, settings, exclude, robot, limits)
     told = list[str]()
 
     def tell(hint: str) -> None:
@@ -140,7 +140,7 @@ def run_bake(
     threads: int | None = None,
     progress: Progress | None = None,
     limits: CompileLimits | None = None,
-    opened: OpenScene | None = None,
+    opened: SceneModel | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> BakeResult:
     """Bake a scene, `opened` where its model is in memory, into a navigation grid.
@@ -157,8 +157,8 @@ def run_bake(
             LOG.warning("%s: %s", scene.id, hint)
             if tell is not None:
                 tell(hint)
-        standing = stages.standing
-        moving = stages.moving
+        standing = stages.baked_structure
+        moving = stages.baked_pose
         # gives back the memory of columns and of listed geometry, of which the grid needs none
         del stages
         scene.structure.forget_triangles()
@@ -202,7 +202,7 @@ def _verified(
 
 
 def build_grid(
-    config: BakeConfig, standing: Standing, moving: Moving
+    config: BakeConfig, standing: BakedStructure, moving: BakedPose
 ) -> SceneGrid2D | MultiLevelGrid:
     """Make the grid of what stands and of what moves."""
     metadata = _metadata(config, standing, moving)
@@ -219,10 +219,10 @@ def build_grid(
 
 
 def _level_grid(
-    number: int, config: BakeConfig, standing: Standing, moving: Moving, metadata: Json
+    number: int, config: BakeConfig, standing: BakedStructure, moving: BakedPose, metadata: Json
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
-    doors = [cut.door for cut in moving.cut_doors]
+    doors = [cut.door for cut in moving.grid_doors]
     window = standing.boxes.windows[number]
     level = standing.floors.levels[number]
     layers = standing.layers[number]
@@ -258,7 +258,7 @@ def _level_grid(
         width=part.width,
         height=part.height,
         cell_size=part.cell_size,
-        min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
+        min_yup=(part.x_min, rounded_ground(level), 0.0 - part.y_max),
         bbox_yup=standing.boxes.boxes[number],
         attributes=attributes,
         user_data=user_data,
@@ -266,7 +266,7 @@ def _level_grid(
     )
 
 
-def _metadata(config: BakeConfig, standing: Standing, moving: Moving) -> Json:
+def _metadata(config: BakeConfig, standing: BakedStructure, moving: BakedPose) -> Json:
     agent = config.agent
     scene = moving.scene
     levels = standing.floors.levels
@@ -290,7 +290,7 @@ def _metadata(config: BakeConfig, standing: Standing, moving: Moving) -> Json:
             "version": __version__,
             "mujoco": mujoco_version(),
             "sceneDigest": scene.digest,
-            **standing.stated_settings,
+            **standing.settings_metadata,
             "worldFrame": {
                 "up": "z",
                 "unit": "m",
@@ -298,18 +298,18 @@ def _metadata(config: BakeConfig, standing: Standing, moving: Moving) -> Json:
                 "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
             },
             "maxSlope": agent.max_slope,
-            "levels": [{"name": level.name, "ground": written_ground(level)} for level in levels],
+            "levels": [{"name": level.name, "ground": rounded_ground(level)} for level in levels],
             "links": [*standing.steps, *_named_links(standing, moving)],
             **{name: table for name, table in traffic.items() if table},
             "names": config.names.enabled,
             "rooms": moving.room_table,
-            "doors": [cut.entry for cut in moving.cut_doors],
+            "doors": [cut.entry for cut in moving.grid_doors],
             **({"warnings": warned} if warned else {}),
         },
     }
 
 
-def _named_links(standing: Standing, moving: Moving) -> list[Json]:
+def _named_links(standing: BakedStructure, moving: BakedPose) -> list[Json]:
     """The named links as a file states them, with cells counted on each level's rectangle."""
 
     def cut(stop: Stop) -> Stop:

@@ -18,11 +18,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from navbake.baker.bake.arguments import take_input
-from navbake.baker.bake.baked import CutDoor, FloorLattice, Moving, Standing, StandingLayers
+from navbake.baker.bake.arguments import parse_arguments
+from navbake.baker.bake.baked import (
+    BakedPose,
+    BakedStructure,
+    FloorLattice,
+    GridDoor,
+    StructureLayers,
+)
 from navbake.baker.bake.boxes import LevelBoxes, find_level_boxes
-from navbake.baker.bake.lattice import lay_lattice, lay_whole
-from navbake.baker.bake.warnings import warn_of_standing
+from navbake.baker.bake.lattice import extend_lattice, fit_lattice
+from navbake.baker.bake.warnings import warn_of_structure
 from navbake.baker.columns.column_sources import (
     ColumnCaster,
     WindowColumns,
@@ -63,9 +69,9 @@ from navbake.baker.occupants.standing import (
 )
 from navbake.baker.rooms.flags import RoomFlags, gather_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
-from navbake.baker.scene.divide import MOVABLE
-from navbake.baker.scene.leaves import mark_geoms
-from navbake.baker.scene.model import CompileLimits, OpenScene
+from navbake.baker.scene.leaves import mark_candidate_geoms
+from navbake.baker.scene.model import CompileLimits, SceneModel
+from navbake.baker.scene.roles import MOVABLE
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
@@ -99,7 +105,7 @@ def bake_stages(
     whose floors cannot be found. For the arguments, see `navbake.bake`, for `progress`,
     `baker.clock`.
     """
-    config, opened = take_input(scene, data, settings)
+    config, opened = parse_arguments(scene, data, settings)
     return open_stages(config, StageClock(progress), opened=opened)
 
 
@@ -107,13 +113,13 @@ def open_stages(
     config: BakeConfig,
     clock: StageClock,
     limits: CompileLimits | None = None,
-    opened: OpenScene | None = None,
+    opened: SceneModel | None = None,
 ) -> Stages:
     """Load a scene, if it isn't `opened`, and give the stages of its bake."""
     ensure_compiled()
     with clock.stage("scene"):
         scene = load_scene(config, limits=limits, opened=opened)
-        lattice = lay_lattice(scene, config)
+        lattice = fit_lattice(scene, config)
     return Stages(config, scene, lattice, clock)
 
 
@@ -135,9 +141,9 @@ class Stages:
         return Footprint.of(self.config.agent, self.lattice.cell_size)
 
     @cached_property
-    def judged(self) -> FloorLattice:
+    def extended_lattice(self) -> FloorLattice:
         """The lattice on which floors are judged, and the window of it that is baked."""
-        return judge_on(self.lattice, self.scene, self.config)
+        return find_floor_lattice(self.lattice, self.scene, self.config)
 
     @cached_property
     def tile_index(self) -> ShapeSource:
@@ -146,8 +152,8 @@ class Stages:
 
     @cached_property
     def floor_tile_index(self) -> ShapeSource:
-        """What stands, by tiles of the lattice on which floors are judged."""
-        lattice = self.judged.lattice
+        """What stands, by tiles of the lattice on which floors are extended."""
+        lattice = self.extended_lattice.lattice
         return self.tile_index if lattice == self.lattice else self._list_structure(lattice)
 
     @cached_property
@@ -160,7 +166,7 @@ class Stages:
     @cached_property
     def columns(self) -> Columns:
         """All surfaces of what stands on the line through each cell's centre, or beside a crack."""
-        return join_columns(self.floor_columns, self.judged.window, self.lattice)
+        return join_columns(self.floor_columns, self.extended_lattice.window, self.lattice)
 
     @property
     def column_blocks(self) -> ColumnSource:
@@ -168,7 +174,7 @@ class Stages:
         columns = self.floor_columns
         if columns.lattice == self.lattice:
             return columns
-        return WindowColumns(columns, self.judged.window, self.lattice)
+        return WindowColumns(columns, self.extended_lattice.window, self.lattice)
 
     @cached_property
     def _floors_and_extents(self) -> tuple[Floors, Extents | None]:
@@ -178,12 +184,12 @@ class Stages:
             # columns took all threads, and expanded the triangles that are measured
             extents = run_beside(measure_extents, self.scene.structure, len(self.scene.geoms))
         with self.clock.stage("floors"):
-            floors = judge_floors(
+            floors = find_scene_floors(
                 columns,
                 self.floor_tile_index,
                 scene=self.scene,
                 lattice=self.lattice,
-                judged=self.judged,
+                extended=self.extended_lattice,
                 config=self.config,
             )
             return floors, extents()
@@ -338,7 +344,7 @@ class Stages:
         """The named links, those of the settings and those that are found."""
         if not self.config.links:
             return BakedLinks([], [])
-        standing = self.standing
+        standing = self.baked_structure
         doors = self.doors
         in_the_way = self.in_the_way
         occupants = self.occupants
@@ -359,21 +365,23 @@ class Stages:
         Those that `floors.fill` closes, or would close: floor surrounds them.
         """
         # a file of one mesh is few geoms
-        shapes = [report.shape for report in self.scene.geoms] if self.scene.parts else []
+        shapes = [report.shape for report in self.scene.geoms] if self.scene.exact_meshes else []
         is_open = any(shape.startswith(("surface", "partly closed")) for shape in shapes)
-        if not is_open or self.judged.lattice != self.lattice:
+        if not is_open or self.extended_lattice.lattice != self.lattice:
             return np.empty(0)
         cell_area = self.lattice.cell_size**2
         level = self.floors.levels[0]
         if level.unseen is None:
-            is_occupied = occupancy_test(self.floor_columns, self.floor_tile_index, self.config)
+            is_occupied = make_occupancy_test(
+                self.floor_columns, self.floor_tile_index, self.config
+            )
             level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
         part, _ = label_components_2d(np.asarray(level.unseen))
         areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
         return areas
 
     @cached_property
-    def standing(self) -> Standing:
+    def baked_structure(self) -> BakedStructure:
         """What follows from what stands, for the grid and its updates."""
         link_geometry = None
         if self.config.links:
@@ -387,7 +395,7 @@ class Stages:
             scene_box=self.scene.bounds,
             agent_height=self.config.agent.height,
         )
-        return Standing(
+        return BakedStructure(
             lattice=self.lattice,
             floors=self.floors,
             layers=_cut_layers(self.floors.levels, self.rooms, boxes.windows),
@@ -395,15 +403,15 @@ class Stages:
             rooms=self.rooms,
             boxes=boxes,
             link_geometry=link_geometry,
-            stated_settings={
+            settings_metadata={
                 "settingsDigest": settings_digest(self.config),
                 "settings": settings_to_state(self.config),
             },
             steps=_cut_steps(self.floors.links, boxes, self.lattice.width),
-            warnings=warn_of_standing(
+            warnings=warn_of_structure(
                 self.config,
                 self.scene,
-                judged=self.judged,
+                extended=self.extended_lattice,
                 floors=self.floors,
                 occupancy=self.occupancy,
                 standing_occupants=self.standing_occupants,
@@ -414,12 +422,12 @@ class Stages:
         )
 
     @cached_property
-    def moving(self) -> Moving:
+    def baked_pose(self) -> BakedPose:
         """What follows from the pose, too, for the grid and its updates."""
-        standing = self.standing
+        standing = self.baked_structure
         occupants = self.occupants
         placed_doors = select_doors(self.doors)
-        return Moving(
+        return BakedPose(
             scene=self.scene,
             doors=self.doors,
             in_the_way=self.in_the_way,
@@ -432,10 +440,10 @@ class Stages:
                 lattice=self.lattice,
                 agent=self.config.agent,
             ),
-            cut_doors=[
-                cut_placed(placed, standing, occupants, self.config) for placed in placed_doors
+            grid_doors=[
+                make_grid_door(placed, standing, occupants, self.config) for placed in placed_doors
             ],
-            room_table=list_rooms(self.rooms, placed_doors),
+            room_table=rooms_to_json(self.rooms, placed_doors),
             areas=self.areas,
             links=self.links,
         )
@@ -445,23 +453,23 @@ class Stages:
         return make_shape_source(self.scene.structure, lattice, reach)
 
 
-def judge_on(lattice: Lattice, scene: Scene, config: BakeConfig) -> FloorLattice:
+def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> FloorLattice:
     """The lattice on which floors are judged: the whole scene's, around the one that is baked."""
-    return FloorLattice(*lay_whole(lattice, scene.bounds, config.grid.max_cells))
+    return FloorLattice(*extend_lattice(lattice, scene.bounds, config.grid.max_cells))
 
 
-def judge_floors(
+def find_scene_floors(
     columns: ColumnSource,
     tiles: ShapeSource,
     scene: Scene,
     lattice: Lattice,
-    judged: FloorLattice,
+    extended: FloorLattice,
     config: BakeConfig,
 ) -> Floors:
     """Find the floors of the whole scene, and cut them to the lattice that is baked.
 
     Args:
-        columns, tiles: what stands, on the lattice on which floors are judged.
+        columns, tiles: what stands, on the lattice on which floors are extended.
     """
     try:
         floors = find_floors(
@@ -470,10 +478,10 @@ def judge_floors(
             agent=config.agent,
             settings=config.floors,
             given=None if config.levels == "auto" else list(config.levels),
-            is_occupied=occupancy_test(columns, tiles, config),
+            is_occupied=make_occupancy_test(columns, tiles, config),
         )
-        if judged.lattice != lattice:
-            floors = crop_floors(floors, judged.window)
+        if extended.lattice != lattice:
+            floors = crop_floors(floors, extended.window)
     except SceneError as error:
         raise SceneError(
             f"{config.scene.path}: {error}{_describe_extent(scene, config)}"
@@ -481,7 +489,9 @@ def judge_floors(
     return floors
 
 
-def occupancy_test(columns: ColumnSource, tiles: ShapeSource, config: BakeConfig) -> OccupancyTest:
+def make_occupancy_test(
+    columns: ColumnSource, tiles: ShapeSource, config: BakeConfig
+) -> OccupancyTest:
     """Tells which cells are occupied by what is as narrow as a point, and ends a region."""
     point = config.agent.model_copy(update={"radius": 0.0})
     narrow = Footprint.of(point, columns.lattice.cell_size)
@@ -501,19 +511,19 @@ def mark_in_the_way(scene: Scene, doors: Sequence[ClassifiedLeaf], config: BakeC
     With `exclude.movable`, such leaves that can move are left out, too.
     """
     rejected = [placed.candidate for placed in doors if not placed.is_door]
-    is_rejected = mark_geoms(len(scene.roles), rejected)
+    is_rejected = mark_candidate_geoms(len(scene.roles), rejected)
     if config.scene.exclude.movable:
-        is_rejected &= scene.stands[scene.model.geom_bodyid]
+        is_rejected &= scene.is_structure_body[scene.model.geom_bodyid]
     in_the_way: Bool = is_rejected | (scene.roles == MOVABLE)
     return in_the_way
 
 
-def cut_placed(
+def make_grid_door(
     placed: ClassifiedLeaf,
-    standing: Standing,
+    standing: BakedStructure,
     occupants: MovableOccupants,
     config: BakeConfig,
-) -> CutDoor:
+) -> GridDoor:
     """A door as the grid has it: its cells that nothing else occupies, by level."""
     door = cut_door(
         placed,
@@ -523,10 +533,10 @@ def cut_placed(
         width=standing.lattice.width,
         wanted=config.doors.state,
     )
-    return CutDoor(door, list_door(door), is_stuck(placed, occupants.blocked))
+    return GridDoor(door, door_to_json(door), is_stuck(placed, occupants.blocked))
 
 
-def list_door(door: Door) -> Json:
+def door_to_json(door: Door) -> Json:
     """A door as the file states it; see `navbake.navgrid.rooms.parse_doors`."""
     rooms = list(door.rooms)
     entry: Json = {"id": door.id, "joint": door.joint, "rooms": rooms, "state": door.state}
@@ -536,7 +546,7 @@ def list_door(door: Door) -> Json:
     return entry
 
 
-def list_rooms(rooms: Rooms, doors: Sequence[ClassifiedLeaf]) -> list[Json]:
+def rooms_to_json(rooms: Rooms, doors: Sequence[ClassifiedLeaf]) -> list[Json]:
     """The table of rooms as a file states it, with the doors between them."""
     closed = {placed.candidate.id: (placed.rooms, placed.closed_cells) for placed in doors}
     return [room.to_json() for room in rooms.with_neighbours(closed).table]
@@ -544,7 +554,7 @@ def list_rooms(rooms: Rooms, doors: Sequence[ClassifiedLeaf]) -> list[Json]:
 
 def _cut_layers(
     levels: Sequence[LevelFloor], rooms: Rooms, windows: Sequence[Window]
-) -> list[StandingLayers]:
+) -> list[StructureLayers]:
     """The layers of each level on its own rectangle."""
     layers = []
     for level, room_index, window in zip(levels, rooms.index, windows, strict=True):
@@ -552,7 +562,7 @@ def _cut_layers(
         if level.unseen is not None:
             unseen = level.unseen[window].astype(np.uint8)
         layers.append(
-            StandingLayers(
+            StructureLayers(
                 floor=level.floor[window].astype(np.float32),
                 room_index=np.ascontiguousarray(room_index[window]),
                 unseen=unseen,
@@ -575,7 +585,7 @@ def _cut_steps(links: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
 
 def make_links(
     scene: Scene,
-    standing: Standing,
+    standing: BakedStructure,
     doors: Sequence[ClassifiedLeaf],
     in_the_way: Bool,
     occupied: Sequence[Bool],
@@ -614,7 +624,7 @@ def _describe_extent(scene: Scene, config: BakeConfig) -> str:
     if scene.bounds is None:
         return ""
     hint = "; ".join(scene.hints)
-    if scene.parts and not hint:
+    if scene.exact_meshes and not hint:
         up = config.scene.up
         unit = config.scene.unit
         hint = f"check which way is up (`scene.up` is {up}) and the unit (`scene.unit` is {unit:g})"

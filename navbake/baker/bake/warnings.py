@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from navbake.baker.bake.baked import FloorLattice, Moving, Standing
+from navbake.baker.bake.baked import BakedPose, BakedStructure, FloorLattice
 from navbake.baker.bake.boxes import LevelBoxes
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.doors.doors import warn_doors
@@ -75,10 +75,10 @@ LOST = {
 }
 
 
-def warn_of_standing(
+def warn_of_structure(
     config: BakeConfig,
     scene: Scene,
-    judged: FloorLattice,
+    extended: FloorLattice,
     floors: Floors,
     occupancy: Occupancy,
     standing_occupants: StandingOccupants | None,
@@ -88,7 +88,7 @@ def warn_of_standing(
 ) -> list[str]:
     """The warnings of what stands, in the order of the stages, whose values the arguments are."""
     warnings = [
-        *_warn_part_judged(config, judged, scene),
+        *_warn_cropped(config, extended, scene),
         *_warn_patches(floors, scene, DROPPED),
         *_warn_high_grounds(config, floors),
         *_warn_patches(floors, scene, LOST),
@@ -101,7 +101,7 @@ def warn_of_standing(
     return [printable(warning) for warning in warnings]
 
 
-def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> list[str]:
+def collect_warnings(config: BakeConfig, standing: BakedStructure, moving: BakedPose) -> list[str]:
     """The warnings of all stages: of the scene, of what stands, then of the pose."""
     warnings = [
         *_warn_unreached(standing.floors, moving),
@@ -110,7 +110,7 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
         *_warn_lost_floors(moving),
         *warn_doors(
             moving.placed_doors,
-            {cut.door.id for cut in moving.cut_doors if cut.is_stuck},
+            {cut.door.id for cut in moving.grid_doors if cut.is_stuck},
             config.doors.state,
         ),
         *moving.areas.warnings,
@@ -124,9 +124,9 @@ def collect_warnings(config: BakeConfig, standing: Standing, moving: Moving) -> 
     ]
 
 
-def _warn_part_judged(config: BakeConfig, judged: FloorLattice, scene: Scene) -> Iterator[str]:
+def _warn_cropped(config: BakeConfig, extended: FloorLattice, scene: Scene) -> Iterator[str]:
     """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
-    whole = judged.lattice
+    whole = extended.lattice
     if scene.bounds is not None and find_cropped(whole, scene.bounds).any():
         x0, y0, x1, y1 = whole.bounds
         yield (
@@ -136,7 +136,7 @@ def _warn_part_judged(config: BakeConfig, judged: FloorLattice, scene: Scene) ->
         )
 
 
-def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> Iterator[str]:
+def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: BakedPose) -> Iterator[str]:
     """Warn of levels without a cell that an agent can stand in."""
     full = [
         repr(level.name)
@@ -145,7 +145,9 @@ def _warn_nothing_free(config: BakeConfig, floors: Floors, moving: Moving) -> It
     ]
     if full:
         agent = config.agent
-        lying = "; does the scene lie on its side (`scene.up`)?" if moving.scene.parts else ""
+        lying = (
+            "; does the scene lie on its side (`scene.up`)?" if moving.scene.exact_meshes else ""
+        )
         yield (
             f"nothing is free on {', '.join(full)}: an agent {agent.height:g} m high of "
             f"{agent.radius:g} m radius can stand nowhere there; `navbake why` names what blocks a "
@@ -159,12 +161,12 @@ def _has_free(standable: Bool, taken: Bool) -> bool:
     return any((standable[row : row + ROWS] > taken[row : row + ROWS]).any() for row in rows)
 
 
-def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
+def _warn_movable(standing: BakedStructure, moving: BakedPose) -> Iterator[str]:
     """Warn of what can move and takes floor: robots, and things that move later."""
     scene = moving.scene
     taken = moving.occupants.num_blocked_alone
     bodies = np.flatnonzero(taken)
-    bodies = bodies[~scene.stands[bodies]]  # else a leaf that hangs on no joint
+    bodies = bodies[~scene.is_structure_body[bodies]]  # else a leaf that hangs on no joint
     is_robot = np.isin(bodies, list(scene.actuated))
     robots = bodies[is_robot]
     things = bodies[~is_robot]
@@ -193,10 +195,10 @@ def _warn_movable(standing: Standing, moving: Moving) -> Iterator[str]:
         )
 
 
-def _warn_lost_floors(moving: Moving) -> Iterator[str]:
+def _warn_lost_floors(moving: BakedPose) -> Iterator[str]:
     """Warn of what can move and would be floor where there is none."""
     for body, area in moving.lost_floors.items():
-        if moving.scene.stands[body]:  # a leaf without a joint
+        if moving.scene.is_structure_body[body]:  # a leaf without a joint
             continue
         name = body_name(moving.scene.model, body)
         yield (
@@ -252,7 +254,7 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
             )
 
 
-def _warn_unreached(floors: Floors, moving: Moving) -> Iterator[str]:
+def _warn_unreached(floors: Floors, moving: BakedPose) -> Iterator[str]:
     """Warn of what no step leads to, level by level; not of a level at which a link stops."""
     linked = {stop.level for link in moving.links.links for stop in link.stops}
     for part in floors.unreached:

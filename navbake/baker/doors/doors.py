@@ -32,7 +32,7 @@ from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines, mark_visible
 from navbake.baker.rooms.rooms import RoomIds, Rooms
-from navbake.baker.scene.leaves import DoorCandidate, largest_side
+from navbake.baker.scene.leaves import DoorCandidate, find_largest_side
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
@@ -279,7 +279,7 @@ def _pose_leaf(
 
 def _lines_from(extents: Extents, geoms: Int, lattice: Lattice, reach: float) -> LeafLines | None:
     """The cells along lines from a closed leaf, which blocks those within `reach` [m]."""
-    leaf = largest_side(extents, geoms)
+    leaf = find_largest_side(extents, geoms)
     if not np.isfinite(extents.center[leaf]).all():
         return None
     across = extents.across[leaf]

@@ -8,14 +8,14 @@ import numpy as np
 
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.leaves import DoorCandidate, mark_geoms
+from navbake.baker.scene.leaves import DoorCandidate, mark_candidate_geoms
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
 
 
 def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
     """The geometry of all doors in one state; doors without that state stay as modelled."""
-    mask = mark_geoms(scene.model.ngeom, doors)
+    mask = mark_candidate_geoms(scene.model.ngeom, doors)
     moved = {
         door.joint_id: float(position)
         for door in doors
@@ -28,8 +28,8 @@ def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shap
     return collect_shapes(
         scene.model,
         data,
-        choices=scene.choices,
-        parts=scene.parts,
+        selections=scene.selections,
+        exact_meshes=scene.exact_meshes,
         only=geoms,
         meshes=scene.meshes,
     )[0]

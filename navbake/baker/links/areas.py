@@ -17,7 +17,7 @@ from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.rooms.rooms import Rooms
-from navbake.baker.scene.collect import Choice, collect_shapes
+from navbake.baker.scene.collect import GeomSelection, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.config.links import AreaSettings
@@ -135,10 +135,10 @@ def _mark_geoms(
     if not chosen.any():
         return masks, np.nan, warnings
     geoms = np.flatnonzero(chosen).tolist()
-    known = scene.choices
+    known = scene.selections
     modes = {geom: known[geom].mesh if known[geom].counted else "surface" for geom in geoms}
-    choices = {geom: Choice(True, "marks an area", modes[geom]) for geom in geoms}
-    shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts, geoms)
+    choices = {geom: GeomSelection(True, "marks an area", modes[geom]) for geom in geoms}
+    shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.exact_meshes, geoms)
     window: Window | None = np.s_[0 : lattice.height], np.s_[0 : lattice.width]
     if not len(shapes.planes.geom) and not shapes.endless.any():
         window = None if shapes.bounds is None else lattice.window(shapes.bounds)

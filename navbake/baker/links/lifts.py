@@ -204,8 +204,8 @@ def _space_at(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
     moved, *_ = collect_shapes(
         model,
         data,
-        choices=scene.choices,
-        parts=scene.parts,
+        selections=scene.selections,
+        exact_meshes=scene.exact_meshes,
         only=known[car.geoms[known]].tolist(),
         meshes=scene.meshes,
     )

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.baker.bake.arguments import take_input
-from navbake.baker.bake.baked import CutDoor, Moving, Standing
-from navbake.baker.bake.lattice import lay_lattice
+from navbake.baker.bake.arguments import parse_arguments
+from navbake.baker.bake.baked import BakedPose, BakedStructure, GridDoor
+from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.pipeline import build_grid
 from navbake.baker.bake.stages import (
-    cut_placed,
+    make_grid_door,
     make_links,
     mark_in_the_way,
     open_stages,
@@ -37,14 +37,14 @@ from navbake.baker.doors.doors import (
     pose_leaves,
 )
 from navbake.baker.links.areas import paint_areas
-from navbake.baker.live.following import FollowedScene, Moved
+from navbake.baker.live.tracked_scene import SceneChange, TrackedScene
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
     MovableContext,
     update_movable_occupants,
 )
-from navbake.baker.scene.model import OpenScene
-from navbake.baker.scene.scene import Scene, open_file
+from navbake.baker.scene.model import SceneModel
+from navbake.baker.scene.scene import Scene, load_scene_file
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
@@ -61,7 +61,7 @@ LOG = logging.getLogger("navbake")
 FEW_BOXES = 16
 
 
-class WholeBake(Exception):
+class FullBakeRequired(Exception):
     """Raised when an update needs a whole bake; the text says why."""
 
 
@@ -90,8 +90,8 @@ class Changes(NamedTuple):
 class BakedScene(NamedTuple):
     """What a bake found, and what is looked at again when something moves."""
 
-    standing: Standing
-    moving: Moving
+    standing: BakedStructure
+    moving: BakedPose
     door_context: DoorContext
     movable_context: MovableContext
 
@@ -134,8 +134,8 @@ class Baker:
         threads: int | None = None,
         **settings: Unpack[SettingKeywords],
     ) -> None:
-        config, opened = take_input(scene, data, settings, exclude, robot)
-        opened = opened or open_file(config.scene)
+        config, opened = parse_arguments(scene, data, settings, exclude, robot)
+        opened = opened or load_scene_file(config.scene)
         self._config = config
         self._opened = opened
         self._threads = threads
@@ -143,7 +143,7 @@ class Baker:
         with limit_threads(threads):
             # None while it is brought up to date, and after that has failed
             self._baked: BakedScene | None = self._bake(opened)
-            self._scene = FollowedScene(config, opened, self._baked.moving.scene)
+            self._scene = TrackedScene(config, opened, self._baked.moving.scene)
             self._grid = build_grid(config, self._baked.standing, self._baked.moving)
         for warning in self._grid.warnings:
             warnings.warn(warning, BakeWarning, stacklevel=2)
@@ -201,9 +201,9 @@ class Baker:
             reason = ""
             try:
                 if before is None:
-                    raise WholeBake("the last update failed")
+                    raise FullBakeRequired("the last update failed")
                 now = follow(before, moved, self._config)
-            except WholeBake as why:
+            except FullBakeRequired as why:
                 reason = str(why)
                 LOG.debug("the whole scene is baked again: %s", reason)
                 now = self._bake(self._opened._replace(data=moved.scene.data))
@@ -217,26 +217,26 @@ class Baker:
             self._baked = now
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
 
-    def _bake(self, opened: OpenScene) -> BakedScene:
+    def _bake(self, opened: SceneModel) -> BakedScene:
         stages = open_stages(self._config, StageClock(), opened=opened)
         return BakedScene(
-            stages.standing, stages.moving, stages.door_context, stages.movable_context
+            stages.baked_structure, stages.baked_pose, stages.door_context, stages.movable_context
         )
 
 
-def follow(before: BakedScene, moved: Moved, config: BakeConfig) -> BakedScene:
+def follow(before: BakedScene, moved: SceneChange, config: BakeConfig) -> BakedScene:
     """Bring a baked scene up to date after something moved.
 
     Raises:
-        WholeBake: what stands is another, or the lattice, or how leaves close.
+        FullBakeRequired: what stands is another, or the lattice, or how leaves close.
     """
     standing = before.standing
     was = before.moving
     scene = moved.scene
     if moved.structure:
-        raise WholeBake(moved.structure)
-    if lay_lattice(scene, config) != standing.lattice:
-        raise WholeBake("the grid is another one: the box round the scene has changed")
+        raise FullBakeRequired(moved.structure)
+    if fit_lattice(scene, config) != standing.lattice:
+        raise FullBakeRequired("the grid is another one: the box round the scene has changed")
     doors = _follow_doors(before, scene)
     in_the_way = mark_in_the_way(scene, doors, config)
     differs = moved.geoms & (was.in_the_way | in_the_way)
@@ -295,7 +295,7 @@ def _follow_doors(before: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
     """The leaves of a scene as they are now; the same list where none is another.
 
     Raises:
-        WholeBake: a leaf closes other cells than before, so that rooms may be others.
+        FullBakeRequired: a leaf closes other cells than before, so that rooms may be others.
     """
     was = before.moving.doors
     by_candidate = {placed.candidate: placed for placed in was}
@@ -310,17 +310,17 @@ def _follow_doors(before: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
         leaf = cells.leaf.candidate
         former = by_id.get(leaf.id)
         if former is None or not closes_same_cells(cells, former):
-            raise WholeBake(f"the leaf {leaf.id!r} closes other cells")
+            raise FullBakeRequired(f"the leaf {leaf.id!r} closes other cells")
         by_candidate[leaf] = move_leaf(cells, former, before.door_context)
     return [by_candidate[leaf] for leaf in scene.leaves]
 
 
 def _follow_lost_floors(
-    moving: Moving, standing: Standing, differs: Bool, config: BakeConfig
+    moving: BakedPose, standing: BakedStructure, differs: Bool, config: BakeConfig
 ) -> dict[int, float]:
     """How much floor there would be on what can move; looked at again where geoms differ."""
     mover_of = moving.scene.mover_of
-    is_other = np.zeros(len(moving.scene.stands), dtype=np.bool_)
+    is_other = np.zeros(len(moving.scene.is_structure_body), dtype=np.bool_)
     is_other[mover_of[differs]] = True
     found = find_lost_floors(
         moving.scene.shapes,
@@ -334,25 +334,25 @@ def _follow_lost_floors(
     return dict(sorted((kept | found).items()))
 
 
-def _cut_doors_again(moving: Moving, before: BakedScene, config: BakeConfig) -> Moving:
+def _cut_doors_again(moving: BakedPose, before: BakedScene, config: BakeConfig) -> BakedPose:
     """The doors as the grid has them: those that moved, and those where cells differ, again."""
     placed_doors = moving.placed_doors
     if not placed_doors:
-        return replace(moving, cut_doors=[])
+        return replace(moving, grid_doors=[])
     standing = before.standing
     was = before.moving
     differing = [
         _differ(moving.occupants.blocked, was.occupants.blocked),
         _differ(moving.occupants.blocked_squares or [], was.occupants.blocked_squares or []),
     ]
-    cut_by = dict(zip(was.placed_doors, was.cut_doors, strict=True))
-    cut_doors = list[CutDoor]()
+    cut_by = dict(zip(was.placed_doors, was.grid_doors, strict=True))
+    grid_doors = list[GridDoor]()
     for placed in placed_doors:
         cut = cut_by.get(placed)
         if cut is None or _blocks_any(placed, differing):
-            cut = cut_placed(placed, standing, moving.occupants, config)
-        cut_doors.append(cut)
-    return replace(moving, cut_doors=cut_doors)
+            cut = make_grid_door(placed, standing, moving.occupants, config)
+        grid_doors.append(cut)
+    return replace(moving, grid_doors=grid_doors)
 
 
 def _differ(now: Sequence[Bool], before: Sequence[Bool]) -> list[Bool]:

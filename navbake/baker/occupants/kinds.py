@@ -14,7 +14,6 @@ from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.core.windows import differing_pairs
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.extents import Extents
-from navbake.baker.scene.divide import STANDING
 from navbake.baker.scene.names import (
     all_names,
     body_name,
@@ -22,6 +21,7 @@ from navbake.baker.scene.names import (
     geoms_of_bodies,
     warn_unmatched,
 )
+from navbake.baker.scene.roles import STATIC_STRUCTURE
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
@@ -162,7 +162,7 @@ def find_walls(
     """
     named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
     hinted = np.array([bool(HINTED.search(names)) for names in named_by_geom], dtype=np.bool_)
-    static = (scene.roles == STANDING) & ~excluded
+    static = (scene.roles == STATIC_STRUCTURE) & ~excluded
     slender = _is_slender(extents, *THIN)
     stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted
@@ -400,7 +400,7 @@ def classify_geoms(
 ) -> Classified:
     """Kinds and partitions of geoms, see `StandingOccupants`, and warnings."""
     buildings = find_buildings(scene, extents, over_floors)
-    ceilings = find_ceilings(extents, over_floors.base, scene.roles == STANDING, agent)
+    ceilings = find_ceilings(extents, over_floors.base, scene.roles == STATIC_STRUCTURE, agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL

@@ -21,7 +21,13 @@ import yaml
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Mesh
-from navbake.baker.readers.pieces import Body, Gathered, Joint, Piece, reading
+from navbake.baker.readers.parsed_scene import (
+    ParsedBody,
+    ParsedGeom,
+    ParsedJoint,
+    ParsedScene,
+    reading,
+)
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.source import import_extra
@@ -39,7 +45,7 @@ HINGED = ("hinged", "double_hinged")
 GEOGRAPHIC = ("web_mercator", "wgs84")
 
 
-def read_building(path: Path, settings: SceneSettings) -> Gathered:
+def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read a building: its floors, walls, doors and lifts.
 
     Raises:
@@ -63,7 +69,7 @@ class _Building:
     def __init__(self, content: Json, path: Path) -> None:
         self.content = content
         self.path = path
-        self.found = Gathered()
+        self.found = ParsedScene()
         self.levels: Json = content["levels"]
         system = content.get("coordinate_system", "reference_image")
         if system in GEOGRAPHIC:
@@ -128,7 +134,7 @@ class _Building:
         placed = self._points(level) * factor + shift
         return np.stack([placed.real, placed.imag], axis=1)
 
-    def gather(self) -> Gathered:
+    def gather(self) -> ParsedScene:
         lifts: Json = self.content.get("lifts") or {}
         thick, high = WALL
         shafts = {name: self._shaft(lift) for name, lift in lifts.items()}
@@ -146,7 +152,7 @@ class _Building:
                     if not len(mesh.faces):
                         self._warn(f"{name} of {self.path} left out: it has no area")
                         continue
-                    self.found.pieces.append(Piece(name, name, "mesh", (), np.eye(4), mesh))
+                    self.found.pieces.append(ParsedGeom(name, name, "mesh", (), np.eye(4), mesh))
             for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
                 name = f"{level}/wall_{number}"
                 with reading(f"{name} of {self.path}"):
@@ -166,7 +172,7 @@ class _Building:
         self.found.warnings.append(text)
 
     def _add_box(self, name: str, size: tuple[float, ...], pose: Float, body: str = "") -> None:
-        self.found.pieces.append(Piece(name, body or name, "box", size, pose))
+        self.found.pieces.append(ParsedGeom(name, body or name, "box", size, pose))
 
     def _add_door(self, ends: Float, z: float, values: Json) -> None:
         """Add a door's leaves, closed; each moves by a joint."""
@@ -198,12 +204,12 @@ class _Building:
             pose = pose_of((*middle, z + gap + high / 2), yaw)
             hinge = pose[:3, 3] + pose[:3, 0] * side * wide / 2
             if kind in SLIDING:
-                joint = Joint(leaf, "slide", hinge, pose[:3, 0] * side, (0.0, wide))
+                joint = ParsedJoint(leaf, "slide", hinge, pose[:3, 0] * side, (0.0, wide))
             else:
                 turn = math.radians(abs(float(values.get("motion_degrees", 90.0))))
                 axis = np.array([0.0, 0.0, -1.0]) * direction * side
-                joint = Joint(leaf, "hinge", hinge, axis, (0.0, turn))
-            self.found.bodies[leaf] = Body(leaf, "", pose, joint)
+                joint = ParsedJoint(leaf, "hinge", hinge, axis, (0.0, turn))
+            self.found.bodies[leaf] = ParsedBody(leaf, "", pose, joint)
             self.found.named_leaves.add(leaf)
             self._add_box(leaf, ((wide - gap) / 2, thick / 2, high / 2), pose, leaf)
 
@@ -241,8 +247,8 @@ class _Building:
         z = self._elevation(first)
         pose = self._pose_of_lift(lift, z)
         limits = min(stops) - z, max(stops) - z
-        joint = Joint(name, "slide", pose[:3, 3], np.array([0.0, 0.0, 1.0]), limits)
-        self.found.bodies[name] = Body(name, "", pose, joint)
+        joint = ParsedJoint(name, "slide", pose[:3, 3], np.array([0.0, 0.0, 1.0]), limits)
+        self.found.bodies[name] = ParsedBody(name, "", pose, joint)
         _, floor, high, _ = CAR
         half = float(lift["width"]) / 2, float(lift["depth"]) / 2
         sizes = half[0], half[1], floor / 2

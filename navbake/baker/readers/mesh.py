@@ -48,7 +48,7 @@ Direction: TypeAlias = str | Sequence[float] | Float
 """One of `AXES` by its name, or a vector of any length, in the frame of a file."""
 
 
-class MeshPart(NamedTuple):
+class NamedMesh(NamedTuple):
     """One named piece of a mesh file; faces are counter-clockwise from outside."""
 
     name: str  # the file's; unique once it is in the world's frame
@@ -57,12 +57,12 @@ class MeshPart(NamedTuple):
     mode: str = "auto"  # as what the file says that `scene.meshes: auto` counts it
 
 
-def read_mesh_parts(path: Path, up: Direction = "z", unit: float = 1.0) -> list[MeshPart]:
+def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> list[NamedMesh]:
     """Read a mesh file as named parts in the world frame: its objects, groups, solids and nodes.
 
     A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`, whatever the file says of
-    its vertical axis (see `stated_up`). Triangles without area, unused vertices and parts without
-    triangles are dropped.
+    its vertical axis (see `file_up_axis`). Triangles without area, unused vertices and parts
+    without triangles are dropped.
     """
     try:
         found = _read_parts(path)
@@ -79,17 +79,17 @@ def is_mesh_scene(scene: Any) -> bool:
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
 
 
-def join_parts(parts: Sequence[MeshPart]) -> tuple[Float, Int32]:
+def join_meshes(parts: Sequence[NamedMesh]) -> tuple[Float, Int32]:
     """The vertices and faces of all parts, as one mesh."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts)]).astype(np.int32)
     faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
     return np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
 
 
-def take_mesh_parts(
+def convert_trimesh(
     scene: Any, path: Path, up: Direction = "z", unit: float = 1.0
-) -> list[MeshPart]:
-    """Take a trimesh.Scene or trimesh.Trimesh, which stays as it is, as `read_mesh_parts` a file.
+) -> list[NamedMesh]:
+    """Take a trimesh.Scene or trimesh.Trimesh, which stays as it is, as `read_named_meshes` a file.
 
     Parts are named by the scene graph's nodes, or by the stem of the path, which errors name.
     """
@@ -101,17 +101,17 @@ def take_mesh_parts(
             reason = " ".join(str(error).split())[:200]
             raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
     # kernels are compiled for arrays that can be written, and the caller may change these later
-    own = [MeshPart(name, vertices.copy(), faces.copy()) for name, vertices, faces, _ in found]
+    own = [NamedMesh(name, vertices.copy(), faces.copy()) for name, vertices, faces, _ in found]
     return _to_world(own, path, up, unit)
 
 
-def box_of(parts: Collection[MeshPart]) -> Float:
+def bounds_of_meshes(parts: Collection[NamedMesh]) -> Float:
     """The lower and the upper corner of the box round parts, shape (2, 3) [m]."""
     boxes = np.array([bounding_box(part.vertices) for part in parts])
     return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
-def _read_parts(path: Path) -> list[MeshPart]:
+def _read_parts(path: Path) -> list[NamedMesh]:
     """A part for each node of the file that carries a mesh, in the file's frame and unit."""
     suffix = path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
@@ -119,7 +119,7 @@ def _read_parts(path: Path) -> list[MeshPart]:
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
     if (plain := read_plain(path)) is not None:
-        return [MeshPart("", *plain)]
+        return [NamedMesh("", *plain)]
     data = PREPARE[suffix](path) if suffix in PREPARE else b""
     source: Any = io.BytesIO(data) if suffix in PREPARE else path
     options = {"file_type": suffix[1:], "process": False, **OPTIONS.get(suffix, {})}
@@ -141,7 +141,7 @@ def _read_parts(path: Path) -> list[MeshPart]:
     return parts
 
 
-def _parts_of(loaded: Any) -> list[MeshPart]:
+def _parts_of(loaded: Any) -> list[NamedMesh]:
     """The nodes' meshes in the file's frame, without lines and points, which have no surface."""
     parts = []
     for node in loaded.graph.nodes_geometry:
@@ -161,7 +161,7 @@ def _parts_of(loaded: Any) -> list[MeshPart]:
         name = str(node)
         if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
             name = str(loaded.graph.transforms.parents.get(node, geometry_name))
-        parts.append(MeshPart(name, _turn(vertices, turn) + shift[:, 0], corners))
+        parts.append(NamedMesh(name, _turn(vertices, turn) + shift[:, 0], corners))
     return parts
 
 
@@ -184,7 +184,7 @@ def _silence() -> Iterator[None]:
         logger.setLevel(before)
 
 
-def stated_up(path: Path) -> str | None:
+def file_up_axis(path: Path) -> str | None:
     """The axis that is up in a mesh file: y by glTF's specification, a DAE's own, else None."""
     suffix = path.suffix.lower()
     if suffix == ".dae" and path.is_file():
@@ -193,12 +193,12 @@ def stated_up(path: Path) -> str | None:
     return "y" if suffix in (".glb", ".gltf") else None
 
 
-def turn_up(up: Direction) -> Float:
+def rotation_to_z_up(up: Direction) -> Float:
     """The rotation that turns a direction to +z by the least angle, exact for axes, (3, 3)."""
     vector = AXES[up] if isinstance(up, str) else up
     x, y, z = np.divide(vector, np.linalg.norm(vector)).tolist()
     if z < -0.5:  # over the opposite direction, as near that no axis is the best
-        return np.asarray(turn_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0]) + 0.0)
+        return np.asarray(rotation_to_z_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0]) + 0.0)
     across = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])  # Rodrigues' formula
     return np.asarray(np.eye(3) + across + across @ across / (1.0 + z) + 0.0)
 
@@ -224,9 +224,9 @@ def _dae_asset(path: Path) -> tuple[float, str | None]:
     return meters, up
 
 
-def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) -> list[MeshPart]:
+def _to_world(found: list[NamedMesh], path: Path, up: Direction, scale: float) -> list[NamedMesh]:
     """Turn parts into the world frame, with unique names."""
-    turn = scale * turn_up(up)
+    turn = scale * rotation_to_z_up(up)
     taken = {"world"}  # MuJoCo's own body
     parts = []
     for part in found:
@@ -237,7 +237,7 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
         vertices, faces = drop_unused_vertices(part.vertices, part.faces)
         with np.errstate(all="ignore"):
             vertices = _turn(vertices, turn)
-        part = check_part(MeshPart(name, vertices, faces), path)
+        part = check_mesh(NamedMesh(name, vertices, faces), path)
         if len(part.faces):
             parts.append(part._replace(name=unique_name(name, taken)))
     if not parts:
@@ -245,7 +245,7 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
     return parts
 
 
-def check_part(part: MeshPart, path: Path) -> MeshPart:
+def check_mesh(part: NamedMesh, path: Path) -> NamedMesh:
     """Refuse coordinates that are no places; leave out triangles without area."""
     name, vertices, faces, mode = part
     box = bounding_box(vertices) if len(vertices) else np.zeros(6)
@@ -256,7 +256,7 @@ def check_part(part: MeshPart, path: Path) -> MeshPart:
         raise SceneError(f"mesh {name!r} in {path} {beyond}")
     has_area = triangle_areas(vertices, faces) > NO_AREA
     used = (vertices, faces) if has_area.all() else drop_unused_vertices(vertices, faces[has_area])
-    return MeshPart(name, *used, mode)
+    return NamedMesh(name, *used, mode)
 
 
 # ---------------------------------------------------------------- files

@@ -20,12 +20,18 @@ import numpy as np
 from navbake.baker.geometry.shapes import Mesh, tessellate
 from navbake.baker.readers.mesh import (
     MESH_SUFFIXES,
-    join_parts,
-    read_mesh_parts,
-    stated_up,
-    turn_up,
+    file_up_axis,
+    join_meshes,
+    read_named_meshes,
+    rotation_to_z_up,
 )
-from navbake.baker.readers.pieces import Gathered, Joint, Piece, Ties, check_count
+from navbake.baker.readers.parsed_scene import (
+    JointTree,
+    ParsedGeom,
+    ParsedJoint,
+    ParsedScene,
+    check_count,
+)
 from navbake.baker.readers.sdf_frames import (
     WORLD,
     Element,
@@ -53,7 +59,7 @@ SUN = "sun"
 GROUND = "ground_plane"
 
 
-def read_world(path: Path, settings: SceneSettings) -> Gathered:
+def read_world(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read the first world of an .sdf or .world file, or its models.
 
     A mesh or height field that is missing is an error where it collides, and a warning where it is
@@ -69,7 +75,7 @@ class _Reader:
     def __init__(self, path: Path, settings: SceneSettings) -> None:
         self._path = path
         self._folders = settings.model_path
-        self._result = Gathered()
+        self._result = ParsedScene()
         self._poses: dict[str, Float] = {}  # of bodies that may move
         self._bodies: dict[str, str] = {}  # by link with its scope's names, its body
         self._joints: list[tuple[Scope, Element]] = []
@@ -78,7 +84,7 @@ class _Reader:
         self._find_model = cache(self._search_model)
         self._count = 0  # of models and pieces
 
-    def read(self) -> Gathered:
+    def read(self) -> ParsedScene:
         root = self._parse(self._path)
         worlds = root.findall("world")
         if len(worlds) > 1:
@@ -92,7 +98,7 @@ class _Reader:
             )
         self._read_inner(world)
         self._joints += [(world, joint) for joint in world.element.findall("joint")]
-        ties = Ties(self._poses)
+        ties = JointTree(self._poses)
         for scope, element in self._joints:
             self._tie(ties, scope, element)
         self._result.bodies = ties.make_bodies()
@@ -174,7 +180,7 @@ class _Reader:
         shape = kind, size, pose, mesh, heights
         self._add_to_count()
         self._result.pieces.append(
-            Piece(name, body, *shape, "surface", collides=not is_visual, drawn=is_visual)
+            ParsedGeom(name, body, *shape, "surface", collides=not is_visual, drawn=is_visual)
         )
 
     def _read_shape(
@@ -204,7 +210,7 @@ class _Reader:
             if kind == "cone":
                 kind, size, mesh = "mesh", (), tessellate(kind, size)
         elif kind == "plane":
-            turn = turn_up(np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))).T
+            turn = rotation_to_z_up(np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))).T
             pose = pose.copy()
             pose[:3, :3] = pose[:3, :3] @ turn
             # what collides is endless, what is drawn has a size
@@ -247,12 +253,12 @@ class _Reader:
             if file.suffix.lower() not in MESH_SUFFIXES:
                 known = ", ".join(sorted(MESH_SUFFIXES))
                 raise SceneError(f"cannot read {file}, the mesh of {where}: expected {known}")
-            parts = read_mesh_parts(file, stated_up(file) or "z")
+            parts = read_named_meshes(file, file_up_axis(file) or "z")
             named = [part for part in parts if submesh in ("", part.name)]
             if not named:
                 listed = ", ".join(sorted(part.name for part in parts)[:20])
                 raise SceneError(f"no submesh {submesh!r} in {file}, of {where}: it has {listed}")
-            vertices, faces = join_parts(named)
+            vertices, faces = join_meshes(named)
             if is_centered:
                 vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
             self._meshes[key] = Mesh(vertices, faces)
@@ -280,7 +286,7 @@ class _Reader:
             end = end or element.get("attached_to", "")
         raise SceneError(f"no link {name!r} of {scope.name or 'the world'} in {scope.file}")
 
-    def _tie(self, ties: Ties, scope: Scope, element: Element) -> None:
+    def _tie(self, ties: JointTree, scope: Scope, element: Element) -> None:
         kind = str(element.get("type"))
         name = scope.full(str(element.get("name")))
         parent = self._body_of(scope, text_of(element, "parent"))
@@ -290,7 +296,7 @@ class _Reader:
         place = scope.pose_of(str(element.get("name")))
         axis = element.find("axis")
         if kind == "ball":
-            joint = Joint(name, "ball", place[:3, 3], np.zeros(3))
+            joint = ParsedJoint(name, "ball", place[:3, 3], np.zeros(3))
         elif kind in (*HINGES, "prismatic") and axis is not None:
             xyz = axis.find("xyz")
             way = np.array(numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}"))
@@ -308,7 +314,7 @@ class _Reader:
             is_limited = low < high and max(-low, high) < ENDLESS and kind != "continuous"
             limits = (low, high) if is_limited else None
             kind = "hinge" if kind in HINGES else "slide"
-            joint = Joint(name, kind, place[:3, 3], turn[:3, :3] @ way, limits)
+            joint = ParsedJoint(name, kind, place[:3, 3], turn[:3, :3] @ way, limits)
         elif kind != "fixed":
             self._warn(f"{where} is taken as fixed: its type is {kind}")
         if not child or not ties.tie(parent, child, joint):

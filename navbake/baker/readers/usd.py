@@ -23,8 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Mesh, tessellate, triangulate
-from navbake.baker.readers.mesh import turn_up
-from navbake.baker.readers.pieces import Gathered, Joint, Piece, Ties, check_count, reading
+from navbake.baker.readers.mesh import rotation_to_z_up
+from navbake.baker.readers.parsed_scene import (
+    JointTree,
+    ParsedGeom,
+    ParsedJoint,
+    ParsedScene,
+    check_count,
+    reading,
+)
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.source import import_extra
@@ -69,8 +76,8 @@ class _Found(NamedTuple):
 
     name: str
     body: str
-    kind: str  # as in `Piece`; or cone
-    size: tuple[float, ...]  # in the prim's own frame and unit, as `Piece.size`
+    kind: str  # as in `ParsedGeom`; or cone
+    size: tuple[float, ...]  # in the prim's own frame and unit, as `ParsedGeom.size`
     frame: Float  # (3, 3), of a solid in the prim's frame
     mesh: Mesh | None
     matrix: Any  # the prim's
@@ -79,7 +86,7 @@ class _Found(NamedTuple):
     purpose: str  # of what is drawn, else empty
 
 
-def read_stage(path: Path, settings: SceneSettings) -> Gathered:
+def read_stage(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read a .usd, .usda, .usdc or .usdz file.
 
     Lengths and the up axis are the stage's own, unless `scene.unit` or `scene.up` say otherwise.
@@ -108,7 +115,7 @@ class _Reader:
         self._path = path
         self._time = Usd.TimeCode.EarliestTime()
         self._unit, self._to_world = _frame_of(stage, path, settings)
-        self._result = Gathered(decimals=DECIMALS)
+        self._result = ParsedScene(decimals=DECIMALS)
         self._found: list[_Found] = []
         self._rigid: dict[str, Any] = {}  # bodies' matrices, by path
         self._kinematic: set[str] = set()
@@ -117,7 +124,7 @@ class _Reader:
         self._open: list[Any] = []  # point instancers whose prototypes are read
         self._left_out: dict[str, list[str]] = {}
 
-    def read(self) -> Gathered:
+    def read(self) -> ParsedScene:
         for error in self._stage.GetCompositionErrors():
             where = re.findall(r"<([^>]*)>", str(error.rootSite))
             text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))[:300]
@@ -329,7 +336,7 @@ class _Reader:
 
     def _tie_bodies(self) -> None:
         """Make bodies of rigid prims: each hangs on another by one joint, or is free, or stays."""
-        ties = Ties({name: _rigid(self._world_of(m)) for name, m in self._rigid.items()})
+        ties = JointTree({name: _rigid(self._world_of(m)) for name, m in self._rigid.items()})
         frames = UsdGeom.XformCache(self._time)
         for prim in self._joints:
             joint = UsdPhysics.Joint(prim)
@@ -363,7 +370,7 @@ class _Reader:
 
     def _read_joint(
         self, joint: Any, prim: Any, kind: str, frames: Any, is_turned: bool
-    ) -> Joint | None:
+    ) -> ParsedJoint | None:
         if kind == "fixed":
             return None
         ends = []
@@ -393,7 +400,7 @@ class _Reader:
             if np.isfinite([low, high]).all() and low < high:
                 limits = (_round(low, 3), _round(high, 3))
         way = -1.0 if is_turned else 1.0
-        return Joint(
+        return ParsedJoint(
             str(prim.GetPath()), kind, np.round(anchor, DECIMALS),
             np.round(way * axis, DECIMALS + 3) + 0.0, limits, _round(position),
         )  # fmt: skip
@@ -440,7 +447,7 @@ class _Reader:
             drawn = bool(one.purpose) and not (has_render and one.purpose == "proxy")
             shape = (kind, size or (), pose, mesh, None)
             rights = (one.mode, one.collides, drawn)
-            self._result.pieces.append(Piece(one.name, one.body, *shape, *rights))
+            self._result.pieces.append(ParsedGeom(one.name, one.body, *shape, *rights))
 
 
 def _straighten(kinds: NDArray[np.str_], turns: Float, scales: Float) -> tuple[Float, Float]:
@@ -499,5 +506,5 @@ def _frame_of(stage: Any, path: Path, settings: SceneSettings) -> tuple[float, F
     if not 0 < unit < np.inf:
         raise SceneError(f"expected metersPerUnit > 0 in {path}, got {unit:g}")
     matrix = np.eye(4)
-    matrix[:3, :3] = turn_up(up) * unit
+    matrix[:3, :3] = rotation_to_z_up(up) * unit
     return unit, matrix

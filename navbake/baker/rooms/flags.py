@@ -27,7 +27,7 @@ from navbake.baker.occupants.list_kernels import BANK, EMPTY, HOLE, SKY, TALL
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
 from navbake.baker.rooms.walls import find_windows
-from navbake.baker.scene.collect import Choice, collect_shapes
+from navbake.baker.scene.collect import GeomSelection, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
@@ -300,7 +300,7 @@ def _mark_by_geoms(
     names = all_names(scene.model).own_geoms
     matching, warnings = _match(names, tuple(settings.geoms), "geoms")
     # what can move marks no room
-    stands = scene.stands[scene.model.geom_bodyid]
+    stands = scene.is_structure_body[scene.model.geom_bodyid]
     marking = [geom for geom in matching if stands[geom]]
     labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
     covered = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
@@ -354,7 +354,7 @@ def _mark_by_sites(
     room_names = list[str | None]()
     small_sites = list[str]()
     for site in matching:
-        if not scene.stands[scene.model.site_bodyid[site]]:
+        if not scene.is_structure_body[scene.model.site_bodyid[site]]:
             continue
         masks = _mark_standing_in_site(site, scene, lattice, levels, agent)
         if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
@@ -464,9 +464,10 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
     only_as_meshes = geoms - in_columns
     if only_as_meshes:
         choices = [
-            Choice(geom in only_as_meshes, "marks a room", "surface") for geom in range(num_geoms)
+            GeomSelection(geom in only_as_meshes, "marks a room", "surface")
+            for geom in range(num_geoms)
         ]
-        shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts)
+        shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.exact_meshes)
         mesh_columns = cast_columns(tile_shapes(shapes, columns.lattice, 0.0))
         sources.append((mesh_columns, only_as_meshes))
     cells = list[Int]()

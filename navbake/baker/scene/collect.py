@@ -25,7 +25,7 @@ from navbake.baker.geometry.shapes import (
     solid_bounds,
     tessellate,
 )
-from navbake.baker.readers.mesh import MeshPart
+from navbake.baker.readers.mesh import NamedMesh
 from navbake.baker.scene.names import GeomNames, all_names, name_at, warn_unmatched
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
@@ -37,7 +37,7 @@ DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
 
 
-class Choice(NamedTuple):
+class GeomSelection(NamedTuple):
     """What becomes of one geom."""
 
     counted: bool  # whether it takes part in the bake
@@ -45,14 +45,14 @@ class Choice(NamedTuple):
     mesh: str  # as what, if it is a mesh: hull, surface (or auto), or shell, which encloses nothing
 
 
-def choose_geoms(
+def select_geoms(
     model: Any,
     settings: SceneSettings,
     hides_room: Callable[[int], bool],
     movable: Bool,
     ground: int | None = None,
     said: Mapping[int, str] | None = None,
-) -> tuple[list[Choice], list[str]]:
+) -> tuple[list[GeomSelection], list[str]]:
     """Decide for each geom whether it counts, and meshes as what.
 
     Excluded geoms never count. `collision` counts geoms that can collide (contype or conaffinity
@@ -90,13 +90,13 @@ def choose_geoms(
         if modes[geom] == "auto" and rules[geom][0]:
             modes[geom] = "surface" if hides_room(geom) else "hull"
             opened += [names[geom].geom] if modes[geom] == "surface" else []
-    choices = [Choice(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
+    selections = [GeomSelection(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
     if opened:
         more = f", and {len(opened) - 1} more" if opened[1:] else ""
         because = "because its convex hull hides room to stand in; MuJoCo collides the hull"
         which = "set `scene.meshes` to surface or hull to say which"
         notes.append(f"mesh geom {opened[0]!r}{more} counts by its triangles, {because}: {which}")
-    return choices, notes
+    return selections, notes
 
 
 def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tuple[bool, str]]:
@@ -222,15 +222,15 @@ def count_mesh(
 def collect_shapes(
     model: Any,
     data: Any,
-    choices: Sequence[Choice] | Mapping[int, Choice],
-    parts: Mapping[int, MeshPart],
+    selections: Sequence[GeomSelection] | Mapping[int, GeomSelection],
+    exact_meshes: Mapping[int, NamedMesh],
     only: Iterable[int] | None = None,
     meshes: MeshTriangles | None = None,
 ) -> tuple[Shapes, dict[int, str], list[str]]:
     """Gather the geometry of the geoms that count, of all or of some ids, ascending.
 
-    `parts` are exact meshes by geom id, world frame, in place of the model's. Returns also the
-    `GeomReport.shape` of each, and notes for the user.
+    `exact_meshes` are exact meshes by geom id, world frame, in place of the model's. Returns also
+    the `GeomReport.shape` of each, and notes for the user.
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
     names = all_names(model).geoms
@@ -240,8 +240,8 @@ def collect_shapes(
     planes = list[int]()
     triangles = dict[int, GeomTriangles]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
-    every = range(len(choices)) if only is None else only
-    ids = np.array([geom for geom in every if choices[geom].counted], dtype=np.int64)
+    every = range(len(selections)) if only is None else only
+    ids = np.array([geom for geom in every if selections[geom].counted], dtype=np.int64)
     numbers = np.hstack([data.geom_xpos[ids], data.geom_xmat[ids], model.geom_size[ids]])
     # lists, which are read geom by geom in less time than arrays
     is_placed = (np.abs(numbers) <= LARGEST).all(axis=1)  # NaN isn't
@@ -271,15 +271,15 @@ def collect_shapes(
         elif kind == constants.HFIELD:
             found = _one_part(_height_field(model, shape), None, constants.SOLID, "solid")
         else:
-            mode = choices[geom].mesh
-            exact = parts.get(geom)
+            mode = selections[geom].mesh
+            exact = exact_meshes.get(geom)
             counted = exact and count_mesh(exact.vertices, exact.faces, mode)
             found = counted or meshes.count(shape, mode)
             if mode == "hull" and found.kind != "hull":
                 flat = f"mesh {mesh!r} of geom {name!r} is flat, so it has no convex hull"
                 notes.setdefault(mesh, f"{flat}: it counts by its triangles")
         kinds[geom] = found.kind
-        if geom not in parts:
+        if geom not in exact_meshes:
             vertices = found.vertices @ data.geom_xmat[geom].reshape(3, 3).T
             vertices += data.geom_xpos[geom]
             found = found._replace(vertices=vertices)

@@ -53,16 +53,16 @@ class DoorCandidate:
 
     def only(self, shapes: Shapes) -> Shapes:
         """The part of `shapes` that belongs to this candidate."""
-        return shapes.only(mark_geoms(len(shapes.endless), [self]))
+        return shapes.only(mark_candidate_geoms(len(shapes.endless), [self]))
 
 
-def find_candidates(
+def find_door_candidates(
     model: Any,
     data: Any,
     shapes: Shapes,
     counted: Bool,
     movable: Bool,
-    stands: Bool,
+    is_structure_body: Bool,
     named: Collection[str],
     settings: DoorSettings,
 ) -> tuple[list[DoorCandidate], list[str]]:
@@ -77,7 +77,7 @@ def find_candidates(
         shapes: all geometry that counts.
         counted: by geom, whether it counts.
         movable: by body, whether it can move.
-        stands: by body, whether it is part of what stands.
+        is_structure_body: by body, whether it is part of what stands.
         named: the names of bodies that the file says are doors.
         settings: patterns, and whether leaves are looked for.
     """
@@ -95,7 +95,7 @@ def find_candidates(
     is_named[0] = False
     searched = set[int]()
     if settings.find:
-        hung = (k for k in joints if movable[k] and stands[model.body_parentid[k]])
+        hung = (k for k in joints if movable[k] and is_structure_body[model.body_parentid[k]])
         # a leaf without a joint stands between other geoms
         num_bodies = model.nbody if counted.sum() > 1 else 1
         jointless = (k for k in range(1, num_bodies) if k not in joints)
@@ -110,7 +110,7 @@ def find_candidates(
     fixed_leaves = {body: leaf for body, leaf in leaves.items() if body not in joints}
     if fixed_leaves:
         # what can move is no jamb
-        extents = measure_extents(shapes.only(stands[model.geom_bodyid]), model.ngeom)
+        extents = measure_extents(shapes.only(is_structure_body[model.geom_bodyid]), model.ngeom)
         for body, leaf in fixed_leaves.items():
             if not _stands_between_jambs(leaf, geoms[body], extents):
                 del leaves[body]
@@ -146,7 +146,7 @@ def _find_leaves(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> di
     """Bodies whose largest geom, in the modelled pose, is as tall, thin and wide as a door."""
     mask = np.isin(np.arange(num_geoms), [k for own in geoms.values() for k in own])
     extents = measure_extents(shapes.only(mask), num_geoms)
-    sides = {body: largest_side(extents, own) for body, own in geoms.items() if len(own)}
+    sides = {body: find_largest_side(extents, own) for body, own in geoms.items() if len(own)}
     return {
         body: leaf
         for body, leaf in sides.items()
@@ -185,13 +185,13 @@ def _positions(model: Any, data: Any, joint: int) -> dict[str, float]:
     return {"modelled": modelled, "open": opened, "closed": closed}
 
 
-def largest_side(extents: Extents, geoms: Int) -> int:
+def find_largest_side(extents: Extents, geoms: Int) -> int:
     """The geom with the largest upright side; the first if none is finite."""
     area = (extents.long * (extents.high - extents.low))[geoms]
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 
 
-def mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
+def mark_candidate_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
     """Mark the geoms of some bodies, shape (num_geoms,)."""
     mask = np.zeros(num_geoms, dtype=np.bool_)
     for door in doors:

@@ -21,23 +21,23 @@ import numpy as np
 
 from navbake.baker.readers.mesh import (
     MESH_SUFFIXES,
-    MeshPart,
+    NamedMesh,
+    convert_trimesh,
     is_mesh_scene,
-    join_parts,
-    read_mesh_parts,
-    take_mesh_parts,
+    join_meshes,
+    read_named_meshes,
 )
-from navbake.baker.readers.pieces import (
+from navbake.baker.readers.orientation import orient_meshes
+from navbake.baker.readers.parsed_scene import (
     build_model,
     catch_warnings,
     compile_geometry,
     compile_model,
     compile_spec,
     fill_mesh,
-    model_of_parts,
+    model_of_meshes,
     reading,
 )
-from navbake.baker.readers.upright import stand_up
 from navbake.baker.scene.names import name_at
 from navbake.baker.scene.pose import data_with_joints
 from navbake.config.settings import SceneSettings
@@ -90,7 +90,7 @@ def mujoco_version() -> str:
     return str(mujoco.__version__)
 
 
-class OpenScene(NamedTuple):
+class SceneModel(NamedTuple):
     """A scene's compiled mujoco.MjModel, before geoms are chosen.
 
     With the exact meshes of a mesh scene by geom id, the geom of `scene.ground`, MuJoCo's warnings,
@@ -98,14 +98,14 @@ class OpenScene(NamedTuple):
     """
 
     model: Any
-    parts: dict[int, MeshPart]
+    exact_meshes: dict[int, NamedMesh]
     ground: int | None
     warnings: list[str]
     data: Any = None
     named_leaves: frozenset[str] = frozenset()
 
 
-def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
+def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     """Open a scene file.
 
     `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
@@ -113,7 +113,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     """
     path = Path(settings.path)
     ground = settings.ground
-    parts: dict[int, MeshPart] = {}
+    exact_meshes: dict[int, NamedMesh] = {}
     named_leaves = frozenset[str]()
     suffix = suffix_of(path)
     try:
@@ -123,8 +123,10 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             kind = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {kind} at {path}")
         if suffix in MESH_SUFFIXES:
-            found = stand_up(partial(read_mesh_parts, path, unit=settings.unit), settings, warnings)
-            model, parts = model_of_parts(found, path, ground, warnings)
+            found = orient_meshes(
+                partial(read_named_meshes, path, unit=settings.unit), settings, warnings
+            )
+            model, exact_meshes = model_of_meshes(found, path, ground, warnings)
         elif suffix == MJB_SUFFIX:
             if ground is not None:
                 hint = f"bake the XML that {path} was made of"
@@ -139,7 +141,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
         elif suffix in READERS:
             with reading(str(path)):
                 pieces = resolve(READERS[suffix])(path, settings)
-            model, parts = build_model(pieces, path, ground, warnings)
+            model, exact_meshes = build_model(pieces, path, ground, warnings)
             named_leaves = frozenset(pieces.named_leaves)
         elif suffix in REFUSED:
             raise SceneError(f"cannot read {path}: {REFUSED[suffix]}")
@@ -149,7 +151,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
     ground_geom = ground_of(model, settings)
-    return OpenScene(model, parts, ground_geom, warnings, named_leaves=named_leaves)
+    return SceneModel(model, exact_meshes, ground_geom, warnings, named_leaves=named_leaves)
 
 
 class CompileLimits(NamedTuple):
@@ -159,7 +161,9 @@ class CompileLimits(NamedTuple):
     memory: float = 4.0  # that it may reserve beyond what the process starts with [GiB]
 
 
-def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list[str]) -> OpenScene:
+def load_isolated(
+    settings: SceneSettings, limits: CompileLimits, warnings: list[str]
+) -> SceneModel:
     """`load_model` in a child process, whose model comes back as a file (MJB)."""
     scene = Path(settings.path)
     with scratch_folder() as place:
@@ -183,13 +187,13 @@ def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list
             too_much = f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
             asks = f"the scene asks for {too_much}"
             raise SceneError(f"MuJoCo crashed as it compiled {scene} {ended}: {asks}")
-        warned, error, parts, named_leaves = pickle.loads((place / RESULT).read_bytes())
+        warned, error, exact_meshes, named_leaves = pickle.loads((place / RESULT).read_bytes())
         warnings += warned
         if error is not None:
             raise error
         model = mujoco.MjModel.from_binary_path(str(place / MODEL))
     ground_geom = ground_of(model, settings)
-    return OpenScene(model, parts, ground_geom, warnings, named_leaves=named_leaves)
+    return SceneModel(model, exact_meshes, ground_geom, warnings, named_leaves=named_leaves)
 
 
 def compile_job(folder: str) -> None:
@@ -202,12 +206,12 @@ def compile_job(folder: str) -> None:
     if hasattr(signal, "setitimer"):  # whose signal ends this process, whatever MuJoCo does
         signal.setitimer(signal.ITIMER_REAL, limits.seconds)
     failed: Exception | None = None
-    parts: dict[int, MeshPart] = {}
+    exact_meshes: dict[int, NamedMesh] = {}
     named_leaves = frozenset[str]()
     with catch_warnings() as warned:
         try:
             opened = load_model(settings, warned)
-            parts = opened.parts
+            exact_meshes = opened.exact_meshes
             named_leaves = opened.named_leaves
             mujoco.mj_saveModel(opened.model, str(place / MODEL), None)
         except Exception as error:
@@ -215,7 +219,7 @@ def compile_job(folder: str) -> None:
                 raise
             lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
             failed = SceneError(lacks) if lacked_memory(error) else error
-    (place / RESULT).write_bytes(pickle.dumps((warned, failed, parts, named_leaves)))
+    (place / RESULT).write_bytes(pickle.dumps((warned, failed, exact_meshes, named_leaves)))
 
 
 def limit_mesh_cache(num_bytes: int) -> None:
@@ -242,11 +246,11 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
         def build() -> Any:
             """The model, its meshes read as mesh scenes are, whatever their format."""
             spec = mujoco.MjSpec.from_string(text)
-            read = cache(lambda file: read_mesh_parts(files[file]))
+            read = cache(lambda file: read_named_meshes(files[file]))
             for mesh in spec.meshes:
                 parts = read(mesh.file)
                 mesh.file = ""
-                fill_mesh(mesh, *join_parts(parts))
+                fill_mesh(mesh, *join_meshes(parts))
             return compile_geometry(spec, ground, warnings)
 
         return compile_model(path, warnings, build)
@@ -370,7 +374,7 @@ def name_of(scene: Any) -> str:
     return "scene" if name in ("", NO_NAME) else name
 
 
-def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
+def load_from_memory(scene: Any, data: Any, settings: SceneSettings) -> SceneModel:
     """The model of a scene in memory, in the pose of a data; neither is changed.
 
     Warnings are known of specs alone, which are compiled here. Joint positions and mocap bodies of
@@ -378,7 +382,7 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     """
     path = settings.path
     ground = settings.ground
-    parts: dict[int, MeshPart] = {}
+    exact_meshes: dict[int, NamedMesh] = {}
     with catch_warnings() as warned:
         if isinstance(scene, mujoco.MjModel):
             if ground is not None:
@@ -388,10 +392,10 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
         elif isinstance(scene, mujoco.MjSpec):
             model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))
         else:
-            read = partial(take_mesh_parts, scene, path, unit=settings.unit)
-            found = stand_up(read, settings, warned)
-            model, parts = model_of_parts(found, path, ground, warned)
-    opened = OpenScene(model, parts, ground_of(model, settings), warned)
+            read = partial(convert_trimesh, scene, path, unit=settings.unit)
+            found = orient_meshes(read, settings, warned)
+            model, exact_meshes = model_of_meshes(found, path, ground, warned)
+    opened = SceneModel(model, exact_meshes, ground_of(model, settings), warned)
     if data is None:
         return opened
     if settings.keyframe is not None or settings.joints:

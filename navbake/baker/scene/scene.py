@@ -11,28 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.readers.mesh import MeshPart, box_of
-from navbake.baker.readers.pieces import catch_warnings
+from navbake.baker.readers.mesh import NamedMesh, bounds_of_meshes
+from navbake.baker.readers.parsed_scene import catch_warnings
 from navbake.baker.scene.collect import (
     TYPE_NAMES,
-    Choice,
+    GeomSelection,
     MeshTriangles,
-    choose_geoms,
     collect_shapes,
+    select_geoms,
 )
-from navbake.baker.scene.divide import (
-    LEAF,
-    ROLES,
-    Division,
-    divide,
-    find_actuated_bodies,
-    mark_structure,
-)
-from navbake.baker.scene.hidden_room import HiddenRoom
+from navbake.baker.scene.hull_room import HullRoomTest
 from navbake.baker.scene.leaves import DoorCandidate
-from navbake.baker.scene.model import CompileLimits, OpenScene, load_isolated, load_model
+from navbake.baker.scene.model import CompileLimits, SceneModel, load_isolated, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
+from navbake.baker.scene.roles import (
+    LEAF,
+    ROLES,
+    SceneRoles,
+    find_actuated_bodies,
+    find_roles,
+    mark_structure,
+)
 from navbake.config.settings import (
     BakeConfig,
     SceneSettings,
@@ -84,13 +84,13 @@ class Scene:
     # tetrahedron in place of each part
     model: Any
     data: Any  # its mujoco.MjData in the pose that is baked
-    choices: list[Choice]  # by geom id
-    parts: dict[int, MeshPart]  # the exact meshes of a mesh scene by geom id, world frame
+    selections: list[GeomSelection]  # by geom id
+    exact_meshes: dict[int, NamedMesh]  # the meshes of a mesh scene by geom id, world frame
     meshes: MeshTriangles  # what the model's meshes count by, for geoms in other poses
     roles: NDArray[np.uint8]  # by geom id, see `divide`
     movable: Bool  # by body id, whether it can move and carries no floor
-    stands: Bool  # by body id, whether it is structure
-    movers: Int  # by body id, the topmost body that moves it; itself if none does
+    is_structure_body: Bool  # by body id, whether it is structure
+    mover_of_body: Int  # by body id, the topmost body that moves it; itself if none does
     actuated: frozenset[int]  # of these, those that actuators move
     named_leaves: frozenset[str]  # the names of bodies that the file says are doors
     leaves: list[DoorCandidate]  # bodies that may be doors, by body id
@@ -100,8 +100,8 @@ class Scene:
     @property
     def mover_of(self) -> Int:
         """By geom id, the topmost body that moves it; its own body if none does."""
-        movers: Int = self.movers[self.model.geom_bodyid]
-        return movers
+        mover_of_body: Int = self.mover_of_body[self.model.geom_bodyid]
+        return mover_of_body
 
     @property
     def is_structure(self) -> Bool:
@@ -119,34 +119,36 @@ def load_scene(
     config: BakeConfig,
     *,
     limits: CompileLimits | None = None,
-    opened: OpenScene | None = None,
+    opened: SceneModel | None = None,
 ) -> Scene:
     """Load a scene, pose it, choose the geoms that count, and divide them by what can move.
 
     With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
     """
     settings = config.scene
-    opened = opened or open_file(settings, limits)
+    opened = opened or load_scene_file(settings, limits)
     model = opened.model
-    parts = opened.parts
+    exact_meshes = opened.exact_meshes
     ground = opened.ground
     data = opened.data
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
-    digest = run_beside(lambda: start_digest(model, data, parts)())
+    digest = run_beside(lambda: start_digest(model, data, exact_meshes)())
     meshes = MeshTriangles(model)
-    room = HiddenRoom(model, data, meshes, config.agent, config.floors)
-    said = {geom: part.mode for geom, part in parts.items()}
+    room = HullRoomTest(model, data, meshes, config.agent, config.floors)
+    said = {geom: part.mode for geom, part in exact_meshes.items()}
 
-    def choose(left_out: Bool) -> tuple[list[Choice], Shapes, dict[int, str], list[str]]:
+    def choose(left_out: Bool) -> tuple[list[GeomSelection], Shapes, dict[int, str], list[str]]:
         """Choose geoms without those of some bodies; their shapes, what these are, and notes."""
-        choices, notes = choose_geoms(model, settings, room.is_in_hull, left_out, ground, said)
-        shapes, kinds, shape_notes = collect_shapes(model, data, choices, parts, meshes=meshes)
-        return choices, shapes, kinds, [*notes, *shape_notes]
+        selections, notes = select_geoms(model, settings, room.hides_room, left_out, ground, said)
+        shapes, kinds, shape_notes = collect_shapes(
+            model, data, selections, exact_meshes, meshes=meshes
+        )
+        return selections, shapes, kinds, [*notes, *shape_notes]
 
-    def divide_chosen(choices: list[Choice], shapes: Shapes) -> Division:
-        counted = np.array([choice.counted for choice in choices], dtype=np.bool_)
-        return divide(
+    def divide_chosen(selections: list[GeomSelection], shapes: Shapes) -> SceneRoles:
+        counted = np.array([choice.counted for choice in selections], dtype=np.bool_)
+        return find_roles(
             model,
             data,
             shapes=shapes,
@@ -156,17 +158,17 @@ def load_scene(
         )
 
     try:
-        choices, shapes, kinds, notes = choose(np.zeros(model.nbody, dtype=np.bool_))
-        division = divide_chosen(choices, shapes)
+        selections, shapes, kinds, notes = choose(np.zeros(model.nbody, dtype=np.bool_))
+        roles = divide_chosen(selections, shapes)
         if settings.exclude.movable:
             # but for what may be a door
-            left_out = division.movable.copy()
-            left_out[model.geom_bodyid[division.roles == LEAF]] = False
-            choices, shapes, kinds, notes = choose(left_out)
-            division = divide_chosen(choices, shapes)
+            left_out = roles.movable.copy()
+            left_out[model.geom_bodyid[roles.roles == LEAF]] = False
+            selections, shapes, kinds, notes = choose(left_out)
+            roles = divide_chosen(selections, shapes)
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error
-    own = [choice for geom, choice in enumerate(choices) if geom != ground]
+    own = [choice for geom, choice in enumerate(selections) if geom != ground]
     if not own:
         raise SceneError(f"{settings.path} has no geoms: nothing to bake")
     if not any(choice.counted for choice in own):
@@ -175,11 +177,11 @@ def load_scene(
         raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
     warnings = [" ".join(warning.split()) for warning in [*opened.warnings, *warned]]
     warnings += warn_out_of_range(model, settings)
-    hints = [text for text in warnings if parts and "`scene.up" in text]
-    bounds = shapes.only(mark_structure(division.roles)).bounds
-    size = _warn_size(settings, parts, bounds)
+    hints = [text for text in warnings if exact_meshes and "`scene.up" in text]
+    bounds = shapes.only(mark_structure(roles.roles)).bounds
+    size = _warn_size(settings, exact_meshes, bounds)
     hints += size
-    warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *division.warnings]
+    warnings += [*_warn_geometry(model, settings, exact_meshes), *size, *notes, *roles.warnings]
     types = model.geom_type.tolist()
     geoms = [
         GeomReport(
@@ -190,9 +192,9 @@ def load_scene(
             counted=choice.counted,
             shape=kinds.get(geom, ""),
             reason=choice.reason,
-            role=ROLES[division.roles[geom]],
+            role=ROLES[roles.roles[geom]],
         )
-        for geom, (names, choice) in enumerate(zip(all_names(model).geoms, choices, strict=True))
+        for geom, (names, choice) in enumerate(zip(all_names(model).geoms, selections, strict=True))
     ]
     return Scene(
         id=settings.id or stem_of(settings.path),
@@ -204,22 +206,22 @@ def load_scene(
         hints=hints,
         model=model,
         data=data,
-        choices=choices,
-        parts=parts,
+        selections=selections,
+        exact_meshes=exact_meshes,
         meshes=meshes,
-        roles=division.roles,
-        movable=division.movable,
-        stands=division.stands,
-        movers=division.movers,
-        actuated=frozenset(division.movers[[*find_actuated_bodies(model)]].tolist()),
+        roles=roles.roles,
+        movable=roles.movable,
+        is_structure_body=roles.is_structure_body,
+        mover_of_body=roles.mover_of_body,
+        actuated=frozenset(roles.mover_of_body[[*find_actuated_bodies(model)]].tolist()),
         named_leaves=opened.named_leaves,
-        leaves=division.leaves,
-        cars=division.cars,
-        unused=division.unused,
+        leaves=roles.leaves,
+        cars=roles.cars,
+        unused=roles.unused,
     )
 
 
-def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> OpenScene:
+def load_scene_file(settings: SceneSettings, limits: CompileLimits | None = None) -> SceneModel:
     """The model of the file that the settings name."""
     with catch_warnings() as warned:
         if limits is None:
@@ -227,7 +229,9 @@ def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> O
         return load_isolated(settings, limits, warned)
 
 
-def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
+def _warn_geometry(
+    model: Any, settings: SceneSettings, exact_meshes: dict[int, NamedMesh]
+) -> list[str]:
     """Warn of geometry that can't be baked, and of settings that are for mesh files."""
     notes = [
         f"{kind} can't be baked and is left out: "
@@ -239,29 +243,31 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
     text = "is for mesh files and does nothing here"
     unused = [f"`scene.{name}` {text}" for name, is_given in given.items() if is_given]
     suffix = Path(settings.path).suffix.lower()
-    takes_frame = suffix in STAGE_SUFFIXES or (bool(parts) and suffix not in SDF_SUFFIXES)
+    takes_frame = suffix in STAGE_SUFFIXES or (bool(exact_meshes) and suffix not in SDF_SUFFIXES)
     return [*notes, *([] if takes_frame else unused)]
 
 
-def _warn_size(settings: SceneSettings, parts: dict[int, MeshPart], bounds: Any) -> list[str]:
+def _warn_size(
+    settings: SceneSettings, exact_meshes: dict[int, NamedMesh], bounds: Any
+) -> list[str]:
     """Warn of a scene whose size says that its unit is not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
     suffix = Path(settings.path).suffix.lower()
     if suffix in SDF_SUFFIXES | STAGE_SUFFIXES:  # these state their unit
-        parts = {}
-    sides = np.diff(box_of(parts.values()) if parts else bounds, axis=0)[0]
+        exact_meshes = {}
+    sides = np.diff(bounds_of_meshes(exact_meshes.values()) if exact_meshes else bounds, axis=0)[0]
     width = float(sides.max())
     height = float(sides[2])
     if width < SMALL:
         hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
-        if parts:
+        if exact_meshes:
             unit = "the metres that one unit of it is, as 1000 for kilometres"
             hint = f"set `scene.unit` to {unit} (1 silences this)"
-        return [f"the {'mesh' if parts else 'scene'} is only {width:.6g} m large: {hint}"]
-    if parts and (height > HIGH_MESH or width > WIDE_MESH):
+        return [f"the {'mesh' if exact_meshes else 'scene'} is only {width:.6g} m large: {hint}"]
+    if exact_meshes and (height > HIGH_MESH or width > WIDE_MESH):
         text = f"{height:.6g} m high" if height > HIGH_MESH else f"{width:.6g} m large"
         hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
         return [f"the mesh is {text}: {hint} (1 silences this)"]
@@ -287,7 +293,7 @@ def digest_names(model: Any) -> DigestedNames:
 
 
 def start_digest(
-    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
+    model: Any, data: Any, exact_meshes: dict[int, NamedMesh], names: DigestedNames | None = None
 ) -> Callable[[], str]:
     """Start the sha256 of all of a posed model that a bake uses; the result waits for its hex.
 
@@ -296,7 +302,7 @@ def start_digest(
     begun, sites, joints = names or digest_names(model)
     digest = begun.copy()
     left = bytearray()
-    for number, array in enumerate(_digest_arrays(model, data, parts, sites, joints)):
+    for number, array in enumerate(_digest_arrays(model, data, exact_meshes, sites, joints)):
         left += f"{number} {array.dtype.str} {array.shape}\n".encode()
         if array.nbytes > LARGE_ARRAY:
             digest.update(left)
@@ -313,7 +319,7 @@ def start_digest(
 
 
 def _digest_arrays(
-    model: Any, data: Any, parts: dict[int, MeshPart], *names: NDArray[np.uint8]
+    model: Any, data: Any, exact_meshes: dict[int, NamedMesh], *names: NDArray[np.uint8]
 ) -> Iterator[NDArray[Any]]:
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
@@ -329,5 +335,5 @@ def _digest_arrays(
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)
-    for geom in sorted(parts):
-        yield from (np.array([geom]), parts[geom].vertices, parts[geom].faces)
+    for geom in sorted(exact_meshes):
+        yield from (np.array([geom]), exact_meshes[geom].vertices, exact_meshes[geom].faces)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.baker.bake.arguments import take_input
+from navbake.baker.bake.arguments import parse_arguments
 from navbake.baker.columns.columns import (
     cast_columns,
     split_into_row_chunks,
@@ -141,7 +141,7 @@ class Voxelizer:
                     raise ConfigError(f"expected `{name}` where the scene is loaded, this one is")
             self.scene = scene
         else:
-            config, opened = take_input(scene, data, settings, exclude, robot)
+            config, opened = parse_arguments(scene, data, settings, exclude, robot)
             exclusions = config.scene.exclude
             bodies = [*exclusions.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
             update = {"exclude": exclusions.model_copy(update={"bodies": bodies})}
@@ -267,7 +267,7 @@ class Voxelizer:
             raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
         moved = (pos != first.geom_xpos).any(axis=1) | (flat != first.geom_xmat).any(axis=1)
         moved &= counted
-        known = self.scene.choices, self.scene.parts, np.flatnonzero(moved).tolist()
+        known = self.scene.selections, self.scene.exact_meshes, np.flatnonzero(moved).tolist()
         shapes, *_ = collect_shapes(model, data, *known, self.scene.meshes)
         self.shapes = base.replaced(shapes, moved)
 

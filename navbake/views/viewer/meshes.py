@@ -177,7 +177,9 @@ def _find_batches(
     """Opaque meshes that several geoms show; those that are tilted alike share their light."""
     model = scene.model
     can = drawn & (model.geom_type == MESH) & (model.geom_dataid >= 0) & (colors[:, 3] == 1)
-    geoms = np.array([geom for geom in np.flatnonzero(can) if geom not in scene.parts], np.int64)
+    geoms = np.array(
+        [geom for geom in np.flatnonzero(can) if geom not in scene.exact_meshes], np.int64
+    )
     if not len(geoms):
         return
     share = MOST_DRAWN / int(model.mesh_facenum[model.geom_dataid[geoms]].sum())
@@ -255,8 +257,8 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
         kind = int(model.geom_type[geom])
         number = int(model.geom_dataid[geom])
         uv = None
-        if geom in scene.parts:  # in the world frame already
-            part = scene.parts[geom]
+        if geom in scene.exact_meshes:  # in the world frame already
+            part = scene.exact_meshes[geom]
             yield _piece(geom, np.asarray(part.vertices), np.asarray(part.faces))
             continue
         if kind == HFIELD:  # its upper side

@@ -52,7 +52,7 @@ def check_client(grid, warnings, most_lost=0.0):
 
 def bake_xml(folder, xml, **sections):
     stages = stages_of_xml(folder, xml, **sections)
-    return build_grid(stages.config, stages.standing, stages.moving)
+    return build_grid(stages.config, stages.baked_structure, stages.baked_pose)
 
 
 @pytest.mark.parametrize("name", SAMPLES)
@@ -75,7 +75,7 @@ def test_client_finds_each_free_cell_of_two_slabs(tmp_path, shift):
     """2.7 as float32 lies above 2.7, and -0.3 below -0.3."""
     moved = f'<body pos="0 0 {shift!r}">{"".join(SLABS)}</body>'
     stages = stages_of_xml(tmp_path, world(moved), grid={"cell_size": 0.2})
-    grid = build_grid(stages.config, stages.standing, stages.moving)
+    grid = build_grid(stages.config, stages.baked_structure, stages.baked_pose)
     assert [level.ground for level in grid.levels] == pytest.approx([shift, 2.7 + shift])
     check_client(grid, [])
     low, high = grid.levels
@@ -247,7 +247,7 @@ def two_stairs():
 def test_warning_counts_the_cells_that_levels_cost(tmp_path):
     """The treads over a floor are on the level above, as high as treads of the level below."""
     stages = stages_of_xml(tmp_path, world(two_stairs()), grid={"cell_size": 0.1})
-    grid = build_grid(stages.config, stages.standing, stages.moving)
+    grid = build_grid(stages.config, stages.baked_structure, stages.baked_pose)
     assert len(grid.levels) == 2
     found = look_up(grid)
     [warning] = interleaved(grid.warnings)

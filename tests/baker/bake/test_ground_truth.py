@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from navbake.baker.bake.lattice import lay_lattice
+from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
@@ -467,7 +467,7 @@ def test_lattice_is_centred_on_the_scene(things: list[Thing]) -> None:
     config = parse_config(
         {"scene": {"path": str(path), "geoms": "all"}, "grid": {"cell_size": 0.13}}
     )
-    lattice = lay_lattice(load_scene(config), config)
+    lattice = fit_lattice(load_scene(config), config)
     cells = np.array([x1 - x0, y1 - y0]) / 0.13
     assume((np.abs(cells - np.round(cells)) > 1e-4).all())
     assert (lattice.width, lattice.height) == tuple(np.ceil(cells))

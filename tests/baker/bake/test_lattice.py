@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.baker.bake.lattice import lay_lattice, lay_whole
+from navbake.baker.bake.lattice import extend_lattice, fit_lattice
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 
@@ -24,7 +24,7 @@ class Box:
 
 def count(low, high, cell, **grid):
     config = parse_config({"scene": {"path": "a.xml"}, "grid": {"cell_size": cell, **grid}}, "x")
-    lattice = lay_lattice(Box([*low, 0.0], [*high, 1.0]), config)
+    lattice = fit_lattice(Box([*low, 0.0], [*high, 1.0]), config)
     return lattice.width, lattice.height
 
 
@@ -61,7 +61,7 @@ def test_a_window_goes_on_by_whole_cells():
     config = parse_config(
         {"scene": {"path": "a.xml"}, "grid": {"bounds": [1e4 + 1, 0.5, 1e4 + 2, 1.5]}}, "x"
     )
-    whole, _ = lay_whole(lay_lattice(box, config), box.bounds, 10**6)
+    whole, _ = extend_lattice(fit_lattice(box, config), box.bounds, 10**6)
     assert whole.shape == (20, 33)
 
 
@@ -73,5 +73,5 @@ def test_a_mesh_in_inches_far_away_has_the_cells_of_its_size(tmp_path, cells):
     mesh.export(tmp_path / "a.stl")  # in float32
     settings = {"scene": {"path": str(tmp_path / "a.stl"), "up": "z", "unit": INCH}}
     config = parse_config(settings, "x")
-    lattice = lay_lattice(load_scene(config), config)
+    lattice = fit_lattice(load_scene(config), config)
     assert (lattice.width, lattice.height) == cells

@@ -12,7 +12,7 @@ import navbake
 from box_worlds import FLOOR, box, stages_of_xml, world
 from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
 from door_scenes import world as door_world
-from navbake.baker.bake.boxes import written_ground
+from navbake.baker.bake.boxes import rounded_ground
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import bake_stages
 from navbake.baker.columns import column_sources
@@ -96,7 +96,7 @@ def test_a_bake_is_its_stages(name):
     assert list(result.timings) == STAGES
     assert list(result.grid.timings) == ["createMillis", *(f"{stage}Millis" for stage in STAGES)]
     assert [level.ground for level in result.grid.levels] == [
-        written_ground(level) for level in stages.floors.levels
+        rounded_ground(level) for level in stages.floors.levels
     ]
     removed = result.grid.with_doors("removed")
     num_free = [int((~occupied).sum()) for occupied in stages.occupancy.levels]

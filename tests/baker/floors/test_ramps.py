@@ -50,7 +50,7 @@ def stages_of(tmp_path: Path):
 def bake(stages_of):
     def run(*args, **kwargs):
         stages = stages_of(*args, **kwargs)
-        return build_grid(stages.config, stages.standing, stages.moving)
+        return build_grid(stages.config, stages.baked_structure, stages.baked_pose)
 
     return run
 

@@ -40,7 +40,7 @@ def grounds(stages: Stages) -> list[float]:
 
 
 def warnings_of(stages: Stages) -> list[str]:
-    return collect_warnings(stages.config, stages.standing, stages.moving)
+    return collect_warnings(stages.config, stages.baked_structure, stages.baked_pose)
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.08, 0.1, 0.11])

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from box_worlds import box, world
-from navbake.baker.bake.lattice import lay_whole
+from navbake.baker.bake.lattice import extend_lattice
 from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.baker.bake.stages import bake_stages
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors
@@ -213,7 +213,9 @@ def test_a_window_of_a_scene_beyond_the_limit_is_judged_by_what_fits(path):
 def test_the_whole_is_laid_around_the_window(max_cells, sides):
     """It goes on by whole cells, no farther to one side than to another where there is more."""
     window = Lattice(1.0, 3.0, 0.5, 4, 3)  # x 1 to 3, y 1.5 to 3
-    whole, (rows, cols) = lay_whole(window, np.array([[0.2, -1.0, 0], [3.4, 3.0, 1]]), max_cells)
+    whole, (rows, cols) = extend_lattice(
+        window, np.array([[0.2, -1.0, 0], [3.4, 3.0, 1]]), max_cells
+    )
     assert whole.cut(rows, cols) == window
     assert list(whole.bounds) == sides
-    assert lay_whole(window, None, max_cells)[0] == window
+    assert extend_lattice(window, None, max_cells)[0] == window

@@ -14,7 +14,7 @@ from navbake.baker.geometry.triangle_kernels import (
     measure_spans,
     unit_normal,
 )
-from navbake.baker.readers.upright import NEAR, list_axes
+from navbake.baker.readers.orientation import NEAR, list_axes
 
 # parts of kernels as functions that Python can call
 unit_normal = numba.njit(unit_normal.py_func)

@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from navbake.baker.readers import mesh as mesh_scene
-from navbake.baker.readers.mesh import read_mesh_parts, read_plain
+from navbake.baker.readers.mesh import read_named_meshes, read_plain
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from project_paths import SHARED_DATA
@@ -58,9 +58,9 @@ def write(path, mesh):
 )
 def test_every_format_in_every_frame(tmp_path, name):
     path = write(tmp_path / name, WEDGE)
-    (part,) = read_mesh_parts(path)
+    (part,) = read_named_meshes(path)
     same_triangles(part, WEDGE.triangles)
-    (part,) = read_mesh_parts(path, up="y", unit=0.01)
+    (part,) = read_named_meshes(path, up="y", unit=0.01)
     same_triangles(part, WEDGE.triangles @ IN_Z_UP.T * 0.01)
     assert volume(part) == pytest.approx(1e-6 * WEDGE.volume)  # not mirrored
     scene = load_alone(SceneSettings(path=path, up="y", unit=0.01))
@@ -101,7 +101,7 @@ def test_no_part_is_named_twice(tmp_path):
     mesh = tmp_path / "two.stl"
     text = trimesh.exchange.stl.export_stl_ascii(WEDGE).replace("solid", "solid a", 1)
     mesh.write_text("\n".join([text, text.replace("solid a", "solid world"), text]))
-    names = [part.name for part in read_mesh_parts(mesh)]
+    names = [part.name for part in read_named_meshes(mesh)]
     assert len(set(names)) == 3
     assert "a" in names
     assert "world" not in names
@@ -139,7 +139,7 @@ def test_nodes_move_turn_and_mirror(tmp_path):
     scene.add_geometry(WEDGE, "inner", "wedge", parent_node_name="outer", transform=inner)
     scene.add_geometry(WEDGE, "plain", "wedge")
     scene.export(tmp_path / "nodes.glb")
-    parts = {part.name: part for part in read_mesh_parts(tmp_path / "nodes.glb")}
+    parts = {part.name: part for part in read_named_meshes(tmp_path / "nodes.glb")}
     assert set(parts) == {"inner", "plain"}
     same_triangles(parts["plain"], WEDGE.triangles)
     moved = trimesh.transform_points(WEDGE.vertices, outer @ inner)
@@ -183,7 +183,7 @@ def test_primitives_are_named_by_their_node_and_the_same_each_time(tmp_path):
     path = tmp_path / "prims.glb"
     path.write_bytes(make_glb(count=3))
     for _ in range(2):
-        assert [part.name for part in read_mesh_parts(path)] == ["tri", "tri#2", "tri#3"]
+        assert [part.name for part in read_named_meshes(path)] == ["tri", "tri#2", "tri#3"]
     digests = {load_alone(SceneSettings(path=path)).digest for _ in range(2)}
     assert len(digests) == 1
 
@@ -191,14 +191,14 @@ def test_primitives_are_named_by_their_node_and_the_same_each_time(tmp_path):
 def test_nodes_without_a_name(tmp_path):
     path = tmp_path / "plain.glb"
     path.write_bytes(make_glb({"nodes": [{"children": [1]}, {"mesh": 0}]}))
-    assert [part.name for part in read_mesh_parts(path)] == ["1"]
+    assert [part.name for part in read_named_meshes(path)] == ["1"]
 
 
 def test_a_cycle_of_nodes_ends(tmp_path):
     path = tmp_path / "cycle.glb"
     path.write_bytes(make_glb({"nodes": [{"children": [1]}, {"mesh": 0, "children": [0]}]}))
     with pytest.raises(SceneError, match=r"cycle\.glb"):
-        read_mesh_parts(path)
+        read_named_meshes(path)
 
 
 def test_textures_do_not_matter(tmp_path):
@@ -208,16 +208,16 @@ def test_textures_do_not_matter(tmp_path):
     textured.visual = trimesh.visual.TextureVisuals(uv=np.zeros((4, 2)), material=material)
     textured.export(tmp_path / "t.glb")
     assert b"image/png" in (tmp_path / "t.glb").read_bytes()
-    (part,) = read_mesh_parts(tmp_path / "t.glb")
+    (part,) = read_named_meshes(tmp_path / "t.glb")
     same_triangles(part, WEDGE.triangles)
     broken = (tmp_path / "t.glb").read_bytes().replace(b"\x89PNG", b"\x89GNP")
     (tmp_path / "broken.glb").write_bytes(broken)
-    (part,) = read_mesh_parts(tmp_path / "broken.glb")
+    (part,) = read_named_meshes(tmp_path / "broken.glb")
     same_triangles(part, WEDGE.triangles)
     textured.export(tmp_path / "t.obj")
     for extra in (*tmp_path.glob("*.mtl"), *tmp_path.glob("*.png")):
         extra.unlink()
-    (part,) = read_mesh_parts(tmp_path / "t.obj")
+    (part,) = read_named_meshes(tmp_path / "t.obj")
     same_triangles(part, WEDGE.triangles)
 
 
@@ -229,7 +229,7 @@ def test_lines_and_points_have_no_surface(tmp_path):
     }
     meshes = [{"primitives": [{"attributes": {"POSITION": 0}, "mode": m}]} for m in (4, 1)]
     path.write_bytes(make_glb({**changes, "meshes": meshes}))
-    assert [part.name for part in read_mesh_parts(path)] == ["tri"]
+    assert [part.name for part in read_named_meshes(path)] == ["tri"]
 
 
 @pytest.mark.parametrize(
@@ -258,10 +258,10 @@ def test_what_trimesh_would_get_wrong_is_refused(tmp_path, data, culprit):
     path = tmp_path / "bad.glb"
     path.write_bytes(data)
     if b'"buffers": []' in data:  # trimesh reads the chunk all the same
-        assert len(read_mesh_parts(path)) == 1
+        assert len(read_named_meshes(path)) == 1
         return
     with pytest.raises(SceneError, match=f"{culprit}.*") as caught:
-        read_mesh_parts(path)
+        read_named_meshes(path)
     assert "bad.glb" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -270,7 +270,7 @@ def test_what_trimesh_would_get_wrong_is_refused(tmp_path, data, culprit):
 def test_broken_gltf(tmp_path, text):
     (tmp_path / "bad.gltf").write_text(text)
     with pytest.raises(SceneError, match=r"bad\.gltf"):
-        read_mesh_parts(tmp_path / "bad.gltf")
+        read_named_meshes(tmp_path / "bad.gltf")
 
 
 def test_gltf_without_its_buffer(tmp_path):
@@ -278,7 +278,7 @@ def test_gltf_without_its_buffer(tmp_path):
     for extra in tmp_path.glob("*.bin"):
         extra.unlink()
     with pytest.raises(SceneError, match=r"w\.gltf"):
-        read_mesh_parts(tmp_path / "w.gltf")
+        read_named_meshes(tmp_path / "w.gltf")
 
 
 # ---------------------------------------------------------------- OBJ, STL, PLY
@@ -293,7 +293,7 @@ def read(tmp_path):
     def call(name, content):
         path = tmp_path / name
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return read_mesh_parts(path)
+        return read_named_meshes(path)
 
     return call
 
@@ -473,11 +473,11 @@ def test_dae_unit_counts_and_its_axis_does_not(tmp_path, up):
     path = write_dae(tmp_path / "w.dae", WEDGE, 0.01, up, [np.eye(4), moved])
     assert 'meter="0.01"' in path.read_text()
     assert up in path.read_text()
-    first, second = read_mesh_parts(path)
+    first, second = read_named_meshes(path)
     same_triangles(first, WEDGE.triangles * 0.01)
     expected = trimesh.transform_points(WEDGE.vertices, moved)[WEDGE.faces]
     same_triangles(second, expected * 0.01)
-    first, _ = read_mesh_parts(path, up="y", unit=2.0)
+    first, _ = read_named_meshes(path, up="y", unit=2.0)
     same_triangles(first, WEDGE.triangles @ IN_Z_UP.T * 0.02)
 
 
@@ -486,7 +486,7 @@ def test_dae_without_a_unit(tmp_path):
     text = path.read_text()
     start = text.index("<unit")
     path.write_text(text[:start] + text[text.index(">", start) + 1 :])
-    (part,) = read_mesh_parts(path)
+    (part,) = read_named_meshes(path)
     same_triangles(part, WEDGE.triangles)
 
 
@@ -495,7 +495,7 @@ def test_dae_with_a_wrong_unit(tmp_path, meter):
     path = write_dae(tmp_path / "w.dae", WEDGE, 0.01)
     path.write_text(path.read_text().replace('meter="0.01"', f'meter="{meter}"'))
     with pytest.raises(SceneError, match=rf"<unit meter> in .*w\.dae, got '{meter}'"):
-        read_mesh_parts(path)
+        read_named_meshes(path)
 
 
 def test_broken_dae(tmp_path):
@@ -504,7 +504,7 @@ def test_broken_dae(tmp_path):
     for broken in ("", text[: len(text) // 2], text.replace("#v", "#gone"), "<COLLADA/>"):
         path.write_text(broken)
         with pytest.raises(SceneError, match=r"w\.dae"):
-            read_mesh_parts(path)
+            read_named_meshes(path)
 
 
 # ---------------------------------------------------------------- odd geometry
@@ -535,7 +535,7 @@ SQUARE = [[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]
 )
 def test_odd_meshes_make_a_model(tmp_path, vertices, faces, count):
     path = write_obj(tmp_path / "odd.obj", vertices, faces)
-    (part,) = read_mesh_parts(path)
+    (part,) = read_named_meshes(path)
     assert len(part.faces) == count
     assert len(part.vertices) <= 3 * count
     scene = load_alone(SceneSettings(path=path))
@@ -565,7 +565,7 @@ def test_unusable_meshes(tmp_path, vertices, faces, culprit):
 def test_a_unit_that_overflows(tmp_path):
     path = write_obj(tmp_path / "odd.obj", SQUARE, [[0, 1, 2]])
     with pytest.raises(SceneError, match=r"odd\.obj"):
-        read_mesh_parts(path, unit=1e308)
+        read_named_meshes(path, unit=1e308)
 
 
 def test_flat_meshes_have_no_hull(tmp_path):
@@ -583,7 +583,7 @@ def test_flat_meshes_have_no_hull(tmp_path):
 @pytest.mark.skipif(not SHARED_DATA.is_dir(), reason="no shared data here")
 def test_real_files():
     def facts(name, **settings):
-        parts = read_mesh_parts(SHARED_DATA / name, **settings)
+        parts = read_named_meshes(SHARED_DATA / name, **settings)
         corners = np.concatenate([triangles(part) for part in parts])
         return len(parts), len(corners), corners.reshape(-1, 3)
 
@@ -604,7 +604,7 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
         with open(tmp_path / name, "wb") as file:
             file.truncate(mesh_scene.MAX_BYTES + 1)  # takes no room
         with pytest.raises(SceneError, match=rf"{name} is too large: .* 4096 MiB at most"):
-            read_mesh_parts(tmp_path / name)
+            read_named_meshes(tmp_path / name)
 
 
 @pytest.mark.parametrize("uri", ["../w.bin", "a/%2E%2E/../w.bin"])
@@ -614,7 +614,7 @@ def test_a_buffer_outside_of_the_folder_is_named(tmp_path, uri):
     content["buffers"] = [{**content["buffers"][0], "uri": uri}]
     (tmp_path / "w.gltf").write_text(json.dumps(content))
     with pytest.raises(SceneError, match=r"its buffer '.*w\.bin' lies outside of its folder"):
-        read_mesh_parts(tmp_path / "w.gltf")
+        read_named_meshes(tmp_path / "w.gltf")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no endless device here")
@@ -628,13 +628,13 @@ def test_a_gltf_reads_no_device_as_its_buffer(tmp_path, uri):
     content["buffers"] = [{**content["buffers"][0], "uri": uri}]
     (tmp_path / "w.gltf").write_text(json.dumps(content))
     with pytest.raises(SceneError, match=r"w\.gltf: its buffer .* is (missing|no file of 4096)"):
-        read_mesh_parts(tmp_path / "w.gltf")
+        read_named_meshes(tmp_path / "w.gltf")
 
 
 def test_trimesh_writes_nothing_to_the_terminal(tmp_path, capfd):
     (tmp_path / "a.stl").write_text("solid a\nfacet normal x 0 1\nendfacet\nendsolid a\n")
     with pytest.raises(SceneError):
-        read_mesh_parts(tmp_path / "a.stl")
+        read_named_meshes(tmp_path / "a.stl")
     assert capfd.readouterr() == ("", "")
 
 
@@ -645,11 +645,11 @@ def test_draco_is_read_by_its_package_or_named(tmp_path, monkeypatch):
     path.write_bytes(box.export(file_type="glb", extension_draco=True))
     if b"KHR_draco_mesh_compression" not in path.read_bytes():
         pytest.skip("this trimesh doesn't write Draco")
-    (part,) = read_mesh_parts(path)
+    (part,) = read_named_meshes(path)
     assert volume(part) == pytest.approx(6.0, rel=1e-3)
     monkeypatch.setattr(mesh_scene, "find_spec", lambda name: None)
     with pytest.raises(SceneError, match=r"KHR_draco_mesh_compression: `pip install .*draco"):
-        read_mesh_parts(path)
+        read_named_meshes(path)
 
 
 @pytest.mark.parametrize("name", ["w.obj", "w.glb", "w.gltf", "w.dae"])
@@ -667,4 +667,4 @@ def test_a_missing_texture_stops_nothing(tmp_path, name):
     for file in tmp_path.iterdir():
         if file.suffix in (".png", ".jpg", ".jpeg", ".mtl"):
             file.unlink()
-    assert read_mesh_parts(path)
+    assert read_named_meshes(path)

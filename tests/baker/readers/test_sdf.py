@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 import navbake
-from navbake.baker.readers import pieces
+from navbake.baker.readers import parsed_scene
 from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import SceneSettings
@@ -145,7 +145,7 @@ def test_meshes_bring_their_units_and_axes(tmp_path):
     )
     scene = load(write(tmp_path, model("".join(links))))
     ids = {geom.name.split("::")[1]: geom.id for geom in scene.geoms}
-    bounds = {name: np.array([(v := scene.parts[k].vertices).min(0), v.max(0)])
+    bounds = {name: np.array([(v := scene.exact_meshes[k].vertices).min(0), v.max(0)])
               for name, k in ids.items()}  # fmt: skip
     assert np.allclose(bounds["dae"], [[0, 0, 0], [3, 2, 1]], atol=1e-6)
     assert np.allclose(bounds["stl"], [[0, 0, 0], [3, 2, 1]], atol=1e-6)
@@ -369,7 +369,7 @@ def test_a_drawn_plane_may_move(tmp_path):
 
 def test_models_are_bounded(tmp_path, monkeypatch):
     """Includes that double each other, of which a few kilobytes make millions."""
-    monkeypatch.setattr(pieces, "MAX_PIECES", 1000)
+    monkeypatch.setattr(parsed_scene, "MAX_GEOMS", 1000)
     for k in range(40):
         twice = "".join(
             f"<include><uri>model://m{k + 1}</uri><name>{side}</name></include>" for side in "ab"

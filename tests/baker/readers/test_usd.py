@@ -14,8 +14,8 @@ import pytest
 
 import navbake
 from navbake.baker.geometry.shapes import triangulate
-from navbake.baker.readers import pieces
-from navbake.baker.readers.pieces import MOST_PIECES
+from navbake.baker.readers import parsed_scene
+from navbake.baker.readers.parsed_scene import MERGE_ABOVE
 from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import SceneSettings
@@ -445,7 +445,7 @@ def test_an_open_door_frees_its_doorway(tmp_path):
 
 
 def test_instances_are_bounded(tmp_path, monkeypatch):
-    monkeypatch.setattr(pieces, "MAX_PIECES", 6)
+    monkeypatch.setattr(parsed_scene, "MAX_GEOMS", 6)
     with pytest.raises(SceneError, match=r"room\.usda has more than 6 pieces"):
         load(write_room(tmp_path, 1.0, "Z", "point-instanced"))
 
@@ -464,8 +464,8 @@ def test_many_prims_become_few_meshes(tmp_path):
     bolts = UsdGeom.PointInstancer.Define(stage, "/World/Bolts")
     UsdGeom.Cube.Define(stage, "/World/Bolts/Bolt").CreateSizeAttr(0.5)
     bolts.CreatePrototypesRel().AddTarget("/World/Bolts/Bolt")
-    bolts.CreateProtoIndicesAttr([0] * MOST_PIECES)
-    bolts.CreatePositionsAttr([Gf.Vec3f(k % 100, k // 100, 0) for k in range(MOST_PIECES)])
+    bolts.CreateProtoIndicesAttr([0] * MERGE_ABOVE)
+    bolts.CreatePositionsAttr([Gf.Vec3f(k % 100, k // 100, 0) for k in range(MERGE_ABOVE)])
     UsdGeom.Cube.Define(stage, "/World/Other/Cube")
     stage.Save()
     scene = load(tmp_path / "a.usda")

@@ -13,7 +13,7 @@ from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.doors.poses import pose_doors
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.leaves import DoorCandidate, find_candidates
+from navbake.baker.scene.leaves import DoorCandidate, find_door_candidates
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import DoorSettings, SceneSettings, load_config, parse_config
@@ -35,13 +35,13 @@ def load(tmp_path: Path):
 
 def look_for(scene: Scene, **settings: Any) -> tuple[list[DoorCandidate], list[str]]:
     """The leaves that a scene has by settings of doors, and the patterns that match none."""
-    return find_candidates(
+    return find_door_candidates(
         scene.model,
         scene.data,
         shapes=scene.shapes,
         counted=np.array([geom.counted for geom in scene.geoms]),
         movable=scene.movable,
-        stands=scene.stands,
+        is_structure_body=scene.is_structure_body,
         named=scene.named_leaves,
         settings=DoorSettings(**settings),
     )
@@ -210,7 +210,9 @@ def test_leaves_and_what_stands_are_what_is_collected_of_them(name):
         (scene.structure, standing),
         (pose_doors(scene, leaves, "modelled"), sorted(of_leaves)),
     ):
-        expected, *_ = collect_shapes(scene.model, scene.data, scene.choices, scene.parts, geoms)
+        expected, *_ = collect_shapes(
+            scene.model, scene.data, scene.selections, scene.exact_meshes, geoms
+        )
         for one, other in zip(arrays(found), arrays(expected), strict=True):
             np.testing.assert_array_equal(one, other)
 

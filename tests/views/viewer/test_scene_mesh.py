@@ -35,7 +35,7 @@ class Loaded:
         self.model = mujoco.MjModel.from_xml_string(xml)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
-        self.parts = {}
+        self.exact_meshes = {}
 
 
 def draw(geoms, assets=""):

@@ -13,12 +13,12 @@ from navbake.baker.core.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.geometry.shapes import Primitives, Shapes
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.divide import CARRIER, LEAF, LEFT_OUT, give_roles
-from navbake.baker.scene.hidden_room import HiddenRoom
-from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
-from navbake.baker.scene.model import OpenScene, check_data
+from navbake.baker.scene.hull_room import HullRoomTest
+from navbake.baker.scene.leaves import DoorCandidate, find_door_candidates, mark_candidate_geoms
+from navbake.baker.scene.model import SceneModel, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
+from navbake.baker.scene.roles import LEAF, LEFT_OUT, MOVING_STRUCTURE, assign_roles
 from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_digest
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError
@@ -37,7 +37,7 @@ TURNING = "jnt_range", "jnt_limited", "jnt_axis", "jnt_pos"
 PARTS = "qpos", "mocap_pos", "mocap_quat"
 
 
-class Moved(NamedTuple):
+class SceneChange(NamedTuple):
     """What is different in a scene.
 
     Attributes:
@@ -52,10 +52,10 @@ class Moved(NamedTuple):
     geoms: Bool
     structure: str
     digest: Callable[[], str]
-    compared: Compared
+    compared: PoseSnapshot
 
 
-class Compared(NamedTuple):
+class PoseSnapshot(NamedTuple):
     """What two poses of a model are compared by.
 
     Attributes:
@@ -75,13 +75,13 @@ class Compared(NamedTuple):
     marking_sites: Float
 
 
-class FollowedScene:
+class TrackedScene:
     """A scene of one model, in one pose after the other.
 
     Of two datas of the model one is in the pose of now, and the other becomes the next.
     """
 
-    def __init__(self, config: BakeConfig, opened: OpenScene, scene: Scene) -> None:
+    def __init__(self, config: BakeConfig, opened: SceneModel, scene: Scene) -> None:
         self._config = config
         self._opened = opened
         self._meshes = scene.meshes
@@ -98,12 +98,12 @@ class FollowedScene:
         self._marking_geoms, self._marking_sites = find_markers(model, config.rooms)
         self.keep(scene, self._read(scene.data))
 
-    def _read(self, data: Any) -> Compared:
+    def _read(self, data: Any) -> PoseSnapshot:
         model = self._model
         sites = self._marking_sites
-        stands = self.scene.stands[model.site_bodyid[sites]]
+        is_structure_body = self.scene.is_structure_body[model.site_bodyid[sites]]
         where = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
-        return Compared(
+        return PoseSnapshot(
             choices=[getattr(model, name).tobytes() for name in CHOOSING],
             poses=np.hstack([data.geom_xpos, data.geom_xmat]),
             turning=[getattr(model, name).tobytes() for name in TURNING],
@@ -112,10 +112,10 @@ class FollowedScene:
                 getattr(model, name)[self._marking_geoms].tobytes()
                 for name in ("geom_type", "geom_dataid", "geom_size")
             ],
-            marking_sites=np.hstack([values[sites][stands] for values in where]),
+            marking_sites=np.hstack([values[sites][is_structure_body] for values in where]),
         )
 
-    def keep(self, scene: Scene, compared: Compared) -> None:
+    def keep(self, scene: Scene, compared: PoseSnapshot) -> None:
         """Take a scene for the one that the next pose is compared with."""
         if scene.data is self._next:
             self._next = self.scene.data
@@ -129,7 +129,7 @@ class FollowedScene:
         data: Any,
         bodies: Mapping[str, ArrayLike] | None,
         joints: Mapping[str, float] | None,
-    ) -> Moved:
+    ) -> SceneChange:
         """Take the next pose, and find what moved; see `Baker.update`."""
         was = self.scene
         model = self._model
@@ -149,19 +149,19 @@ class FollowedScene:
         if self._may_be_divided_otherwise(data, moved, compared):
             scene = load_scene(self._config, opened=self._opened._replace(data=data))
             geoms = find_differing(was.shapes, scene.shapes)
-            geoms |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
+            geoms |= [a != b for a, b in zip(was.selections, scene.selections, strict=True)]
             scene = replace(scene, leaves=self._keep_leaves(scene.leaves, moved | geoms, compared))
             digest: Callable[[], str] = lambda: scene.digest  # noqa: E731
         else:
-            digest = start_digest(model, data, was.parts, self._names)
+            digest = start_digest(model, data, was.exact_meshes, self._names)
             geoms = moved & (was.roles != LEFT_OUT)
             shapes = was.shapes
             if geoms.any():
                 after, *_ = collect_shapes(
                     model,
                     data,
-                    choices=was.choices,
-                    parts=was.parts,
+                    selections=was.selections,
+                    exact_meshes=was.exact_meshes,
                     only=np.flatnonzero(geoms).tolist(),
                     meshes=was.meshes,
                 )
@@ -169,10 +169,10 @@ class FollowedScene:
             scene = replace(was, shapes=shapes, digest="", data=data)
             scene = self._follow_leaves(scene, moved, compared)
         structure = self._find_other_structure(scene, geoms, moved, compared)
-        return Moved(scene, geoms, structure, digest, compared)
+        return SceneChange(scene, geoms, structure, digest, compared)
 
     def _find_other_structure(
-        self, scene: Scene, geoms: Bool, moved: Bool, compared: Compared
+        self, scene: Scene, geoms: Bool, moved: Bool, compared: PoseSnapshot
     ) -> str:
         """Why what stands, or what marks rooms, is another than before; empty where it isn't."""
         was = self.scene
@@ -181,48 +181,52 @@ class FollowedScene:
         if differs.any():
             geom = int(np.argmax(differs))
             name = scene.geoms[geom].name
-            does = "carries floor" if CARRIER in (was.roles[geom], scene.roles[geom]) else "stands"
+            does = (
+                "carries floor"
+                if MOVING_STRUCTURE in (was.roles[geom], scene.roles[geom])
+                else "stands"
+            )
             return f"{name!r}, which {does}, has changed"
         if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
         marking = self._marking_geoms
-        stands = scene.stands[scene.model.geom_bodyid[marking]]
-        is_other = moved[marking][stands].any()
+        is_structure_body = scene.is_structure_body[scene.model.geom_bodyid[marking]]
+        is_other = moved[marking][is_structure_body].any()
         is_other |= compared.marking_geoms != self._compared.marking_geoms
         is_other |= not np.array_equal(compared.marking_sites, self._compared.marking_sites)
         if is_other:
             return "what marks rooms has changed"
         return ""
 
-    def _turn_otherwise(self, compared: Compared) -> bool:
+    def _turn_otherwise(self, compared: PoseSnapshot) -> bool:
         """Whether hinges and slides turn otherwise than before, as someone wrote to the model."""
         return compared.turning != self._compared.turning
 
-    def _follow_leaves(self, scene: Scene, moved: Bool, compared: Compared) -> Scene:
+    def _follow_leaves(self, scene: Scene, moved: Bool, compared: PoseSnapshot) -> Scene:
         """The scene with the leaves of now."""
         is_turned = not np.array_equal(compared.positions, self._compared.positions)
-        may_be_leaf = self._hinged_geoms | mark_geoms(len(moved), scene.leaves)
+        may_be_leaf = self._hinged_geoms | mark_candidate_geoms(len(moved), scene.leaves)
         is_turned |= self._turn_otherwise(compared)
         if not is_turned and not (moved & may_be_leaf).any():
             return scene
-        leaves, unused = find_candidates(
+        leaves, unused = find_door_candidates(
             scene.model,
             scene.data,
             shapes=scene.shapes,
             counted=scene.roles != LEFT_OUT,
             movable=scene.movable,
-            stands=scene.stands,
+            is_structure_body=scene.is_structure_body,
             named=scene.named_leaves,
             settings=self._config.doors,
         )
         leaves = self._keep_leaves(leaves, moved, compared)
-        roles = give_roles(
-            scene.model, scene.roles != LEFT_OUT, scene.movable, scene.stands, leaves
+        roles = assign_roles(
+            scene.model, scene.roles != LEFT_OUT, scene.movable, scene.is_structure_body, leaves
         )
         return replace(scene, leaves=leaves, unused=unused, roles=roles)
 
     def _keep_leaves(
-        self, leaves: list[DoorCandidate], moved: Bool, compared: Compared
+        self, leaves: list[DoorCandidate], moved: Bool, compared: PoseSnapshot
     ) -> list[DoorCandidate]:
         """The leaves of now, of which those that don't differ are the objects that they were."""
         turn_otherwise = self._turn_otherwise(compared)
@@ -241,7 +245,7 @@ class FollowedScene:
 
         return [former[leaf.id] if is_same(leaf) else leaf for leaf in leaves]
 
-    def _may_be_divided_otherwise(self, data: Any, moved: Bool, compared: Compared) -> bool:
+    def _may_be_divided_otherwise(self, data: Any, moved: Bool, compared: PoseSnapshot) -> bool:
         """Whether other geoms may count, or as what, so that the scene has to be loaded again.
 
         What was written to the model says so; and the pose of what may be the car of a lift, of a
@@ -261,8 +265,8 @@ class FollowedScene:
         model = self.scene.model
         agent = self._config.agent
         floors = self._config.floors
-        before = HiddenRoom(model, self.scene.data, self._meshes, agent, floors)
-        now = HiddenRoom(model, data, self._meshes, agent, floors)
+        before = HullRoomTest(model, self.scene.data, self._meshes, agent, floors)
+        now = HullRoomTest(model, data, self._meshes, agent, floors)
         geoms = np.flatnonzero(meshes).tolist()
         return any(before.is_large(geom) or now.is_large(geom) for geom in geoms)
 

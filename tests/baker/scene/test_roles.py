@@ -12,7 +12,7 @@ import trimesh
 from box_worlds import body, box, world
 from door_scenes import LEAF, ROOMS
 from door_scenes import world as door_world
-from navbake.baker.scene.divide import find_actuated_bodies
+from navbake.baker.scene.roles import find_actuated_bodies
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import load_config, parse_config
 from project_paths import CONFIGS
@@ -255,7 +255,7 @@ def test_what_moves_a_body_is_the_topmost_that_can(tmp_path):
     model = scene.model
     movers = {
         model.body(number).name: model.body(mover).name
-        for number, mover in enumerate(scene.movers.tolist())
+        for number, mover in enumerate(scene.mover_of_body.tolist())
     }
     assert movers == {
         "world": "world",

@@ -2,11 +2,11 @@
 
 USD and SDF become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates, checks and
 batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that never move
-are kept exact beside the model, see `model_of_parts`.
+are kept exact beside the model, see `model_of_meshes`.
 
 MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
-So of more than `MOST_PIECES` pieces, static ones that stand together become one mesh, until
-`FEW_PIECES` are left.
+So of more than `MERGE_ABOVE` pieces, static ones that stand together become one mesh, until
+`MERGE_DOWN_TO` are left.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 
 from navbake.baker.geometry.shapes import Mesh, hull_faces, tessellate
-from navbake.baker.readers.mesh import MeshPart, check_part
+from navbake.baker.readers.mesh import NamedMesh, check_mesh
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from navbake.known_names import unique_name
 from navbake.processes import lacked_memory
@@ -34,9 +34,9 @@ TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]
 """Vertices and faces, counter-clockwise from outside."""
 BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
-MOST_PIECES = 10_000
-FEW_PIECES = 3000
-MAX_PIECES = 2_000_000  # of a scene, instances counted each
+MERGE_ABOVE = 10_000
+MERGE_DOWN_TO = 3000
+MAX_GEOMS = 2_000_000  # of a scene, instances counted each
 STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
 # MuJoCo's types by the names that they have in its XML
 KINDS = {
@@ -49,7 +49,7 @@ JOINTS = {
 }
 
 
-class Piece(NamedTuple):
+class ParsedGeom(NamedTuple):
     """A shape of a scene file, which becomes one geom of MuJoCo's model."""
 
     name: str
@@ -64,7 +64,7 @@ class Piece(NamedTuple):
     drawn: bool = True
 
 
-class Joint(NamedTuple):
+class ParsedJoint(NamedTuple):
     """How a body moves against its parent, in the world's frame as the scene stands."""
 
     name: str
@@ -75,21 +75,21 @@ class Joint(NamedTuple):
     position: float = 0.0  # as the scene stands [m or rad]
 
 
-class Body(NamedTuple):
+class ParsedBody(NamedTuple):
     """A body that moves, or hangs on one that does."""
 
     name: str
     parent: str  # another body's name, or empty for the world
     pose: Float  # (4, 4), rigid
-    joint: Joint | None
+    joint: ParsedJoint | None
 
 
 @dataclass
-class Gathered:
+class ParsedScene:
     """All that a reader found in a scene. Bodies that are not listed never move."""
 
-    pieces: list[Piece] = field(default_factory=list)
-    bodies: dict[str, Body] = field(default_factory=dict)  # by name, parents first
+    pieces: list[ParsedGeom] = field(default_factory=list)
+    bodies: dict[str, ParsedBody] = field(default_factory=dict)  # by name, parents first
     warnings: list[str] = field(default_factory=list)
     decimals: int | None = None  # to which coordinates are rounded [m]
     named_leaves: set[str] = field(default_factory=set)  # bodies that the file says are doors
@@ -97,8 +97,8 @@ class Gathered:
 
 def check_count(count: int, path: Path) -> None:
     """Refuse more pieces than a few lines of instances in instances should make."""
-    if count > MAX_PIECES:
-        most = f"more than {MAX_PIECES:,} pieces and models, each instance counted"
+    if count > MAX_GEOMS:
+        most = f"more than {MAX_GEOMS:,} pieces and models, each instance counted"
         raise SceneError(f"{path} has {most}, the most that navbake reads: bake a part of it")
 
 
@@ -114,7 +114,7 @@ def reading(what: str) -> Iterator[None]:
         raise SceneError(f"cannot read {what}: {reason}") from error
 
 
-class Ties:
+class JointTree:
     """Joints between bodies, as a tree: a body hangs on the first one that it is tied to.
 
     Attributes:
@@ -123,9 +123,11 @@ class Ties:
 
     def __init__(self, poses: Mapping[str, Float]) -> None:
         self.poses = poses
-        self._ties: dict[str, tuple[str, Joint | None]] = {}  # by body: its parent and its joint
+        self._ties: dict[
+            str, tuple[str, ParsedJoint | None]
+        ] = {}  # by body: its parent and its joint
 
-    def tie(self, parent: str, child: str, joint: Joint | None) -> bool:
+    def tie(self, parent: str, child: str, joint: ParsedJoint | None) -> bool:
         """Tie a body to another one, or to the world (empty); by no joint, they are one piece.
 
         Returns whether it did: not where the child hangs on one already, or the parent on it.
@@ -142,13 +144,13 @@ class Ties:
         """Whether a body hangs on another one, or on the world."""
         return name in self._ties
 
-    def make_bodies(self, held: Collection[str] = ()) -> dict[str, Body]:
+    def make_bodies(self, held: Collection[str] = ()) -> dict[str, ParsedBody]:
         """All bodies that move, parents first; what hangs on nothing is free, unless it is held."""
         free = np.zeros(3)
         for name in self.poses:
-            joint = None if name in held else Joint(name, "free", free, free)
+            joint = None if name in held else ParsedJoint(name, "free", free, free)
             self._ties.setdefault(name, ("", joint))
-        moving: dict[str, Body] = {}
+        moving: dict[str, ParsedBody] = {}
         left = dict.fromkeys(self.poses)
         while left:
             for name in [name for name in left if self._ties[name][0] not in left]:
@@ -156,20 +158,20 @@ class Ties:
                 parent, joint = self._ties[name]
                 if joint is not None or parent in moving:
                     parent = parent if parent in moving else ""
-                    moving[name] = Body(name, parent, self.poses[name], joint)
+                    moving[name] = ParsedBody(name, parent, self.poses[name], joint)
         return moving
 
 
 def build_model(
-    found: Gathered, path: Path, ground: float | None, warnings: list[str]
-) -> tuple[Any, dict[int, MeshPart]]:
+    found: ParsedScene, path: Path, ground: float | None, warnings: list[str]
+) -> tuple[Any, dict[int, NamedMesh]]:
     """Compile what a reader found; returns the model, and the static meshes by geom id."""
     warnings += found.warnings
     taken = set[str]()
-    parts = dict[str, MeshPart]()
-    moving = dict[str, MeshPart]()
-    pieces = list[Piece]()
-    for piece in merge_pieces(found, path, warnings):
+    parts = dict[str, NamedMesh]()
+    moving = dict[str, NamedMesh]()
+    pieces = list[ParsedGeom]()
+    for piece in merge_geoms(found, path, warnings):
         piece = piece._replace(name=unique_name(piece.name, taken))
         if piece.kind == "plane" and any(piece.size) and piece.body in found.bodies:
             # MuJoCo has planes on static bodies only
@@ -178,7 +180,7 @@ def build_model(
             # a mesh that moves is in the frame of its body
             body = found.bodies.get(piece.body)
             mesh = _place([piece.mesh], _own_pose(piece.pose, body)[None], found.decimals)
-            part = check_part(MeshPart(piece.name, *mesh, piece.mode), path)
+            part = check_mesh(NamedMesh(piece.name, *mesh, piece.mode), path)
             if not len(part.faces):
                 continue
             (parts if body is None else moving)[piece.name] = part
@@ -239,7 +241,7 @@ def build_model(
     return model, {mujoco.mj_name2id(model, kind, name): part for name, part in parts.items()}
 
 
-def _own_pose(pose: Float, body: Body | None) -> Float:
+def _own_pose(pose: Float, body: ParsedBody | None) -> Float:
     """A pose in the frame of a body; in the world's without."""
     return pose if body is None else np.asarray(np.linalg.solve(body.pose, pose))
 
@@ -267,30 +269,30 @@ def _place(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
     return Mesh(vertices, faces + first[owner, None])
 
 
-def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece]:
+def merge_geoms(found: ParsedScene, path: Path, warnings: list[str]) -> list[ParsedGeom]:
     """Make meshes of static pieces with a common body, or a common path, until few are left.
 
     Where most stand together goes first. Such a mesh has the name of what they have in common, and
     a warning says so. What moves, planes and height fields stay.
     """
     pieces = found.pieces
-    if len(pieces) <= MOST_PIECES:
+    if len(pieces) <= MERGE_ABOVE:
         return pieces
     stays = [p.body in found.bodies or p.kind in ("plane", "hfield") for p in pieces]
     # a piece stands in its body, a body in what its path names before its last "/"
     owners = [f"{piece.body}\0{number}" for number, piece in enumerate(pieces)]
-    while len(left := set(owners)) > FEW_PIECES:
+    while len(left := set(owners)) > MERGE_DOWN_TO:
         count = Counter(map(_above, left))
         num = len(left)
         chosen = set[str]()
         for name, size in count.most_common():
-            if num <= FEW_PIECES or (size == 1 and chosen):
+            if num <= MERGE_DOWN_TO or (size == 1 and chosen):
                 break
             chosen.add(name)
             num -= size - 1
         chosen = chosen if num < len(left) else set(count)
         owners = [above if (above := _above(name)) in chosen else name for name in owners]
-    groups: dict[tuple[Any, ...], list[Piece]] = {}
+    groups: dict[tuple[Any, ...], list[ParsedGeom]] = {}
     for number, (piece, owner) in enumerate(zip(pieces, owners, strict=True)):
         alone = stays[number] or "\0" in owner
         key = (number,) if alone else (owner, piece.collides, piece.drawn)
@@ -299,7 +301,7 @@ def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece
         group[0] if len(key) == 1 else _merge(str(key[0]), group, found.decimals)
         for key, group in groups.items()
     ]
-    what = f"of more than {MOST_PIECES}, those that stand together count as one mesh"
+    what = f"of more than {MERGE_ABOVE}, those that stand together count as one mesh"
     text = f"{what}, by the name that they share; {len(merged)} are left"
     warnings.append(f"{path} has {len(pieces)} pieces of geometry: {text}")
     return merged
@@ -309,7 +311,7 @@ def _above(name: str) -> str:
     return name.rpartition("\0" if "\0" in name else "/")[0] or "/"
 
 
-def _merge(name: str, group: Sequence[Piece], decimals: int | None) -> Piece:
+def _merge(name: str, group: Sequence[ParsedGeom], decimals: int | None) -> ParsedGeom:
     known: dict[Any, Mesh] = {}
     meshes = list[Mesh]()
     for piece in group:
@@ -321,15 +323,15 @@ def _merge(name: str, group: Sequence[Piece], decimals: int | None) -> Piece:
         meshes.append(known[key])
     mesh = _place(meshes, np.stack([piece.pose for piece in group]), decimals)
     rights = group[0].collides, group[0].drawn
-    return Piece(name, name, "mesh", (), np.eye(4), mesh, None, "surface", *rights)
+    return ParsedGeom(name, name, "mesh", (), np.eye(4), mesh, None, "surface", *rights)
 
 
 # ---------------------------------------------------------------- specs
 
 
-def model_of_parts(
-    parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
-) -> tuple[Any, dict[int, MeshPart]]:
+def model_of_meshes(
+    parts: list[NamedMesh], path: Path, ground: float | None, warnings: list[str]
+) -> tuple[Any, dict[int, NamedMesh]]:
     """A model with mesh parts' names, and the parts by geom id.
 
     Each is a static body with one geom, which can't collide. It is a tetrahedron, as MuJoCo would

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from navbake.baker.bake.pipeline import run_bake
-from navbake.baker.readers.mesh import AXES, turn_up
+from navbake.baker.readers.mesh import AXES, rotation_to_z_up
 from navbake.config.settings import SceneSettings, parse_config
 from navbake.types import Float
 from scenes_alone import load_alone
@@ -57,7 +57,7 @@ def scan(path: Path, up: Float, *, bed: bool = True, pillar: bool = False) -> st
             along = (*np.subtract(other, one), 0)
             parts.append(sheet((*one, 0), along, (0, 0, 2.5)))
     mesh = trimesh.util.concatenate(parts)
-    mesh.vertices = mesh.vertices @ turn_up(up)  # from +z to `up`
+    mesh.vertices = mesh.vertices @ rotation_to_z_up(up)  # from +z to `up`
     mesh.vertices += np.random.default_rng(1).normal(0, 0.004, mesh.vertices.shape)
     mesh.export(path)
     return str(path)
@@ -76,7 +76,7 @@ def ceilings(result) -> list[str]:
 
 @pytest.mark.parametrize("up", [*AXES, (0.2, -0.9, 0.1), (0.3, 0.1, -2.0), (0, 1e-9, -1)])
 def test_what_is_up_turns_to_z_and_nothing_is_mirrored(up):
-    turn = turn_up(up)
+    turn = rotation_to_z_up(up)
     vector = np.array(AXES[up] if isinstance(up, str) else up)
     assert turn @ (vector / np.linalg.norm(vector)) == pytest.approx([0, 0, 1], abs=1e-12)
     assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-12)
@@ -90,7 +90,7 @@ def test_axes_and_vectors_are_taken_as_they_are_set(tmp_path):
     trimesh.creation.box((1, 2, 3)).apply_translation((10, 20, 30)).export(path)
 
     def heights(up) -> list[float]:
-        (part,) = load_alone(SceneSettings(path=path, up=up)).parts.values()
+        (part,) = load_alone(SceneSettings(path=path, up=up)).exact_meshes.values()
         return [float(part.vertices[:, 2].min()), float(part.vertices[:, 2].max())]
 
     assert heights("z") == heights([0.0, 0.0, 2.0]) == [28.5, 31.5]
@@ -139,8 +139,8 @@ def test_level_finds_the_floor_that_things_stand_on(tmp_path, down):
 def test_level_is_exact(tmp_path):
     up = np.array([0.31, -0.52, 0.79]) / np.linalg.norm([0.31, -0.52, 0.79])
     path = scan(tmp_path / "scan.ply", up)
-    (part,) = load_alone(SceneSettings(path=path, up="level")).parts.values()
-    (file,) = load_alone(SceneSettings(path=path, up="z")).parts.values()
+    (part,) = load_alone(SceneSettings(path=path, up="level")).exact_meshes.values()
+    (file,) = load_alone(SceneSettings(path=path, up="z")).exact_meshes.values()
     turn = np.linalg.lstsq(file.vertices, part.vertices, rcond=None)[0].T
     assert np.degrees(np.arccos((turn @ up)[2])) < 0.1
 
@@ -222,7 +222,7 @@ def test_specks_of_a_scan_are_left_out(tmp_path):
     def load(is_scan):
         return load_alone(SceneSettings(path=path, up="z", scan=is_scan))
 
-    (whole,), (kept,) = (load(is_scan).parts.values() for is_scan in (False, True))
+    (whole,), (kept,) = (load(is_scan).exact_meshes.values() for is_scan in (False, True))
     assert len(whole.faces) - len(kept.faces) == 2 * len(specks[0].faces)
     (told,) = (text for text in load(True).warnings if "pieces of the scan" in text)
     assert told.startswith("2 pieces") and "0.08 m² in all" in told

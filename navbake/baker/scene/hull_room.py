@@ -10,7 +10,7 @@ from navbake.baker.columns.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.core.area_test import is_large_enough
 from navbake.baker.core.constants import OPEN_SURFACE
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.scene.collect import Choice, MeshTriangles, collect_shapes
+from navbake.baker.scene.collect import GeomSelection, MeshTriangles, collect_shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool
@@ -21,7 +21,7 @@ MOST_LINES = 10_000
 
 
 @dataclass(eq=False)
-class HiddenRoom:
+class HullRoomTest:
     """Finds the meshes of a posed model whose hulls hide room for an agent."""
 
     model: Any
@@ -31,7 +31,7 @@ class HiddenRoom:
     floors: FloorSettings
     _answers: dict[tuple[int, bytes], bool] = field(default_factory=dict, init=False)
 
-    def is_in_hull(self, geom: int) -> bool:
+    def hides_room(self, geom: int) -> bool:
         """Whether a mesh's hull hides room for an agent to stand in.
 
         Room is a free stretch of a vertical line inside of the hull, at least as long as the agent
@@ -59,7 +59,7 @@ class HiddenRoom:
         return left[0] * left[1] >= self.floors.min_area - LIMIT_SLACK
 
     def _look(self, geom: int) -> bool:
-        chosen = [{geom: Choice(True, "", mode)} for mode in ("surface", "hull")]
+        chosen = [{geom: GeomSelection(True, "", mode)} for mode in ("surface", "hull")]
         shapes = [
             collect_shapes(self.model, self.data, one, {}, one, self.meshes)[0] for one in chosen
         ]
@@ -80,7 +80,7 @@ class HiddenRoom:
 
 
 def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
-    """Mark the cells on whose line there is room; see `HiddenRoom.is_in_hull`."""
+    """Mark the cells on whose line there is room; see `HullRoomTest.hides_room`."""
     # a line enters the hull (starts = 1) and leaves it (ends = 1), which turns nothing inside; in
     # the mesh, room is over what faces up (starts = 2) and under what faces down (ends = 1)
     up = (mesh.normal[:, 2] > 0).astype(np.int64)

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.scene.cars import find_cars
-from navbake.baker.scene.leaves import DoorCandidate, find_candidates, mark_geoms
+from navbake.baker.scene.leaves import DoorCandidate, find_door_candidates, mark_candidate_geoms
 from navbake.baker.scene.names import all_names, find_subtree_ends, warn_unmatched
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Int
 
 # The role of a geom; a carrier is what moves and carries floors nevertheless, but is no wall
-LEFT_OUT, STANDING, CARRIER, MOVABLE, LEAF = range(5)
+LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE, LEAF = range(5)
 # and its name in reports
 ROLES = ("", "structure", "structure that moves", "movable", "leaf")
 
@@ -30,14 +30,15 @@ WRAP_JOINT = 1
 WRAP_SITE = 3
 
 
-class Division(NamedTuple):
+class SceneRoles(NamedTuple):
     """How a scene is divided into structure, movables and leaves.
 
     Attributes:
-        roles: by geom id, LEFT_OUT, STANDING, CARRIER, MOVABLE or LEAF, shape (ngeom,), uint8.
+        roles: by geom id, LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or LEAF, shape
+            (ngeom,), uint8.
         movable: by body id, whether it can move and carries no floor, shape (nbody,), bool.
-        stands: by body id, whether it is structure, shape (nbody,), bool.
-        movers: by body id, the topmost body that moves it; itself if none does.
+        is_structure_body: by body id, whether it is structure, shape (nbody,), bool.
+        mover_of_body: by body id, the topmost body that moves it; itself if none does.
         leaves: the bodies that may be doors, by body id.
         cars: the bodies that are cars of lifts, by body id.
         unused: warnings of patterns of doors that match nothing.
@@ -46,8 +47,8 @@ class Division(NamedTuple):
 
     roles: NDArray[np.uint8]
     movable: Bool
-    stands: Bool
-    movers: Int
+    is_structure_body: Bool
+    mover_of_body: Int
     leaves: list[DoorCandidate]
     cars: list[int]
     unused: list[str]
@@ -66,18 +67,18 @@ def find_movable_bodies(model: Any) -> Bool:
 
 def mark_structure(roles: NDArray[np.uint8]) -> Bool:
     """Mark the geoms that make floors, by their roles."""
-    structure: Bool = (roles == STANDING) | (roles == CARRIER)
+    structure: Bool = (roles == STATIC_STRUCTURE) | (roles == MOVING_STRUCTURE)
     return structure
 
 
-def divide(
+def find_roles(
     model: Any,
     data: Any,
     shapes: Shapes,
     counted: Bool,
     named_leaves: Collection[str],
     config: BakeConfig,
-) -> Division:
+) -> SceneRoles:
     """Divide the geoms that count into what stands, what can move, and leaves of doors.
 
     Bodies that `floors.movable` names, and cars of lifts, carry floors, with all that hangs on
@@ -103,38 +104,38 @@ def divide(
     for body in cars:
         movable[body : ends[body]] = False
 
-    def find_leaves(stands: Bool) -> tuple[list[DoorCandidate], list[str]]:
-        return find_candidates(
+    def find_leaves(is_structure_body: Bool) -> tuple[list[DoorCandidate], list[str]]:
+        return find_door_candidates(
             model,
             data,
             shapes=shapes,
             counted=counted,
             movable=movable,
-            stands=stands,
+            is_structure_body=is_structure_body,
             named=named_leaves,
             settings=config.doors,
         )
 
-    stands = ~movable
-    leaves, unused = find_leaves(stands)
-    roles = give_roles(model, counted, movable, stands, leaves)
+    is_structure_body = ~movable
+    leaves, unused = find_leaves(is_structure_body)
+    roles = assign_roles(model, counted, movable, is_structure_body, leaves)
     if not mark_structure(roles).any():
         warnings.append(
             "all bodies can move or look like doors, so that nothing stands: floors, walls and "
             "rooms are made of all of them in the baked pose; `floors.movable` names those that "
             "stand"
         )
-        stands = np.ones_like(movable)
-        leaves, unused = find_leaves(stands)
-        roles = give_roles(model, counted, movable, stands, leaves)
+        is_structure_body = np.ones_like(movable)
+        leaves, unused = find_leaves(is_structure_body)
+        roles = assign_roles(model, counted, movable, is_structure_body, leaves)
     if not mark_structure(roles).any():
         leaves = []
-        roles = give_roles(model, counted, movable, stands, leaves)
-    return Division(
+        roles = assign_roles(model, counted, movable, is_structure_body, leaves)
+    return SceneRoles(
         roles=roles,
         movable=movable,
-        stands=stands,
-        movers=_find_movers(model, movable),
+        is_structure_body=is_structure_body,
+        mover_of_body=_find_movers(model, movable),
         leaves=leaves,
         cars=cars,
         unused=unused,
@@ -142,31 +143,35 @@ def divide(
     )
 
 
-def give_roles(
-    model: Any, counted: Bool, movable: Bool, stands: Bool, leaves: Sequence[DoorCandidate]
+def assign_roles(
+    model: Any,
+    counted: Bool,
+    movable: Bool,
+    is_structure_body: Bool,
+    leaves: Sequence[DoorCandidate],
 ) -> NDArray[np.uint8]:
     """The role of each geom, shape (ngeom,).
 
     Args:
         counted: by geom, whether it counts.
-        movable, stands: see `Division`.
+        movable, is_structure_body: see `SceneRoles`.
         leaves: the bodies that may be doors.
     """
-    of_bodies = np.where(stands, STANDING, MOVABLE)
-    of_bodies[find_movable_bodies(model) & ~movable] = CARRIER
+    of_bodies = np.where(is_structure_body, STATIC_STRUCTURE, MOVABLE)
+    of_bodies[find_movable_bodies(model) & ~movable] = MOVING_STRUCTURE
     roles: NDArray[np.uint8] = of_bodies[model.geom_bodyid].astype(np.uint8)
-    roles[mark_geoms(model.ngeom, leaves)] = LEAF
+    roles[mark_candidate_geoms(model.ngeom, leaves)] = LEAF
     roles[~counted] = LEFT_OUT
     return roles
 
 
 def _find_movers(model: Any, movable: Bool) -> Int:
     """By body id, the topmost body that moves it; itself if none does."""
-    movers = np.arange(model.nbody)
+    mover_of_body = np.arange(model.nbody)
     for body, parent in enumerate(model.body_parentid.tolist()):  # parents come first
         if movable[body] and movable[parent]:
-            movers[body] = movers[parent]
-    return movers
+            mover_of_body[body] = mover_of_body[parent]
+    return mover_of_body
 
 
 def find_actuated_bodies(model: Any) -> set[int]:

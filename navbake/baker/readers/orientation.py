@@ -13,10 +13,10 @@ from navbake.baker.geometry.triangle_kernels import describe_triangles, find_nea
 from navbake.baker.readers.mesh import (
     AXES,
     Direction,
-    MeshPart,
-    box_of,
-    stated_up,
-    turn_up,
+    NamedMesh,
+    bounds_of_meshes,
+    file_up_axis,
+    rotation_to_z_up,
 )
 from navbake.config.settings import SceneSettings
 from navbake.threads import run_in_chunks
@@ -44,7 +44,7 @@ LEAST = 4.0  # area of a floor; a mesh whose flat surfaces are smaller may be fu
 CLEAR = 0.1, 1.3  # of its size, and times what is so in any other direction, that stands on it
 
 
-class Upright(NamedTuple):
+class Orientation(NamedTuple):
     """A direction that may be up."""
 
     direction: Float  # of unit length, in the frame of the mesh
@@ -60,29 +60,29 @@ class Surface(NamedTuple):
     area: Float  # of each, and of those that it stands for [m²]
 
 
-def stand_up(
-    read: Callable[..., list[MeshPart]], settings: SceneSettings, warnings: list[str]
-) -> list[MeshPart]:
+def orient_meshes(
+    read: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
+) -> list[NamedMesh]:
     """Take the parts of a mesh in the world frame, as `scene.up` says; warn where that looks wrong.
 
     `auto` is the axis that the file states, else z; or y where a file without one seems to lie on
     its side, see `lies_on_side`, and `find_up` agrees. `read` takes ``up``, a direction in the
     file, and returns the parts [m].
     """
-    said = stated_up(Path(settings.path)) if settings.up == "auto" else None
+    said = file_up_axis(Path(settings.path)) if settings.up == "auto" else None
     is_level = settings.up == "level" or (said is None and settings.up == "auto" and settings.scan)
     up = (said or "z") if settings.up in ("auto", "level") else settings.up
     parts = read(up=up)
     if settings.scan:
         parts = drop_specks(parts, warnings)
-    surface = take_surface(parts)
+    surface = sample_surface(parts)
     ups, is_clear = find_up(surface)
     if is_level:
         if not is_clear:
             other = _name(-ups[0].direction)
             warnings.append(f"{UNCLEAR}: `scene.up: {other}` turns the mesh over")
         return _turned(parts, ups[0].direction)
-    turn = turn_up(up).T
+    turn = rotation_to_z_up(up).T
     best = turn @ ups[0].direction
     lies = settings.up == "auto" and lies_on_side(parts, surface)
     if is_clear and lies and said is None and abs(ups[0].direction[1]) > FACING:
@@ -107,14 +107,14 @@ def stand_up(
     return parts
 
 
-def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
+def drop_specks(parts: list[NamedMesh], warnings: list[str]) -> list[NamedMesh]:
     """Leave out connected pieces smaller than `SPECK`, with a warning.
 
     Scanners see people, reflections and dust as small pieces that stand in mid-air.
     """
     from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
 
-    kept = list[MeshPart]()
+    kept = list[NamedMesh]()
     dropped = 0
     lost = 0.0
     for part in parts:
@@ -130,7 +130,7 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
         lost = lost + float(area[small].sum())
         vertices, faces = drop_unused_vertices(part.vertices, part.faces[~small[piece]])
         if len(faces):
-            kept.append(MeshPart(part.name, vertices, faces))
+            kept.append(NamedMesh(part.name, vertices, faces))
     if not kept or not dropped:
         return parts
     each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
@@ -138,11 +138,11 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
     return kept
 
 
-def _turned(parts: list[MeshPart], up: Direction) -> list[MeshPart]:
-    return [part._replace(vertices=part.vertices @ turn_up(up).T) for part in parts]
+def _turned(parts: list[NamedMesh], up: Direction) -> list[NamedMesh]:
+    return [part._replace(vertices=part.vertices @ rotation_to_z_up(up).T) for part in parts]
 
 
-def lies_on_side(parts: Collection[MeshPart], surface: Surface) -> bool:
+def lies_on_side(parts: Collection[NamedMesh], surface: Surface) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
     Its box is lowest along y, and `LYING` times as much area faces within 45° of y as of z.
@@ -150,7 +150,7 @@ def lies_on_side(parts: Collection[MeshPart], surface: Surface) -> bool:
     along_y, along_z = np.abs(surface.normal[:, 1:].T) >= np.sqrt(0.5)
     if surface.area[along_y].sum() <= LYING * surface.area[along_z].sum():
         return False
-    low, high = box_of(parts)
+    low, high = bounds_of_meshes(parts)
     width, depth, height = np.subtract(high, low)
     return bool(depth < min(width, height))
 
@@ -163,7 +163,7 @@ def _name(direction: Float) -> str:
     return "[" + ", ".join(f"{value:.4g}" for value in direction) + "]"
 
 
-def find_up(surface: Surface) -> tuple[list[Upright], bool]:
+def find_up(surface: Surface) -> tuple[list[Orientation], bool]:
     """The directions that may be up, the likeliest first, and whether the first is clearly up.
 
     They are those that large flat surfaces face, and the opposite ones, exact by fitted planes. Up
@@ -178,7 +178,7 @@ def find_up(surface: Surface) -> tuple[list[Upright], bool]:
         rest &= ~plane.own
     center = center[rest]
     area = area[rest]
-    ups = list[Upright]()
+    ups = list[Orientation]()
     for planes in found:
         flats = [plane for plane in planes if plane.size >= FLOOR * largest]
         for way in (1.0, -1.0):
@@ -190,7 +190,7 @@ def find_up(surface: Surface) -> tuple[list[Upright], bool]:
             for plane in floors:
                 height = (center - plane.middle) @ up
                 stands |= (height >= STANDING[0]) & (height <= STANDING[1])
-            ups.append(Upright(up, floors[0].size, float(area[stands].sum())))
+            ups.append(Orientation(up, floors[0].size, float(area[stands].sum())))
     ups.sort(
         key=lambda one: -round(one.standing + SIZE_WEIGHT * one.size, 3) - 1e-6 * one.direction[2]
     )
@@ -198,7 +198,7 @@ def find_up(surface: Surface) -> tuple[list[Upright], bool]:
     return ups, ups[0].size >= LEAST and ups[0].standing > max(least)
 
 
-def take_surface(parts: Collection[MeshPart]) -> Surface:
+def sample_surface(parts: Collection[NamedMesh]) -> Surface:
     """Take `MOST_TRIANGLES` triangles of parts."""
     step = max(1, -(-sum(len(part.faces) for part in parts) // MOST_TRIANGLES))
     found = [describe_triangles(part.vertices, part.faces[::step].copy()) for part in parts]

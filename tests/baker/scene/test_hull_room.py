@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from navbake.baker.scene import hidden_room
-from navbake.baker.scene.hidden_room import MOST_LINES, HiddenRoom
+from navbake.baker.scene import hull_room
+from navbake.baker.scene.hull_room import MOST_LINES, HullRoomTest
 from navbake.config.settings import AgentSettings, FloorSettings
 
 
@@ -20,7 +20,7 @@ def test_boxes_are_large_or_not_however_large(half, is_large):
     """A model from a stranger may have any numbers; an area beyond all floats is large."""
     box = np.array([[0.0, 0.0, 0.0, *half]])
     model, data = SimpleNamespace(geom_aabb=box), SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])
-    room = HiddenRoom(model, data, None, AgentSettings(), FloorSettings())
+    room = HullRoomTest(model, data, None, AgentSettings(), FloorSettings())
     with np.errstate(all="raise"):
         assert room.is_large(0) == is_large
 
@@ -38,12 +38,12 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
 
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
     found = SimpleNamespace(bounds=bounds), {}, []
-    monkeypatch.setattr(hidden_room, "collect_shapes", lambda *arguments: found)
-    monkeypatch.setattr(hidden_room, "tile_shapes", tile)
+    monkeypatch.setattr(hull_room, "collect_shapes", lambda *arguments: found)
+    monkeypatch.setattr(hull_room, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
     model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
     data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])
-    room = HiddenRoom(model, data, None, AgentSettings(), FloorSettings())
+    room = HullRoomTest(model, data, None, AgentSettings(), FloorSettings())
     with pytest.raises(InterruptedError):
-        room.is_in_hull(0)
+        room.hides_room(0)
     assert seen[0].width * seen[0].height <= 3 * MOST_LINES
