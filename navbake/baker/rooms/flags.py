@@ -226,9 +226,9 @@ def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
     padded = np.pad(is_empty, 1)
     padded[[0, -1]] |= sides[0][:, None]
     padded[:, [0, -1]] |= sides[1]
-    part, _ = label_components_2d(padded)
-    outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
-    beyond = np.isin(part, outer[outer > 0])
+    component, _ = label_components_2d(padded)
+    outer = np.unique(np.concatenate([component[[0, -1]].ravel(), component[:, [0, -1]].ravel()]))
+    beyond = np.isin(component, outer[outer > 0])
     beside_rows = beyond[:-2, 1:-1] | beyond[2:, 1:-1]
     beside_cols = beyond[1:-1, :-2] | beyond[1:-1, 2:]
     edge: Bool = beside_rows | beside_cols

@@ -123,7 +123,7 @@ class GapWalls(NamedTuple):
 
 
 class GapLines(NamedTuple):
-    """Lines behind gaps, by gap, side and depth; all is -1 where a gap parts nothing.
+    """Lines behind gaps, by gap, side and depth; all is -1 where a gap separates nothing.
 
     Attributes:
         length: how long the line is, the gap's columns included, shape (gaps, 2, depths), int64
@@ -317,8 +317,8 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
     On each side a space is measured along lines parallel to the gap, at each of the scan's depths.
     A line runs as far as the space reaches, but beyond the gap's ends at most `LINE_REACH` times
     its width. Further openings in the gap's line to the same space count as the gap's width, so
-    that a row of pillars parts nothing. A space that ends before the first depth is measured where
-    it ends.
+    that a row of pillars separates nothing. A space that ends before the first depth is measured
+    where it ends.
 
     Gaps are measured up to the walls at their ends; lines in columns, or up to walls where at most
     `DECIDING_CELLS` cells keep the least share from one of the `DECIDING_SHARES`.

@@ -6,13 +6,13 @@ This module imports nothing.
 
 # ------------------------------------------------------------ finding: which lines can be gaps
 
-# The widest gap that parts two rooms, unless the width of doors is given: wider ones lead from one
-# part of a room to another [m]
+# The widest gap that separates two rooms, unless the width of doors is given: wider ones lead from
+# one part of a room to another [m]
 MAX_GAP_WIDTH = 2.5
 # The widest mouth of a long passage that is a room of its own, unless doors' width is given [m]
 MAX_PASSAGE_WIDTH = 3.2
-# The widest opening of a wall that is marked. One that is wider than MAX_GAP_WIDTH parts no rooms,
-# but another wall that stops short of it is continued up to its line [m]
+# The widest opening of a wall that is marked. One that is wider than MAX_GAP_WIDTH separates no
+# rooms, but another wall that stops short of it is continued up to its line [m]
 MAX_OPENING_WIDTH = 4.0
 # The space beside a gap is wider than the gap by this factor, and by at least this much, as walls
 # that waver in the lattice widen it by a cell or two [m]

@@ -1,4 +1,4 @@
-"""Gaps: lines at which a space is much narrower than on both sides, and the spaces they part.
+"""Gaps: lines at which a space is much narrower than on both sides, and the spaces between them.
 
 How the floor of a level is divided at gaps, by stages:
 
@@ -61,17 +61,17 @@ from navbake.types import Bool, Int, Int32
 
 
 class CloseCall(NamedTuple):
-    """A gap that just parts two spaces, or just does not.
+    """A gap that just separates two spaces, or just does not.
 
     Attributes:
         cell: row and column of its middle, in fractions of cells.
         width: how wide it is [m].
-        parts: whether it parts the spaces.
+        separates: whether it separates them.
     """
 
     cell: tuple[float, float]
     width: float
-    parts: bool
+    separates: bool
 
 
 class DirectionGaps(NamedTuple):
@@ -88,8 +88,8 @@ class DirectionGaps(NamedTuple):
     gaps: Gaps
 
 
-class PartedSpaces(NamedTuple):
-    """The spaces that all gaps together part, before any are joined.
+class SeparatedSpaces(NamedTuple):
+    """The spaces that all gaps together separate, before any are joined.
 
     Attributes:
         directions: the gaps of each direction.
@@ -112,15 +112,16 @@ def find_gaps(
     door_width: float | None,
     rays: WallRays | None = None,
     closed: Bool | None = None,
-) -> PartedSpaces:
-    """Find the gaps along each direction of walls, and the spaces that all of them part.
+) -> SeparatedSpaces:
+    """Find the gaps along each direction of walls, and the spaces between all of them.
 
     Args:
         open_cells: cells with a floor and without a wall, shape (height, width).
         holes: cells without a floor or a wall. Gaps and lines go over them, but they are in no
             space.
-        cell_size: [m].
-        door_width: the widest gap that parts two spaces [m]; None for the limits of this module.
+        cell_size: the side of a cell, > 0 [m].
+        door_width: the widest gap that separates two spaces [m]; None for the limits of
+            `gap_limits.py`.
         rays: to the geometry of walls; without, their directions follow from the cells.
         closed: cells of closed leaves, which are in no space and no gap; lines end at them.
 
@@ -135,10 +136,9 @@ def find_gaps(
     label, num_cells = _label_spaces(open_cells, is_marked, cell_size)
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
-        depths = [
-            max(1, round(depth * direction.stretch / cell_size)) for depth in MEASURING_DEPTHS
-        ]
-        rows = np.array(depths)
+        rows = np.array(
+            [max(1, round(d * direction.stretch / cell_size)) for d in MEASURING_DEPTHS]
+        )
         scan = Scan(
             label=to_scan_order(label, direction),
             is_open=to_scan_order(space & ~closed, direction),
@@ -148,7 +148,7 @@ def find_gaps(
         )
         gaps = _list_gaps(scan, to_scan_order(is_marked, direction), direction_marks)
         direction_gaps.append(DirectionGaps(direction, scan, gaps))
-    return PartedSpaces(direction_gaps, label, num_cells)
+    return SeparatedSpaces(direction_gaps, label, num_cells)
 
 
 def _mark_lines(
@@ -334,7 +334,7 @@ class SpaceMerger:
 
     def __init__(
         self,
-        parted: PartedSpaces,
+        separated: SeparatedSpaces,
         cell_size: float,
         door_width: float | None,
         rays: WallRays | None = None,
@@ -342,31 +342,32 @@ class SpaceMerger:
         """Measure all gaps.
 
         Args:
-            parted: the gaps, and the spaces that they part.
-            cell_size: [m].
-            door_width: the widest gap that parts two spaces [m], see `find_gaps`.
+            separated: the gaps, and the spaces that they separate.
+            cell_size: the side of a cell, > 0 [m].
+            door_width: the widest gap that separates two spaces [m], see `find_gaps`.
             rays: to the geometry of walls; without, walls begin half a column beyond the last open
                 cells.
         """
-        self._directions = parted.directions
+        self._directions = separated.directions
         self._cell_size = cell_size
         self._door_width = door_width
         self._rays = rays
-        self._num_cells = parted.num_cells.astype(np.int64)  # of each space by now
-        self._first_num_cells = parted.num_cells  # before any were joined
-        self.space_of = np.arange(len(parted.num_cells), dtype=np.int32)
+        self._num_cells = separated.num_cells.astype(np.int64)  # of each space by now
+        self._first_num_cells = separated.num_cells  # before any were joined
+        self.space_of = np.arange(len(separated.num_cells), dtype=np.int32)
         # gaps are numbered through all directions
-        counts = [len(direction.gaps.first_col) for direction in parted.directions]
+        counts = [len(direction.gaps.first_col) for direction in separated.directions]
         self._first_gap = np.cumsum([0, *counts])  # of each direction
         self._direction_of = np.repeat(np.arange(len(counts)), counts)
         self._walls = [
-            _find_gap_walls(direction_gaps, cell_size, rays) for direction_gaps in parted.directions
+            _find_gap_walls(direction_gaps, cell_size, rays)
+            for direction_gaps in separated.directions
         ]
         num_gaps = len(self._direction_of)
         self._width = np.ones(num_gaps)  # [cells]
         self._is_doorway = np.zeros(num_gaps, dtype=np.bool_)
         self._labels = np.empty((num_gaps, 2), dtype=np.int64)  # above and below
-        for number, (direction, _, gaps) in enumerate(parted.directions):
+        for number, (direction, _, gaps) in enumerate(separated.directions):
             numbers = slice(self._first_gap[number], self._first_gap[number + 1])
             between_ends = gaps.last_col - gaps.first_col
             to_walls = self._walls[number].beside.sum(axis=1)
@@ -379,8 +380,8 @@ class SpaceMerger:
         # the share that decided about each gap, NaN for none
         self._deciding_share = np.full(num_gaps, np.nan)
         # by space, the gaps at it, and those whose lines met it although they are not
-        self._gaps_at: list[set[int]] = [set() for _ in parted.num_cells]
-        self._gaps_meeting: list[set[int]] = [set() for _ in parted.num_cells]
+        self._gaps_at: list[set[int]] = [set() for _ in separated.num_cells]
+        self._gaps_meeting: list[set[int]] = [set() for _ in separated.num_cells]
         for gap, labels in enumerate(self._labels.tolist()):
             for label in labels:
                 self._gaps_at[label].add(gap)
@@ -394,14 +395,14 @@ class SpaceMerger:
         for of_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
             for gap in range(len(self._width)):
-                priority = self._find_priority(gap, of_wider) if self.parts(gap) else None
+                priority = self._find_priority(gap, of_wider) if self.separates(gap) else None
                 if priority is not None:
                     queue.append((priority, gap))
             heapq.heapify(queue)
             while queue:
                 priority, gap = heapq.heappop(queue)
                 # gaps measured again are in the queue again; a passage may have grown long
-                if not self.parts(gap) or priority != self._find_priority(gap, of_wider):
+                if not self.separates(gap) or priority != self._find_priority(gap, of_wider):
                     continue
                 for measured_gap in self.join(gap):
                     new_priority = self._find_priority(measured_gap, of_wider)
@@ -419,15 +420,15 @@ class SpaceMerger:
             if share < JOIN_SHARE_OF_WIDER:
                 return None
             return bool(self._is_doorway[gap]), -share
-        if self._decide(gap) < JOIN_SHARE_OF_NARROWER:
+        if self._find_deciding_share(gap) < JOIN_SHARE_OF_NARROWER:
             return None
         return False, -float(self._width[gap])
 
-    def _decide(self, gap: int) -> float:
-        """The share that decides whether a gap joins its spaces: that of the narrower one.
+    def _find_deciding_share(self, gap: int) -> float:
+        """Find the share that decides whether spaces are joined at a gap: that of the narrower one.
 
-        It is 0 for a gap that parts a long passage from a wider space, 1 for one that is too wide
-        for a door.
+        It is 0 at the mouth of a long passage into a wider space, which joins nothing, and 1 for a
+        gap that is too wide for a door. Any other share is recorded for `close_calls`.
         """
         above, below = self._shares[gap].tolist()
         passage = self.space_of[self._labels[gap, 0 if above >= below else 1]]
@@ -448,16 +449,16 @@ class SpaceMerger:
         is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
         calls = []
         for gap in np.flatnonzero(is_close).tolist():
-            parts = self.parts(gap)
+            separates = self.separates(gap)
             labels = self._labels[gap]
-            if parts:
+            if separates:
                 num_cells = self._num_cells[self.space_of[labels]]
             else:
                 num_cells = self._first_num_cells[labels]
             if (num_cells < MIN_CLOSE_AREA / self._cell_size**2).any():
                 continue
             width = float(self._width[gap]) * self._cell_size
-            calls.append(CloseCall(self._middle_of(gap), width, parts))
+            calls.append(CloseCall(self._middle_of(gap), width, separates))
         return calls
 
     def _middle_of(self, gap: int) -> tuple[float, float]:
@@ -469,8 +470,8 @@ class SpaceMerger:
         row = float(gaps.top_row[k].mean() + gaps.bottom_row[k].mean()) / 2
         return (col, row) if direction.swapped else (row, col)
 
-    def parts(self, gap: int) -> bool:
-        """Whether a gap still parts two spaces, by its number."""
+    def separates(self, gap: int) -> bool:
+        """Whether a gap still separates two spaces, by its number."""
         above, below = self._labels[gap]
         return bool(self.space_of[above] != self.space_of[below])
 
@@ -495,9 +496,10 @@ class SpaceMerger:
                     casts = waits
                 for cells in (lines.wall_cell, lines.opening_cell):
                     self._rays.measure(direction, cells[casts].reshape(-1, 2))
-                _, shares[waits], _, _ = kernels.measure_gaps(
+                _, shares_to_walls, _, _ = kernels.measure_gaps(
                     scan, direction_gaps, chosen_gaps[waits], self.space_of, walls
                 )
+                shares[waits] = shares_to_walls
             self._shares[first_gap + chosen_gaps] = shares
 
     def join(self, gap: int) -> list[int]:
@@ -518,9 +520,9 @@ class SpaceMerger:
             large |= small
             gaps_of[joined] = large
             gaps_of[removed] = set()
-        still_parting = [number for number in sorted(changed) if self.parts(number)]
-        self.measure(np.array(still_parting, dtype=np.int64))
-        return still_parting
+        still_separating = [number for number in sorted(changed) if self.separates(number)]
+        self.measure(np.array(still_separating, dtype=np.int64))
+        return still_separating
 
 
 def _find_gap_walls(

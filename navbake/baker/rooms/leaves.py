@@ -1,4 +1,4 @@
-"""Closed leaves among the cells of a level: which of them part the spaces beside them."""
+"""Closed leaves among the cells of a level: which of them separate the spaces beside them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from navbake.types import Bool, Float, Int, Int32
 # A space behind a leaf counts if so much of it is free of structure: a niche that a fridge fills is
 # none; smaller ones between two leaves belong to the leaves [m²]
 MIN_FREE_AREA = 0.1
-# A leaf parts nothing where open cells lead around it within this distance [m]
+# A leaf separates nothing where open cells lead around it within this distance [m]
 DETOUR_REACH = 1.0
 
 
@@ -49,31 +49,31 @@ class LeafMarks(NamedTuple):
     """The closed leaves of a level.
 
     Attributes:
-        parting: the open cells of leaves that part two spaces, shape (height, width), with their
-            frames and the small pockets between two of them.
-        not_parting: the open cells of all other leaves.
-        cells_beyond: the ids of cells in the spaces that parting leaves lead into.
+        separating: the open cells of leaves that separate two spaces, shape (height, width), with
+            their frames and the small pockets between two of them.
+        not_separating: the open cells of all other leaves.
+        cells_beyond: the ids of cells in the spaces that separating leaves lead into.
     """
 
-    parting: Bool
-    not_parting: Bool
+    separating: Bool
+    not_separating: Bool
     cells_beyond: Int
 
 
 def mark_leaves(
     level: LevelFlags, number: int, closed_leaves: Sequence[ClosedLeaf], cell_size: float
 ) -> LeafMarks | None:
-    """Find which closed leaves part two spaces of a level.
+    """Find which closed leaves separate two spaces of a level.
 
-    All leaves that may part something close together, as the two of a double door part only
-    together. Those that part nothing are taken out, so that they hinder none of the others, until
-    all that remain do.
+    All leaves that may separate something close together, as the two of a double door separate only
+    together. Those that separate nothing are taken out, so that they hinder none of the others,
+    until all that remain do.
 
     Args:
         level: the flags of the level's cells.
         number: of the level.
         closed_leaves: all leaves of the scene.
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
 
     Returns:
         The cells of leaves; None if there are no leaves on the level.
@@ -90,14 +90,14 @@ def mark_leaves(
         spaces = _SpacesBetweenLeaves(level, barrier, cell_size)
         beyond = spaces.find_cells_beyond(np.stack([line.sight for line in lines]))
         windows = [_window_near(leaf.cells[number], leaf_cells.shape, cell_size) for leaf in leaves]
-        is_parting = spaces.find_parting(beyond, windows)
-        if is_parting.all():
+        is_separating = spaces.find_separating(beyond, windows)
+        if is_separating.all():
             return LeafMarks(
-                parting=spaces.barrier,
-                not_parting=leaf_cells & ~spaces.barrier,
+                separating=spaces.barrier,
+                not_separating=leaf_cells & ~spaces.barrier,
                 cells_beyond=np.unique(beyond[beyond >= 0]),
             )
-        leaves = [leaf for leaf, parts in zip(leaves, is_parting, strict=True) if parts]
+        leaves = [leaf for leaf, separates in zip(leaves, is_separating, strict=True) if separates]
     return LeafMarks(np.zeros_like(leaf_cells), leaf_cells, np.empty(0, dtype=np.int64))
 
 
@@ -150,8 +150,8 @@ class _SpacesBetweenLeaves:
         """Label the spaces, and find out which of them count."""
         self.barrier = barrier
         self._level = level
-        self._label, num_parts = label_components_2d(level.is_open & ~barrier)
-        count = num_parts + 1
+        self._label, num_components = label_components_2d(level.is_open & ~barrier)
+        count = num_components + 1
         min_cells = MIN_FREE_AREA / cell_size**2
         num_cells = count_cells_by_label(self._label, count)
         num_free = np.bincount(self._label[~level.occupied], minlength=count)
@@ -190,35 +190,35 @@ class _SpacesBetweenLeaves:
             self.barrier |= in_pocket
             self._label[in_pocket] = 0
 
-    def find_parting(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
-        """Find the leaves that part the spaces on their sides, at least within a window.
+    def find_separating(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
+        """Find the leaves that separate the spaces on their sides, at least within a window.
 
         Args:
             beyond: see `find_cells_beyond`, shape (leaves, 2, lines).
             windows: the rows and columns near each leaf.
 
         Returns:
-            Whether each leaf parts two spaces, shape (leaves,).
+            Whether each leaf separates two spaces, shape (leaves,).
         """
         is_seen = beyond >= 0
         label = self._label.ravel()[np.maximum(beyond, 0)]
-        sides = _find_commonest(np.where(is_seen & self._is_space[label], label, 0))
+        sides = _find_majority_label(np.where(is_seen & self._is_space[label], label, 0))
         has_both_sides = (sides > 0).all(axis=-1)
-        is_parting = has_both_sides & (sides[:, 0] != sides[:, 1])
+        is_separating = has_both_sides & (sides[:, 0] != sides[:, 1])
         # one space on both sides may still be two spaces near the leaf
         width = self._label.shape[1]
-        for leaf in np.flatnonzero(has_both_sides & ~is_parting).tolist():
+        for leaf in np.flatnonzero(has_both_sides & ~is_separating).tolist():
             rows, cols = windows[leaf]
             row, col = np.divmod(beyond[leaf], width)
             is_near = (row >= rows.start) & (row < rows.stop)
             is_near &= (col >= cols.start) & (col < cols.stop) & is_seen[leaf]
-            part, _ = label_components_2d(self._label[rows, cols] > 0)
+            component, _ = label_components_2d(self._label[rows, cols] > 0)
             row = np.where(is_near, row - rows.start, 0)
             col = np.where(is_near, col - cols.start, 0)
-            near_label = np.where(is_near, part[row, col], 0)
-            near_sides = _find_commonest(near_label[None])[0]
-            is_parting[leaf] = (near_sides > 0).all() and near_sides[0] != near_sides[1]
-        return np.asarray(is_parting)
+            near_label = np.where(is_near, component[row, col], 0)
+            near_sides = _find_majority_label(near_label[None])[0]
+            is_separating[leaf] = (near_sides > 0).all() and near_sides[0] != near_sides[1]
+        return np.asarray(is_separating)
 
 
 def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
@@ -239,7 +239,7 @@ def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
     return ~np.logical_or.accumulate(is_wall, axis=-1)
 
 
-def _find_commonest(label: Int32) -> Int32:
+def _find_majority_label(label: Int32) -> Int32:
     """Find the label that most lines of each side have, of several the first line's.
 
     Args:
@@ -250,5 +250,5 @@ def _find_commonest(label: Int32) -> Int32:
     """
     num_equal = (label[..., :, None] == label[..., None, :]).sum(axis=-1) * (label > 0)
     best_line = num_equal.argmax(axis=-1)
-    commonest: Int32 = np.take_along_axis(label, best_line[..., None], axis=-1)[..., 0]
-    return commonest
+    majority: Int32 = np.take_along_axis(label, best_line[..., None], axis=-1)[..., 0]
+    return majority

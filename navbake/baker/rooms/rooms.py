@@ -150,7 +150,7 @@ class Rooms:
 
 
 class NamedRoom(NamedTuple):
-    """What a source says of a room.
+    """The name of a room, its source, and whether it is outdoors.
 
     Attributes:
         name: None for none.
@@ -176,8 +176,8 @@ def find_rooms(
     level, rooms are numbered by their first cells in reading order: from large y to small, from
     small x to large. A room over several levels is one room on each.
 
-    The source ``auto`` lets no room continue through a closed leaf that parts two spaces; two rooms
-    meet in its cells. What such a leaf leads into is a room whatever its size.
+    The source ``auto`` lets no room continue through a closed leaf that separates two spaces; two
+    rooms meet in its cells. What such a leaf leads into is a room whatever its size.
 
     Args:
         flags: all that rooms depend on besides the other arguments.
@@ -191,12 +191,12 @@ def find_rooms(
     Raises:
         SceneError: there are more rooms on a level than a file can number.
     """
-    assignment = _Assignment(flags, settings, closed_leaves)
+    assignment = _RoomAssignment(flags, settings, closed_leaves)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment()
+            assignment.add_segments()
         else:
-            assignment.add(flags.marks[source], source)
+            assignment.add_source(flags.marks[source], source)
     index = list[RoomIndex]()
     named_rooms = list[list[NamedRoom]]()
     for level, owner in enumerate(assignment.owner):
@@ -236,7 +236,7 @@ def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, R
     return sorted(pairs)
 
 
-class _Assignment:
+class _RoomAssignment:
     """The room of each cell as the sources add rooms; the first source that has one decides.
 
     Attributes:
@@ -258,7 +258,7 @@ class _Assignment:
         self.rooms: list[NamedRoom] = []
         self.warnings: list[str] = []
 
-    def add(self, marked: MarkedRooms, source: str) -> None:
+    def add_source(self, marked: MarkedRooms, source: str) -> None:
         """Give the cells that have no room yet to the rooms of a source."""
         self.warnings += marked.warnings
         if not marked.names:
@@ -277,21 +277,21 @@ class _Assignment:
                 under = self._under[level]
                 np.copyto(under, new_owner[covered[level]], where=under == 0)
 
-    def segment(self) -> None:
+    def add_segments(self) -> None:
         """Divide the remaining cells into rooms, see `segment_by_gaps` and what it names."""
         labels = list[Int32]()
         outdoors = set[int]()
-        parting_cells: list[Bool | None] = []
+        separating_cells: list[Bool | None] = []
         count = 0  # of new rooms on the levels so far
         for number, level in enumerate(self._flags.levels):
             leaves = mark_leaves(level, number, self._closed_leaves, self._flags.lattice.cell_size)
-            parting_cells.append(None if leaves is None else leaves.parting & level.is_open)
+            separating_cells.append(None if leaves is None else leaves.separating & level.is_open)
             segment, outdoor_segments = self._segment_level(number, level, leaves)
             outdoors.update(room + count for room in outdoor_segments)
             labels.append(np.where(segment > 0, segment + count, 0) if count else segment)
             count += int(segment.max(initial=0))
-        self.add(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
-        for owner, cells in zip(self.owner, parting_cells, strict=True):
+        self.add_source(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
+        for owner, cells in zip(self.owner, separating_cells, strict=True):
             if cells is not None:
                 assign_leaf_cells(owner, cells)
 
@@ -324,7 +324,7 @@ class _Assignment:
         """Share a level's segments between marked rooms and new ones; returns the new ones."""
         level = self._flags.levels[number]
         marked = self.owner[number]
-        owner = marked if leaves is None else np.where(leaves.parting, np.int32(0), marked)
+        owner = marked if leaves is None else np.where(leaves.separating, np.int32(0), marked)
         owner = assign_covered(owner, self._under[number] * level.is_open, segment)
         owner, new_room = assign_unmarked(
             owner,
@@ -340,9 +340,9 @@ class _Assignment:
 def _describe_close_calls(calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
     """The warning of gaps that were a close call."""
     listed = []
-    for cell, width, parts in calls[:NUM_LISTED_CALLS]:
+    for cell, width, separates in calls[:NUM_LISTED_CALLS]:
         x, y = lattice.positions(*cell).tolist()
-        listed.append(f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if parts else 'joins'}")
+        listed.append(f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if separates else 'joins'}")
     num_more = len(calls) - NUM_LISTED_CALLS
     more = f", and {num_more} more" if num_more > 0 else ""
     return (
@@ -438,17 +438,17 @@ def find_openings(
         # every two rooms on a lattice of their own, below that of the two before
         lattice_size = (rooms.shape[0] + 1) * rooms.shape[1]
         keys, key_of_cell = np.unique(pair[:, None] * lattice_size + cells, return_inverse=True)
-        part = label_components(adjacent_pairs(keys, rooms.shape[1]), len(keys))
+        opening_of = label_components(adjacent_pairs(keys, rooms.shape[1]), len(keys))
         is_free = ~level_occupied.ravel()[cells].any(axis=1)
-        is_passable = np.zeros(int(part.max()) + 1, dtype=np.bool_)
-        is_passable[part[key_of_cell.reshape(-1, 2)[is_free]]] = True
-        order = np.argsort(part, kind="stable")
-        order = order[is_passable[part[order]]]
+        is_passable = np.zeros(int(opening_of.max()) + 1, dtype=np.bool_)
+        is_passable[opening_of[key_of_cell.reshape(-1, 2)[is_free]]] = True
+        order = np.argsort(opening_of, kind="stable")
+        order = order[is_passable[opening_of[order]]]
         if not len(order):
             continue
-        for part_keys in np.split(keys[order], np.flatnonzero(np.diff(part[order])) + 1):
-            room_pair = divmod(int(pairs[part_keys[0] // lattice_size]), PAIR_BASE)
-            openings.append(Opening(number, room_pair, part_keys % lattice_size))
+        for opening_keys in np.split(keys[order], np.flatnonzero(np.diff(opening_of[order])) + 1):
+            room_pair = divmod(int(pairs[opening_keys[0] // lattice_size]), PAIR_BASE)
+            openings.append(Opening(number, room_pair, opening_keys % lattice_size))
     return openings
 
 

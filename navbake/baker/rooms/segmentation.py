@@ -3,8 +3,9 @@
 A *space* is a connected part of the floor while it is being divided; a *segment* is a space at the
 end, which becomes a room unless rooms are marked in it. By stages:
 
-1. `segment_by_gaps` parts spaces at gaps (`gaps.py`), joins those that are one, joins stairs and
-   small spaces to a neighbour (`_SpaceGraph`), and gives the cells of gaps to the nearest space.
+1. `segment_by_gaps` separates spaces at gaps (`gaps.py`), joins those that are one, joins stairs
+   and small spaces to a neighbour (`_SpaceGraph`), and gives the cells of gaps to the nearest
+   space.
 2. `assign_covered` and `assign_unmarked` share segments between marked rooms and new ones.
 3. `mark_cavities` finds segments that are hollows of the building, and no rooms.
 4. `find_outdoors` finds segments that are outdoors.
@@ -82,8 +83,8 @@ def segment_by_gaps(
     """Divide the open cells of a level into segments, at gaps much narrower than the spaces are.
 
     A gap is a line in the direction of a wall, closed at both ends after at most 2.5 m, beside
-    which the space is abruptly wider. All gaps part spaces at first. Then spaces are joined, the
-    widest gaps first:
+    which the space is abruptly wider. All gaps separate spaces at first. Then spaces are joined,
+    the widest gaps first:
 
     - where a gap is as wide as both spaces along its line: parts of one corridor, of an L-shaped
       room;
@@ -92,26 +93,26 @@ def segment_by_gaps(
     - with a `door_width`, where it is wider than that, in place of the two widths above.
 
     The width of a space is measured close behind the gap. Gaps in one line between the same spaces
-    count as one, so that a row of pillars parts nothing. Stairs that open to a room over their full
-    width belong to it, at their foot rather than their head. A space smaller than `min_area` joins
-    the one that it opens to the widest, or is in no segment.
+    count as one, so that a row of pillars separates nothing. Stairs that open to a room over their
+    full width belong to it, at their foot rather than their head. A space smaller than `min_area`
+    joins the one that it opens to the widest, or is in no segment.
 
     Args:
         level: the flags of the level's cells.
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
         min_area: of a room, > 0 [m²].
-        door_width: the widest gap that parts two rooms, > 0 [m]; None for the limits above.
+        door_width: the widest gap that separates two rooms, > 0 [m]; None for the limits above.
         walls: the geometry up to which widths are measured, with `lattice`; None to measure them in
             cells.
         lattice: of the level.
-        leaves: closed leaves; those that part two spaces do so here: no gap, no line and no join
-            leads through them, and what they lead into is a segment however small it is, unless it
-            opens to another one or lies at the edge of the grid (a threshold). Their own cells are
-            in no segment. None for no leaf.
+        leaves: closed leaves; those that separate two spaces do so here: no gap, no line and no
+            join leads through them, and what they lead into is a segment however small it is,
+            unless it opens to another one or lies at the edge of the grid (a threshold). Their own
+            cells are in no segment. None for no leaf.
 
     Returns:
         The segment of each cell from 1, in reading order, 0 for none, shape (height, width), int32.
-        The gaps that just part two spaces, or just do not.
+        The gaps that just separate two spaces, or just do not.
 
     Source:
         Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
@@ -135,15 +136,15 @@ def segment_by_gaps(
     rays = None
     if walls is not None and lattice is not None:
         rays = WallRays(walls, lattice.cut(rows, cols), floor)
-    closed = np.zeros_like(open_cells) if leaves is None else leaves.parting[window]
+    closed = np.zeros_like(open_cells) if leaves is None else leaves.separating[window]
     label, close_calls = _label_at_gaps(open_cells, holes, cell_size, door_width, rays, closed)
     del rays  # which hold the walls in all directions
     open_cells = open_cells & ~closed
     beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
     if leaves is not None:
         # rooms meet in the cells of a leaf, not beside it
-        if leaves.not_parting.any():
-            spread_labels(label, open_cells & ~leaves.not_parting[window])
+        if leaves.not_separating.any():
+            spread_labels(label, open_cells & ~leaves.not_separating[window])
         beyond_row, beyond_col = np.divmod(leaves.cells_beyond, level.is_open.shape[1])
         beyond = np.stack([beyond_row - rows.start, beyond_col - cols.start])
     spread_labels(label, open_cells)
@@ -165,11 +166,11 @@ def _label_at_gaps(
     rays: WallRays | None,
     closed: Bool,
 ) -> tuple[Int32, list[CloseCall]]:
-    """Label the spaces that gaps part, after those that are one were joined; also close calls."""
-    parted = find_gaps(open_cells, holes, cell_size, door_width, rays, closed)
-    merger = SpaceMerger(parted, cell_size, door_width, rays)
+    """Label spaces between gaps, after those that are one were joined; also list close calls."""
+    separated = find_gaps(open_cells, holes, cell_size, door_width, rays, closed)
+    merger = SpaceMerger(separated, cell_size, door_width, rays)
     merger.join_all()
-    return merger.space_of[parted.label], merger.close_calls()
+    return merger.space_of[separated.label], merger.close_calls()
 
 
 def _label_spaces_behind(beyond: Int, label: Int32, open_cells: Bool) -> None:
@@ -177,11 +178,11 @@ def _label_spaces_behind(beyond: Int, label: Int32, open_cells: Bool) -> None:
     row, col = beyond[:, label[tuple(beyond)] == 0]
     if not len(row):
         return
-    part, num_parts = label_components_2d(open_cells & (label == 0))
-    new_label = np.zeros(num_parts + 1, dtype=np.int32)
-    parts = np.unique(part[row, col])
-    new_label[parts] = label.max() + 1 + np.arange(len(parts))
-    label += new_label[part]
+    component, num_components = label_components_2d(open_cells & (label == 0))
+    new_label = np.zeros(num_components + 1, dtype=np.int32)
+    unlabelled = np.unique(component[row, col])
+    new_label[unlabelled] = label.max() + 1 + np.arange(len(unlabelled))
+    label += new_label[component]
 
 
 def _join_spaces(
@@ -201,7 +202,7 @@ def _join_spaces(
         floor: heights [m].
         at_edge: see `LevelFlags`.
         beyond: rows and columns of cells in spaces that leaves lead into, shape (2, n).
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
         min_area: of a room [m²].
     """
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
@@ -281,7 +282,7 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     Args:
         label: 0 for cells that do not count, which are as high as any, shape (height, width).
         floor: heights [m].
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
     """
     reach = max(1, round(STEEPNESS_REACH / cell_size))  # [cells]
     min_rise = MIN_STEEPNESS * 2 * reach * cell_size
@@ -513,15 +514,15 @@ def assign_unmarked(
 ) -> tuple[Int32, Int32]:
     """Divide what marked rooms leave of segments between these rooms and new ones.
 
-    A segment without a mark is a room. In others each connected part without a mark is one, unless
-    it is smaller than `min_area`, or nowhere half a metre wide though its segment is (a doorway's
-    depth): then it goes to the marked room that it touches most. What touches none, and has one of
-    the cells `beyond` closed leaves, is a room, too.
+    A segment without a mark is a room. In others each connected component without a mark is one,
+    unless it is smaller than `min_area`, or nowhere half a metre wide though its segment is (a
+    doorway's depth): then it goes to the marked room that it touches most. What touches none, and
+    has one of the cells `beyond` closed leaves, is a room, too.
 
     Args:
         owner: the marked room of each cell, 0 for none, shape (height, width).
         segment: the segment of each cell, 0 for none.
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
         min_area: of a new room [m²].
         beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
@@ -533,28 +534,30 @@ def assign_unmarked(
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
     has_marks[segment[owner > 0]] = True
     unmarked = np.where(owner == 0, segment, 0)
-    part, _ = label_components_2d(np.where(has_marks[unmarked], unmarked, 0))
-    num_cells, is_wide = _measure_parts(part, cell_size)
+    component, _ = label_components_2d(np.where(has_marks[unmarked], unmarked, 0))
+    num_cells, is_wide = _measure_components(component, cell_size)
     is_room = (num_cells >= min_cells) & is_wide
     if not (is_room | (num_cells < min_cells)).all():
         # what is left of a ledge is as narrow as the ledge was
         segment_of = np.zeros(len(num_cells), dtype=np.int32)
-        segment_of[part] = segment
-        _, is_segment_wide = _measure_parts(segment, cell_size)
+        segment_of[component] = segment
+        _, is_segment_wide = _measure_components(segment, cell_size)
         is_room |= (num_cells >= min_cells) & ~is_segment_wide[segment_of]
-    touched = _find_most_touched(part, owner, len(num_cells))
+    touched = _find_most_touched(component, owner, len(num_cells))
     if beyond is not None:
         is_beyond = np.zeros(len(num_cells), dtype=np.bool_)
-        is_beyond[part.ravel()[beyond]] = True
+        is_beyond[component.ravel()[beyond]] = True
         is_room |= is_beyond & (touched == 0)
     is_room[0] = False
-    added_to = np.where(is_room[part], 0, touched[part])
+    added_to = np.where(is_room[component], 0, touched[component])
     new_owner = np.where(owner > 0, owner, added_to).astype(np.int32)
-    # segments without marks are numbered behind the parts of others
+    # segments without marks are numbered behind the components of others
     unmarked_segment = np.where(
         has_marks[unmarked], 0, unmarked + np.int32(len(num_cells)) * (unmarked > 0)
     )
-    new_room, _ = renumber(np.where(is_room[part], part, unmarked_segment).astype(np.int32))
+    new_room, _ = renumber(
+        np.where(is_room[component], component, unmarked_segment).astype(np.int32)
+    )
     return new_owner, new_room
 
 
@@ -577,12 +580,12 @@ def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
     owner[without_room] = by_size[rank[without_room]]
 
 
-def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
+def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     """Count the cells of each label, none for 0, and find whether it is half a metre wide."""
     reach = int(MIN_REMAINDER_WIDTH / cell_size) + 2
     at_boundary = mark_wall_nodes(label > 0)
     height, width = label.shape
-    for k in range(3):  # the nodes on each edge between two parts
+    for k in range(3):  # the nodes on each edge between two labels
         at_boundary[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
         at_boundary[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
     num_cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
@@ -591,9 +594,9 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     return num_cells, peaks >= (MIN_REMAINDER_WIDTH / cell_size) ** 2 - CELL_ROUNDING
 
 
-def _find_most_touched(part: Int32, owner: Int32, count: int) -> Int32:
-    """Find the owner that each part shares most edges with, 0 for none; of several the first."""
-    node = np.where(owner > 0, owner + np.int32(count), part)  # parts have no owner
+def _find_most_touched(component: Int32, owner: Int32, count: int) -> Int32:
+    """Find the owner that each component shares most edges with, of several the first; or 0."""
+    node = np.where(owner > 0, owner + np.int32(count), component)  # components have no owner
     low, high = np.sort(node.ravel()[differing_pairs(node)], axis=0)
     base = int(node.max(initial=0)) + 1
     is_shared = (low > 0) & (low < count) & (high >= count)
@@ -674,8 +677,8 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
     """Find the segments of a level that are outdoors, and unite those that touch.
 
     They reach the edge of the grid in one piece wider than any door; and at least half of their
-    cells have nothing above an agent's head, or lie under eaves. Walls part two pieces of outdoors,
-    unless the ground is endless; a ditch does not.
+    cells have nothing above an agent's head, or lie under eaves. Walls separate two pieces of
+    outdoors, unless the ground is endless; a ditch does not.
 
     Args:
         segment: the segment of each cell, 0 for none, shape (height, width).
@@ -718,9 +721,10 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
     Returns:
         By segment, the least one that it is united with, or itself.
     """
-    part, num_parts = label_components_2d(is_bank)
-    node = np.where(is_bank, part + len(is_outdoors) - 1, segment)
-    joins = np.concatenate([is_outdoors, np.ones(num_parts, dtype=np.bool_)])
+    bank, num_banks = label_components_2d(is_bank)
+    # nodes are the segments, and behind them the banks
+    node = np.where(is_bank, bank + len(is_outdoors) - 1, segment)
+    joins = np.concatenate([is_outdoors, np.ones(num_banks, dtype=np.bool_)])
     pairs = node.ravel()[differing_pairs(node)]
     # the first node of a component is its least
     component = label_components(pairs[:, joins[pairs].all(axis=0)], len(joins))

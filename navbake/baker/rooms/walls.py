@@ -212,7 +212,7 @@ def find_directions(
 
     Args:
         open_cells: shape (height, width).
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
         rays: to the walls' geometry, None for none.
 
     Returns:
@@ -240,7 +240,7 @@ def _list_directions(
     num_bins = round(180 / angle_bin)
     bins = np.rint(angle / angle_bin).astype(np.int64) % num_bins
     # at the corners of walls the slope has all directions alike
-    at_corners = 2.0 * float(np.median(_sum_three(np.bincount(bins, minlength=num_bins))))
+    corner_count = 2.0 * float(np.median(_add_neighbor_bins(np.bincount(bins, minlength=num_bins))))
     min_points = max(MIN_WALL_LENGTH / spacing, MIN_POINT_SHARE * len(bins))
     min_on_line = MIN_LENGTH_ON_LINE / spacing
     directions = list[WallDirection]()
@@ -248,9 +248,9 @@ def _list_directions(
     num_explained = 0
     remaining = np.ones(len(bins), dtype=np.bool_)
     while True:
-        count = _sum_three(np.bincount(bins[remaining], minlength=num_bins))
+        count = _add_neighbor_bins(np.bincount(bins[remaining], minlength=num_bins))
         best = int(count.argmax())
-        if count[best] < min_points + at_corners:
+        if count[best] < min_points + corner_count:
             return directions, num_explained
         difference = np.abs((angle - best * angle_bin + 90.0) % 180.0 - 90.0)
         is_near = remaining & (difference <= 1.5 * angle_bin)
@@ -317,8 +317,8 @@ def _find_cell_points(open_cells: Bool, cell_size: float) -> WallPoints:
     )
 
 
-def _sum_three(count: Int) -> Int:
-    """Add to each bin of a circle its two neighbours."""
+def _add_neighbor_bins(count: Int) -> Int:
+    """Add to each bin of a full circle the counts of its two neighbours."""
     return count + np.roll(count, 1) + np.roll(count, -1)
 
 
@@ -638,7 +638,7 @@ def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
     Args:
         is_low: cells that a building's mesh blocks below heads only, shape (height, width).
         is_wall: cells of walls.
-        cell_size: [m].
+        cell_size: the side of a cell, > 0 [m].
 
     Returns:
         The cells of sills, shape (height, width).

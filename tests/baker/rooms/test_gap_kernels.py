@@ -306,7 +306,7 @@ class Remeasured(SpaceMerger):
     def join(self, gap):
         before = self._shares.copy()
         super().join(gap)
-        apart = list(filter(self.parts, range(len(before))))
+        apart = list(filter(self.separates, range(len(before))))
         self.measure(np.array(apart, dtype=np.int64))
         return [k for k in apart if (before[k] != self._shares[k]).any()]
 
