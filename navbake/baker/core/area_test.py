@@ -1,4 +1,4 @@
-"""Whether cells are enough for a floor: `floors.min_area` after `floors.shrink`."""
+"""Tests whether cells are enough for a floor: `floors.min_area` after `floors.shrink`."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -12,13 +12,13 @@ from navbake.types import Bool, Int
 
 
 class AreaTest(NamedTuple):
-    """Whether a set of cells is large enough for a floor: how many are left when it is shrunk.
+    """The area test of floors: erode the cells by a disc, then count the remaining ones.
 
     Attributes:
-        needed: how many cells have to be left.
-        reach: the radius of the disc around a cell that is left, all of the set [cells].
-        half: of each row of the disc, from ``-reach`` to `reach`, how far it reaches to either
-            side, -1 for a row that need not be looked at, int64.
+        min_cells: how many cells have to remain.
+        radius: radius of the disc [cells]. A cell remains if the disc around it is in the set.
+        half_widths: how far each row of the disc, from ``-radius`` to `radius`, reaches to either
+            side of its middle [cells], (2 radius + 1,) int64; -1 for rows that need no test.
     """
 
     min_cells: int
@@ -26,39 +26,57 @@ class AreaTest(NamedTuple):
     half_widths: Int
 
 
-@lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
-def disc_half_widths(limit: float, shorter: int) -> Int:
-    """`AreaTest.half` of the cells nearer than a limit [cells]; don't change it.
+@lru_cache(maxsize=4)  # several tests of a scene need the same disc, and so do scenes of a batch
+def disc_half_widths(limit: float, shorter_side: int) -> Int:
+    """Compute `AreaTest.half_widths` of a disc: the cells nearer than a limit to its centre.
 
-    Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, the
-    disc's own row and its last ones are enough, of which one always leads out.
+    If no cell of the lattice is as far from the outside as the limit, nothing can remain. The
+    disc's middle row, first and last row then suffice, one of which always leads out.
+
+    Args:
+        limit: radius of the disc [cells].
+        shorter_side: number of rows or columns of the lattice, the smaller one.
+
+    Returns:
+        shape (2 radius + 1,), shared between calls: don't change it.
     """
-    out = (shorter + 1) // 2
-    if limit > out:
-        half = np.full(2 * out + 1, -1, dtype=np.int64)
-        half[out] = out
-        half[[0, -1]] = 0
-        return half
-    away = np.arange(-int(np.ceil(limit)), int(np.ceil(limit)) + 1)
-    near = np.sqrt(away[:, None] ** 2 + away**2) < limit
-    half = np.where(near, away, np.int64(-1)).max(axis=1, initial=-1)
-    return np.asarray(half[half >= 0], dtype=np.int64)
+    farthest_inside = (shorter_side + 1) // 2
+    if limit > farthest_inside:
+        half_widths = np.full(2 * farthest_inside + 1, -1, dtype=np.int64)
+        half_widths[farthest_inside] = farthest_inside
+        half_widths[[0, -1]] = 0
+        return half_widths
+    offsets = np.arange(-int(np.ceil(limit)), int(np.ceil(limit)) + 1)
+    is_in_disc = np.sqrt(offsets[:, None] ** 2 + offsets**2) < limit
+    half_widths = np.where(is_in_disc, offsets, np.int64(-1)).max(axis=1, initial=-1)
+    return np.asarray(half_widths[half_widths >= 0], dtype=np.int64)
 
 
 def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
-    """The test of `min_area` after shrinking, which leaves centres `shrink` from the set's edge."""
-    needed = int(np.ceil(max((settings.min_area - LIMIT_SLACK) / lattice.cell_size**2, 0.0)))
+    """Make the area test of `settings`: `min_area` of a set of cells, eroded by `shrink`.
+
+    Args:
+        lattice: the cells.
+        settings: `floors`, of which `min_area` [m²] and `shrink` [m] count.
+    """
+    min_cells = int(np.ceil(max((settings.min_area - LIMIT_SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - LIMIT_SLACK) / lattice.cell_size + 0.5
-    half = disc_half_widths(limit, min(lattice.width, lattice.height))
-    return AreaTest(needed, len(half) // 2, half)
+    half_widths = disc_half_widths(limit, min(lattice.width, lattice.height))
+    return AreaTest(min_cells, len(half_widths) // 2, half_widths)
 
 
 def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
-    """Whether the marked cells of a lattice are enough for a floor, see `area_test`."""
+    """Return whether the marked cells are enough for a floor, see `area_test`.
+
+    Args:
+        lattice: the cells.
+        settings: `floors`.
+        marked: mask of the cells, (cells,) or (height, width).
+    """
     test = area_test(lattice, settings)
     padded = np.pad(marked.reshape(lattice.shape), test.radius)
     remaining = np.flatnonzero(padded)
-    for row, half in enumerate(test.half_widths.tolist(), start=-test.radius):
-        for col in range(-half, half + 1):
+    for row, half_width in enumerate(test.half_widths.tolist(), start=-test.radius):
+        for col in range(-half_width, half_width + 1):
             remaining = remaining[padded.ravel()[remaining + row * padded.shape[1] + col]]
     return len(remaining) >= test.min_cells

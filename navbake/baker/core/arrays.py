@@ -1,29 +1,31 @@
 """NamedTuples of arrays and numbers, as kernels take them.
 
-numba passes a named tuple to a kernel whole, at no cost in its loops. A literal has a type of its
-own, for which a function is compiled once more, hence ``np.int64(...)`` here and there.
+numba passes a named tuple to a kernel whole, at no cost in the kernel's loops. A literal has a type
+of its own, for which numba compiles a function once more, hence ``np.int64(...)`` in some calls.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.types import Float, Int, Int32
 
-NOT_ROUND: Any = np.bool_(False)
-"""`Prism.is_round` of a square; a plain False would be compiled for once more."""
+NOT_ROUND = np.bool_(False)
+"""`Prism.is_round` of a square prism; for a plain False, numba would compile kernels once more."""
 
 
 class ColumnHits(NamedTuple):
-    """All hits of all columns, ragged: cell i holds ``[start[i], start[i + 1])``.
+    """All hits of all columns, ragged: column i holds the hits ``[start[i], start[i + 1])``.
+
+    A hit is one crossing of a column's vertical line with a surface.
 
     Attributes:
-        start: (cells + 1,) int64.
+        start: (columns + 1,) int64.
         z: heights, ascending in a column, (n,) float64 [m].
-        normal: unit normals, (n, 3) float32; z > 0 faces up.
+        normal: unit normals of the surfaces, (n, 3) float32; z > 0 faces up.
         geom: MuJoCo's geom ids, (n,) int32.
-        closed: what the crossed surface encloses, see `constants`, (n,) uint8.
+        closed: what the surface encloses, see `OPEN_SURFACE` in `constants`, (n,) uint8.
     """
 
     start: Int
@@ -34,15 +36,16 @@ class ColumnHits(NamedTuple):
 
 
 class Facets(NamedTuple):
-    """Triangles, by geom.
+    """Triangles of geoms, in the world frame.
 
     Attributes:
         geom: MuJoCo's geom ids, ascending, (m,) int32.
-        part: the geom's part that each belongs to, (m,) int32.
-        closed: what that part encloses, see `constants`, (m,) uint8.
+        part: the part of the geom's mesh that each triangle belongs to, (m,) int32.
+        closed: what that part encloses, see `OPEN_SURFACE` in `constants`, (m,) uint8.
         corners: (m, 3, 3) float64 [m].
-        bounds: boxes round them, (m, 6) float64: lower corner, upper corner [m].
-        facing: hundredths of their unit normals' z, rounded; 0 of upright ones alone, (m,) int8.
+        bounds: boxes around the triangles, (m, 6) float64: lower corner, upper corner [m].
+        facing: z of the unit normals in hundredths, rounded; 0 for vertical triangles only, (m,)
+            int8.
     """
 
     geom: Int32
@@ -75,19 +78,19 @@ class ShapeIndex(NamedTuple):
 
 
 class HeightRange(NamedTuple):
-    """A range of heights [m]."""
+    """A range of heights, from `low` to `high` [m]."""
 
     low: float
     high: float
 
 
 class Prism(NamedTuple):
-    """A square or a disc round (x, y), extruded between two heights [m].
+    """A square or a disc around (x, y), extruded between two heights.
 
     Attributes:
-        x, y: the middle.
-        low, high: the heights.
-        half: half of the square's edge, or the disc's radius.
+        x, y: its axis, world frame [m].
+        low, high: heights of its bottom and top [m].
+        half: half of the square's edge, or the disc's radius [m].
         is_round: whether it is a disc.
     """
 
@@ -96,4 +99,4 @@ class Prism(NamedTuple):
     low: float
     high: float
     half: float
-    is_round: bool
+    is_round: bool | np.bool_

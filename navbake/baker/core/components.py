@@ -1,6 +1,6 @@
-"""Connected parts of graphs and of cells.
+"""Connected components of graphs and of cells, and runs of cells in rows.
 
-scipy has such functions, but takes longer to load than the apartment to bake.
+scipy has such functions, but takes longer to load than the apartment takes to bake.
 """
 
 from typing import Any
@@ -13,42 +13,64 @@ from navbake.types import Int, Int32
 
 
 def label_components(pairs: Int, count: int) -> Int32:
-    """Number the connected parts of a graph from 0, in the order of their first of `count` nodes.
+    """Number the connected components of a graph from 0, in the order of their first nodes.
 
-    `pairs` are the nodes that hang together, shape (2, n).
+    Args:
+        pairs: the edges, as pairs of nodes, shape (2, n).
+        count: number of nodes.
+
+    Returns:
+        The component of each node, shape (count,).
     """
-    part: Int32 = number_components(np.ascontiguousarray(pairs, dtype=np.int64), count)
-    return part
+    labels: Int32 = number_components(np.ascontiguousarray(pairs, dtype=np.int64), count)
+    return labels
 
 
 def adjacent_pairs(cells: Int, width: int) -> Int:
-    """The pairs of cells that meet at an edge or a corner, as places in `cells`, shape (2, n).
+    """List the pairs of cells that share an edge or a corner.
 
-    `cells` are ascending ids, shape (m,), of a lattice of a `width`.
+    Args:
+        cells: ids of cells, ascending, shape (m,).
+        width: number of columns of the lattice.
+
+    Returns:
+        Indices into `cells`, shape (2, n).
     """
     col = cells % width
     pairs = list[Int]()
-    for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        one = np.flatnonzero((col + right >= 0) & (col + right < width))
-        beside = cells[one] + down * width + right
-        other = np.searchsorted(cells, beside)
-        found = np.append(cells, -1)[other] == beside
-        pairs.append(np.stack([one[found], other[found]]))
+    for row_step, col_step in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        first = np.flatnonzero((col + col_step >= 0) & (col + col_step < width))
+        neighbor_id = cells[first] + row_step * width + col_step
+        second = np.searchsorted(cells, neighbor_id)
+        is_in_cells = np.append(cells, -1)[second] == neighbor_id
+        pairs.append(np.stack([first[is_in_cells], second[is_in_cells]]))
     return np.concatenate(pairs, axis=1)
 
 
 def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
-    """Concatenate ranges begin[i]:end[i]; returns the range index and the value of each entry."""
+    """Concatenate the integers of the ranges ``begin[i]:end[i]``.
+
+    Args:
+        begin, end: the ranges, shape (n,); empty where ``end <= begin``.
+
+    Returns:
+        The index i of the range of each integer, and the integers, shape (sum of lengths,) each.
+    """
     count = np.maximum(end - begin, 0)
-    which = np.repeat(np.arange(len(count)), count)
-    return which, np.arange(len(which)) + np.repeat(begin - np.cumsum(count) + count, count)
+    range_index = np.repeat(np.arange(len(count)), count)
+    offsets = np.repeat(begin - np.cumsum(count) + count, count)
+    return range_index, np.arange(len(range_index)) + offsets
 
 
 def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
-    """The runs of values other than 0 in the rows of an array, bool or integer, by rows.
+    """Find the runs of equal values other than 0 in the rows of an array.
 
-    Returns for each its row, its first column and the one past its last, and the value of its
-    cells, shape (n,).
+    Args:
+        values: bool or integer, shape (rows, cols).
+
+    Returns:
+        Of each run, row by row, its row, its first column, the column behind its last, and the
+        value of its cells; shape (n,) each.
     """
     rows = values.shape[0]
     width = values.shape[1] + 1
@@ -56,35 +78,50 @@ def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
     line[1:].reshape(rows, width)[:, :-1] = values
     bounds = np.flatnonzero(line[1:] != line[:-1])
     value = line[1 + bounds]
-    inside = np.flatnonzero(value)
-    row, first = np.divmod(bounds[inside], width)
-    return row, first, bounds[inside + 1] - row * width, value[inside]
+    is_run = np.flatnonzero(value)
+    row, first = np.divmod(bounds[is_run], width)
+    return row, first, bounds[is_run + 1] - row * width, value[is_run]
 
 
 def count_cells_by_label(labels: Int32, count: int) -> Int:
-    """How many cells have each label from 1 to below `count`; by label, 0 for 0."""
+    """Count the cells of each label.
+
+    Args:
+        labels: labels below `count`, shape (rows, cols); 0 for none.
+        count: number of labels, with 0.
+
+    Returns:
+        By label, shape (count,); 0 for label 0.
+    """
     _, first, end, label = find_row_runs(labels)
     return np.bincount(label, end - first, count).astype(np.int64)
 
 
 def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
-    """Label the 4-connected parts of cells with one value (Rosenfeld and Pfaltz, 1966).
+    """Label the 4-connected components of cells with equal values (Rosenfeld and Pfaltz, 1966).
 
-    Takes shape (rows, cols), bool or integer; cells with 0 are in no part. Returns the label of
-    each cell, int32, 0 for none, by first cells from 1; and the number of labels.
+    Args:
+        values: bool or integer, shape (rows, cols); cells with 0 are in no component.
+
+    Returns:
+        The label of each cell, shape (rows, cols), 0 for none; components are numbered from 1 by
+        their first cells. And the number of components.
     """
     rows, cols = values.shape
     row, first, end, value = find_row_runs(values)
-    place = row * (cols + 1) + first
-    past = row * (cols + 1) + end
+    # each row has a column more, so that no run touches the next row's
+    run_begin = row * (cols + 1) + first
+    run_end = row * (cols + 1) + end
     # the runs of the next row that begin before a run's end and end behind its beginning
-    begin = np.searchsorted(past, place + cols + 1, "right")
-    one, other = expand_ranges(begin, np.searchsorted(place, past + cols + 1, "left"))
-    same = value[one] == value[other]
-    part = label_components(np.stack([one[same], other[same]]), len(row))
-    # the cells before each run, those of the run, and so on; those behind the last one
-    lengths = np.diff(np.stack([row * cols + first, row * cols + end], axis=1).ravel(), prepend=0)
-    number = np.zeros(len(lengths) + 1, dtype=np.int32)
-    number[1:-1:2] = part + 1
-    label = np.repeat(number, np.append(lengths, rows * cols - lengths.sum()))
-    return label.reshape(rows, cols), int(part.max(initial=-1)) + 1
+    first_below = np.searchsorted(run_end, run_begin + cols + 1, "right")
+    end_below = np.searchsorted(run_begin, run_end + cols + 1, "left")
+    upper, lower = expand_ranges(first_below, end_below)
+    is_equal = value[upper] == value[lower]
+    component = label_components(np.stack([upper[is_equal], lower[is_equal]]), len(row))
+    # lengths of gap, run, gap, run, … over all cells in order; then the gap behind the last run
+    run_bounds = np.stack([row * cols + first, row * cols + end], axis=1).ravel()
+    lengths = np.diff(run_bounds, prepend=0)
+    label_of_piece = np.zeros(len(lengths) + 1, dtype=np.int32)
+    label_of_piece[1:-1:2] = component + 1
+    labels = np.repeat(label_of_piece, np.append(lengths, rows * cols - lengths.sum()))
+    return labels.reshape(rows, cols), int(component.max(initial=-1)) + 1

@@ -1,4 +1,4 @@
-"""What an agent can stand and walk on, as kernels take it."""
+"""The limits of an agent on floors: slope, headroom and step, as kernels take them."""
 
 from typing import NamedTuple
 
@@ -12,9 +12,10 @@ class AgentLimits(NamedTuple):
     """What an agent can stand and walk on.
 
     Attributes:
-        min_up: cosine of the largest slope, less a slack.
-        headroom: the agent's height [m].
-        step: the largest step [m].
+        min_up: least z of a walkable surface's unit normal: cosine of the largest slope, less
+            LIMIT_SLACK.
+        headroom: free height that the agent needs over a floor: its own height [m].
+        step: largest step up or down [m].
     """
 
     min_up: float
@@ -23,6 +24,6 @@ class AgentLimits(NamedTuple):
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
-    """What an agent can stand on, as kernels take it."""
+    """Turn the settings of an agent into the limits that kernels take."""
     min_up = float(np.cos(np.radians(agent.max_slope))) - LIMIT_SLACK
     return AgentLimits(min_up, agent.height, agent.traversable_floor_height)

@@ -1,10 +1,14 @@
-"""Which items lie over which tile of a lattice, so that a cell looks at few of them.
+"""Tiles of a lattice, and the lists of boxes over each of them, for kernels.
 
-A uniform grid as in collision detection's broad phase (Ericson, Real-Time Collision Detection,
-2005, 7.1), of tiles of TILE x TILE cells. The lists are made by a counting sort over chunks of the
-items, each with its own counts: several threads do it, and the order is the same for any number.
-Where items visit the cells under them, a thread takes bands of TILE rows. Stages keep what they
-found by blocks of BLOCK x BLOCK cells.
+A uniform grid as in the broad phase of collision detection (Ericson, Real-Time Collision Detection,
+2005, 7.1), of tiles of TILE x TILE cells: a cell is tested only against what lies over its tile.
+The lists are made by a counting sort over chunks of the boxes, each chunk with its own counts:
+several threads do it, and the order is the same for any number of threads.
+
+Stages keep their results by blocks of BLOCK x BLOCK cells, see `navbake.baker.core.blocks`.
+
+A window, in these kernels, is a tuple of four numbers: the first row, the end of the rows, the
+first column, the end of the columns. Ends are exclusive.
 """
 
 import math
@@ -15,15 +19,15 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BLOCK = 32  # cells along a block's edge
-# How far beyond the centres of cells one looks, in cells, so that rounding loses none
+# Windows are widened by this much, so that rounding loses no cell's centre [cells]
 CENTER_MARGIN = 1e-3
 # The first column of a tile, all rows of it, as bits
-ONE_COLUMN = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
+FIRST_COLUMN_BITS = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 
 
 @subkernel(inline="always")
 def tile_window(lattice, tile):
-    """The rows and columns of a tile: the first row, past the last, and so with the columns."""
+    """Return the window of a tile's cells: first row, end of rows, first column, end of columns."""
     tiles_x = (lattice.width + TILE - 1) // TILE
     row = tile // tiles_x * TILE
     col = tile % tiles_x * TILE
@@ -32,79 +36,104 @@ def tile_window(lattice, tile):
 
 @subkernel(inline="always")
 def block_window(lattice, block):
-    """The rows and columns of a block: the first row, past the last, and so with the columns."""
-    cols = (lattice.width + BLOCK - 1) // BLOCK
-    row = block // cols * BLOCK
-    col = block % cols * BLOCK
+    """Return the window of a block's cells, see `tile_window`."""
+    blocks_x = (lattice.width + BLOCK - 1) // BLOCK
+    row = block // blocks_x * BLOCK
+    col = block % blocks_x * BLOCK
     return row, min(row + BLOCK, lattice.height), col, min(col + BLOCK, lattice.width)
 
 
 @subkernel(inline="always")
 def block_of(lattice, row, col):
-    """The block that holds a cell."""
+    """Return the number of the block that holds a cell."""
     return row // BLOCK * ((lattice.width + BLOCK - 1) // BLOCK) + col // BLOCK
 
 
 @subkernel(inline="always")
 def cell_bit(row, col):
-    """The bit of a cell by its row and column in a tile."""
+    """Return the bit of a cell, given its row and column in its tile."""
     return np.int64(1) << (row * TILE + col)
 
 
 @subkernel(inline="always")
-def window_bits(window, near):
-    """The bits, in a tile with a window, of the cells in a smaller one; see `tile_window`."""
-    row0, row1, col0, col1 = near
-    if row0 >= row1 or col0 >= col1:
+def window_bits(tile, inner):
+    """Return the bits of the cells of a window inside of a tile.
+
+    Args:
+        tile: window of the tile, see `tile_window`.
+        inner: window inside of it; may be empty.
+
+    Returns:
+        int64 with one bit a cell, see `cell_bit`.
+    """
+    row_first, row_end, col_first, col_end = inner
+    if row_first >= row_end or col_first >= col_end:
         return np.int64(0)
-    one_row = ((np.int64(1) << (col1 - col0)) - 1) << (col0 - window[2])
-    all_rows = one_row * ONE_COLUMN
-    # without the rows before the first, and those from past the last on
-    bits = all_rows & (np.int64(-1) << ((row0 - window[0]) * TILE))
-    if row1 - window[0] < TILE:
-        bits &= cell_bit(row1 - window[0], 0) - 1
+    first_row_bits = ((np.int64(1) << (col_end - col_first)) - 1) << (col_first - tile[2])
+    bits_of_all_rows = first_row_bits * FIRST_COLUMN_BITS
+    # without the rows before the first, and those from the end on
+    bits = bits_of_all_rows & (np.int64(-1) << ((row_first - tile[0]) * TILE))
+    if row_end - tile[0] < TILE:
+        bits &= cell_bit(row_end - tile[0], 0) - 1
     return bits
 
 
 @subkernel(inline="always")
 def cell_center_at(lattice, row, col):
-    """World x and y of a cell's centre by its row and column [m]."""
+    """Return world x and y of a cell's centre, given its row and column [m]."""
     x = lattice.x_min + (col + 0.5) * lattice.cell_size
     return x, lattice.y_max - (row + 0.5) * lattice.cell_size
 
 
 @subkernel(inline="always")
 def cell_center(lattice, cell):
-    """World x and y of a cell's centre [m]."""
+    """Return world x and y of a cell's centre, given its id [m]."""
     return cell_center_at(lattice, cell // lattice.width, cell % lattice.width)
 
 
 @subkernel(inline="always")
 def window_near_box(lattice, window, boxes, i, reach):
-    """The cells of a window whose centres are within `reach` of a box along both axes [m].
+    """Return the part of a window with the cells whose centres are near a box.
 
-    Rounding may add a cell, and never loses one. Takes and returns what `tile_window` does.
+    Rounding may add a row or a column, and never loses one.
+
+    Args:
+        window: window of cells, as `tile_window` returns it.
+        boxes: (n, 6) float64, lower corner, upper corner [m].
+        i: index of the box.
+        reach: how far centres may be from the box along x and along y [m].
+
+    Returns:
+        A window inside of `window`; empty if no centre is near.
     """
-    row0, row1, col0, col1 = window
+    row_first, row_end, col_first, col_end = window
     per_cell = 1.0 / lattice.cell_size
-    # centre number c is at c + 0.5 cells
-    left = (boxes[i, 0] - reach - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
-    right = (boxes[i, 3] + reach - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
-    top = (lattice.y_max - boxes[i, 4] - reach) * per_cell - (0.5 + CENTER_MARGIN)
-    bottom = (lattice.y_max - boxes[i, 1] + reach) * per_cell - (0.5 - CENTER_MARGIN)
-    # clipped before they are whole numbers, which a far box would exceed
-    col0 = math.ceil(min(max(left, col0), col1))
-    row0 = math.ceil(min(max(top, row0), row1))
-    col1 = math.floor(max(min(right, col1 - 1.0), -1.0)) + 1
-    row1 = math.floor(max(min(bottom, row1 - 1.0), -1.0)) + 1
-    return row0, row1, col0, col1
+    # the centre of column c is at c + 0.5 cells
+    x_low = (boxes[i, 0] - reach - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
+    x_high = (boxes[i, 3] + reach - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
+    y_low = (lattice.y_max - boxes[i, 4] - reach) * per_cell - (0.5 + CENTER_MARGIN)
+    y_high = (lattice.y_max - boxes[i, 1] + reach) * per_cell - (0.5 - CENTER_MARGIN)
+    # clipped before they become integers, whose range a far box would exceed
+    col_first = math.ceil(min(max(x_low, col_first), col_end))
+    row_first = math.ceil(min(max(y_low, row_first), row_end))
+    col_end = math.floor(max(min(x_high, col_end - 1.0), -1.0)) + 1
+    row_end = math.floor(max(min(y_high, row_end - 1.0), -1.0)) + 1
+    return row_first, row_end, col_first, col_end
 
 
 @subkernel(inline="always")
 def centers_between(low, high, cell_size, count):
-    """The first and the last of some cells in a row whose centre is between two coordinates.
+    """Return the first and last cell of a row of cells whose centres lie between two coordinates.
 
-    Both count from the edge of the first cell [m]; last < first for none. One too many is possible.
+    Rounding may add a cell at either end, and never loses one.
+
+    Args:
+        low, high: coordinates, from the outer edge of the first cell on [m].
+        cell_size: edge of a cell [m].
+        count: number of cells in the row.
+
+    Returns:
+        First and last cell, int64; last < first if there is none.
     """
     first = np.ceil(max(low / cell_size - 0.5 - CENTER_MARGIN, 0.0))
     last = np.floor(min(high / cell_size - 0.5 + CENTER_MARGIN, count - 1.0))
@@ -113,71 +142,89 @@ def centers_between(low, high, cell_size, count):
 
 @subkernel(inline="always")
 def _tile_range(low, high, num_tiles, tile_size):
+    """Return the first and last tile between two coordinates along an axis."""
     first = int(np.floor(max(low, 0.0) / tile_size))
     last = int(np.floor(min(high, num_tiles * tile_size) / tile_size))
     return first, min(last, num_tiles - 1)
 
 
 @subkernel(inline="always")
-def _tiles_under(boxes, n, grow, lattice):
-    """The first and last row of tiles that a grown box reaches into, and so with the columns."""
+def _tiles_under(boxes, n, margin, lattice):
+    """Return the tiles that a widened box reaches into: first and last row, first and last column."""
     width = lattice.width
     height = lattice.height
     cell_size = lattice.cell_size
-    x0 = boxes[n, 0] - grow - lattice.x_min
-    x1 = boxes[n, 3] + grow - lattice.x_min
-    y0 = lattice.y_max - boxes[n, 4] - grow
-    y1 = lattice.y_max - boxes[n, 1] + grow
-    if x1 < 0.0 or y1 < 0.0 or x0 > width * cell_size or y0 > height * cell_size:
+    x_low = boxes[n, 0] - margin - lattice.x_min
+    x_high = boxes[n, 3] + margin - lattice.x_min
+    y_low = lattice.y_max - boxes[n, 4] - margin
+    y_high = lattice.y_max - boxes[n, 1] + margin
+    if x_high < 0.0 or y_high < 0.0 or x_low > width * cell_size or y_low > height * cell_size:
         return 0, -1, 0, -1
-    size = TILE * cell_size
-    first_row, last_row = _tile_range(y0, y1, (height + TILE - 1) // TILE, size)
-    first_col, last_col = _tile_range(x0, x1, (width + TILE - 1) // TILE, size)
+    tile_size = TILE * cell_size
+    first_row, last_row = _tile_range(y_low, y_high, (height + TILE - 1) // TILE, tile_size)
+    first_col, last_col = _tile_range(x_low, x_high, (width + TILE - 1) // TILE, tile_size)
     return first_row, last_row, first_col, last_col
 
 
 @subkernel(inline="always")
-def _bands_under(boxes, n, grow, lattice):
-    """The first and last band in which a grown box holds a cell's centre, and no columns."""
-    x0 = boxes[n, 0] - grow - lattice.x_min
-    x1 = boxes[n, 3] + grow - lattice.x_min
-    left, right = centers_between(x0, x1, lattice.cell_size, lattice.width)
-    y0 = lattice.y_max - boxes[n, 4] - grow
-    y1 = lattice.y_max - boxes[n, 1] + grow
-    first, last = centers_between(y0, y1, lattice.cell_size, lattice.height)
-    if right < left or last < first:
+def _tile_rows_under(boxes, n, margin, lattice):
+    """Return the first and last row of tiles where a widened box covers a cell's centre.
+
+    Two zeros follow, in place of the columns that `_tiles_under` returns.
+    """
+    x_low = boxes[n, 0] - margin - lattice.x_min
+    x_high = boxes[n, 3] + margin - lattice.x_min
+    first_col, last_col = centers_between(x_low, x_high, lattice.cell_size, lattice.width)
+    y_low = lattice.y_max - boxes[n, 4] - margin
+    y_high = lattice.y_max - boxes[n, 1] + margin
+    first_row, last_row = centers_between(y_low, y_high, lattice.cell_size, lattice.height)
+    if last_col < first_col or last_row < first_row:
         return 0, -1, 0, -1
-    return first // TILE, last // TILE, 0, 0
+    return first_row // TILE, last_row // TILE, 0, 0
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_boxes_by_tile(boxes, grow, lattice, by_band, under, cursor, item, first, end):
-    """Count, or list, the (n, 6) boxes of chunks ``range(first, end)`` that reach into each tile.
+def list_boxes_by_tile(
+    boxes, margin, lattice, by_tile_row, tiles_under, cursor, item, first_chunk, end
+):
+    """Count, or list, the boxes over each tile, for a range of chunks of the boxes.
+
+    It is called twice: first with an empty `item`, to count, then with room for the lists.
 
     Args:
-        grow: by how much the boxes are widened on each side [m].
-        by_band: in place of tiles, bands in which a box holds a cell's centre.
-        under: by box, (n, 4) int32: the first and last row and column of the tiles under it;
-            written while counting.
+        boxes: (n, 6) float64, lower corner, upper corner [m].
+        margin: how much the boxes are widened on each side [m].
+        lattice: the cells.
+        by_tile_row: in place of tiles, use rows of tiles, and list the boxes that cover a cell's
+            centre there.
+        tiles_under: by box, (n, 4) int32: the first and last row, first and last column of the
+            tiles under it; written while counting.
         cursor: by chunk and tile, (chunks, tiles) int64: where the chunk's next box over the tile
             goes; advanced.
-        item: receives the boxes, int32; they are only counted where it is empty.
+        item: receives the numbers of the boxes, int32; the boxes are only counted where it is
+            empty.
+        first_chunk, end: range of chunks.
     """
-    num = boxes.shape[0]
+    num_boxes = boxes.shape[0]
     num_chunks = cursor.shape[0]
     writing = item.shape[0] > 0
-    stride = 1 if by_band else (lattice.width + TILE - 1) // TILE
-    for chunk in range(first, end):
-        place = cursor[chunk]
-        for n in range(num * chunk // num_chunks, num * (chunk + 1) // num_chunks):
+    tiles_per_row = 1 if by_tile_row else (lattice.width + TILE - 1) // TILE
+    for chunk in range(first_chunk, end):
+        next_place = cursor[chunk]
+        for n in range(num_boxes * chunk // num_chunks, num_boxes * (chunk + 1) // num_chunks):
             if not writing:
-                if by_band:
-                    found = _bands_under(boxes, n, grow, lattice)
+                if by_tile_row:
+                    window = _tile_rows_under(boxes, n, margin, lattice)
                 else:
-                    found = _tiles_under(boxes, n, grow, lattice)
-                under[n, 0], under[n, 1], under[n, 2], under[n, 3] = found
-            for row in range(under[n, 0], under[n, 1] + 1):
-                for tile in range(row * stride + under[n, 2], row * stride + under[n, 3] + 1):
+                    window = _tiles_under(boxes, n, margin, lattice)
+                tiles_under[n, 0] = window[0]
+                tiles_under[n, 1] = window[1]
+                tiles_under[n, 2] = window[2]
+                tiles_under[n, 3] = window[3]
+            for row in range(tiles_under[n, 0], tiles_under[n, 1] + 1):
+                first_tile = row * tiles_per_row + tiles_under[n, 2]
+                last_tile = row * tiles_per_row + tiles_under[n, 3]
+                for tile in range(first_tile, last_tile + 1):
                     if writing:
-                        item[place[tile]] = n
-                    place[tile] += 1
+                        item[next_place[tile]] = n
+                    next_place[tile] += 1

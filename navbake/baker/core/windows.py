@@ -1,4 +1,4 @@
-"""Windows of a lattice, cells in them, and cells beside each other or near boxes."""
+"""Windows of a lattice, cells in them, neighboring cells, and cells near boxes."""
 
 from typing import Any
 
@@ -9,28 +9,45 @@ from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 Window = tuple[slice, slice]
-"""Rows and columns of the whole lattice, with a start and a stop each."""
+"""Rows and columns of a lattice, as slices with a start and a stop each."""
 
+CellSlices = tuple[slice, ...]
+"""An index of an array of cells, by slices."""
 
-NEIGHBOR_SLICES: tuple[tuple[Any, Any], ...] = (
+NEIGHBOR_SLICES: tuple[tuple[CellSlices, CellSlices], ...] = (
     (np.s_[:, :-1], np.s_[:, 1:]),
-    (np.s_[:-1], np.s_[1:]),
+    (np.s_[:-1,], np.s_[1:,]),
 )
+"""Indices of the two cells at each edge between neighbors: left and right, upper and lower."""
 
 
 def differing_pairs(values: NDArray[Any]) -> Int:
-    """The ids of cells beside each other whose values differ, (height, width); shape (2, n)."""
+    """List the pairs of neighboring cells whose values differ.
+
+    Args:
+        values: shape (height, width).
+
+    Returns:
+        Ids of the cells, shape (2, n): pairs in a row first, then pairs in a column.
+    """
     width = values.shape[1]
     flat = values.ravel()
-    right = np.flatnonzero(flat[:-1] != flat[1:])
-    right = right[(right + 1) % width > 0]
-    down = np.flatnonzero(flat[:-width] != flat[width:])
-    pairs = [right, right + 1], [down, down + width]
-    return np.concatenate(pairs, axis=1)
+    left_cell = np.flatnonzero(flat[:-1] != flat[1:])
+    left_cell = left_cell[(left_cell + 1) % width > 0]  # not across the end of a row
+    upper_cell = np.flatnonzero(flat[:-width] != flat[width:])
+    pairs_in_rows = [left_cell, left_cell + 1]
+    pairs_in_columns = [upper_cell, upper_cell + width]
+    return np.concatenate([pairs_in_rows, pairs_in_columns], axis=1)
 
 
 def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
-    """Boxes, (n, 6) [m], that reach beyond the lattice by at most `margin` [m], at any height."""
+    """Clip boxes in x and y to the lattice and a margin around it; heights stay.
+
+    Args:
+        lattice: the cells.
+        boxes: lower corner, upper corner, shape (n, 6) [m].
+        margin: how far beyond the lattice boxes may reach [m].
+    """
     x_min, y_min, x_max, y_max = lattice.bounds
     low = np.array([x_min - margin, y_min - margin, -np.inf])
     high = np.array([x_max + margin, y_max + margin, np.inf])
@@ -39,35 +56,54 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
 
 
 def cells_near_boxes(lattice: Lattice, boxes: Float, reach: float) -> Int:
-    """The cells within `reach` [m] and one cell of boxes, (n, 6) [m]; ascending."""
-    # boxes may be endless
+    """Find the cells within some distance, and one cell more, of boxes seen from above.
+
+    Args:
+        lattice: the cells.
+        boxes: lower corner, upper corner, shape (n, 6) [m]; may be infinite.
+        reach: the distance along x and along y [m].
+
+    Returns:
+        Ids, ascending, shape (m,).
+    """
+    # `rows_cols` takes finite positions only
     near_boxes = clip_boxes(lattice, boxes, reach + 4 * lattice.cell_size)
-    west, south = (near_boxes[:, :2] - reach).T
-    east, north = (near_boxes[:, 3:5] + reach).T
-    first_row, first_col = lattice.rows_cols(np.stack([west, north], axis=1))
-    last_row, last_col = lattice.rows_cols(np.stack([east, south], axis=1))
+    x_low, y_low = (near_boxes[:, :2] - reach).T
+    x_high, y_high = (near_boxes[:, 3:5] + reach).T
+    first_row, first_col = lattice.rows_cols(np.stack([x_low, y_high], axis=1))
+    last_row, last_col = lattice.rows_cols(np.stack([x_high, y_low], axis=1))
     mask = np.zeros(lattice.shape, dtype=np.bool_)
-    rows = np.stack([first_row - 1, last_row + 2]).clip(0, lattice.height).T.tolist()
-    cols = np.stack([first_col - 1, last_col + 2]).clip(0, lattice.width).T.tolist()
-    for (row, past_row), (col, past_col) in zip(rows, cols, strict=True):
-        mask[row:past_row, col:past_col] = True
-    first = min((row for row, _ in rows), default=0)
-    last = max((past_row for _, past_row in rows), default=0)
-    near: Int = np.flatnonzero(mask[first:last]) + first * lattice.width
-    return near
+    row_ranges = np.stack([first_row - 1, last_row + 2]).clip(0, lattice.height).T.tolist()
+    col_ranges = np.stack([first_col - 1, last_col + 2]).clip(0, lattice.width).T.tolist()
+    for (row, row_end), (col, col_end) in zip(row_ranges, col_ranges, strict=True):
+        mask[row:row_end, col:col_end] = True
+    first = min((row for row, _ in row_ranges), default=0)
+    end = max((row_end for _, row_end in row_ranges), default=0)
+    cells: Int = np.flatnonzero(mask[first:end]) + first * lattice.width
+    return cells
 
 
 def bounding_window(mask: Bool) -> Window:
-    """The smallest window that holds all marked cells, one at least."""
+    """Return the smallest window that holds all marked cells; at least one is marked."""
     rows = np.flatnonzero(mask.any(axis=1))
     cols = np.flatnonzero(mask.any(axis=0))
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
-    """Turn cells of a lattice of a width into cells of a window; also which of them are in it."""
+    """Turn ids of cells of a lattice into ids of cells of a window of it.
+
+    Args:
+        cells: ids in the lattice, shape (n,).
+        window: the window.
+        width: number of columns of the lattice.
+
+    Returns:
+        Ids in the window of the cells inside of it, shape (m,), and the mask of these cells, shape
+        (n,).
+    """
     rows, cols = window
     row, col = np.divmod(cells, width)
     inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
-    cut: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[inside]
-    return cut, inside
+    cropped: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[inside]
+    return cropped, inside
