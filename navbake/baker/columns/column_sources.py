@@ -1,4 +1,7 @@
-"""The columns of all that stands, which may be too many to keep: found block by block, again."""
+"""Sources of columns and of shapes on lattices that may be too large to keep in memory.
+
+Columns of large lattices are cast chunk by chunk of rows, and cast again on each request.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ import numpy as np
 
 from navbake.baker.columns.columns import (
     Columns,
+    ColumnsBuilder,
     ColumnSource,
-    GatheredColumns,
     RowChunk,
     ShapeSource,
     TiledShapes,
@@ -35,218 +38,288 @@ from navbake.processes import give_back_memory
 from navbake.threads import run_beside
 from navbake.types import Bool, Int, Int32
 
-# Columns of at most so many cells are kept: they take about 100 bytes each
-KEPT_CELLS = 1 << 22
-# Blocks that there are at a time: the one that is looked at, and the next one
-ALIVE = 2
-# So many triangles are kept expanded: they take about 130 bytes each. More are, too, unless all
-# blocks of rows together are near to at most so many times as many
-KEPT_TRIANGLES = 1 << 20
-TIMES = 2.0
+# Columns of lattices with at most this many cells are kept: they take about 100 bytes a cell
+MAX_CELLS_KEPT = 1 << 22
+# Chunks of rows in memory at a time: the one that the caller works on, and the next one
+CHUNKS_ALIVE = 2
+# At most this many triangles are always kept expanded: they take about 130 bytes each
+MAX_TRIANGLES_KEPT = 1 << 20
+# More triangles are kept expanded, too, if expanding them chunk by chunk would expand more than
+# this many times as many, as many triangles are near several chunks
+MAX_REPEATED_EXPANSION = 2.0
 
 
 class ChunkedShapes:
-    """The shapes on a large lattice: triangles are expanded near what is asked for, each time.
+    """A `ShapeSource` of many triangles, which are expanded near some cells on each request.
 
-    Args:
-        reach: how far from cells' centres shapes are listed [m].
+    Attributes:
+        lattice: the cells.
     """
 
     def __init__(self, shapes: Shapes, lattice: Lattice, reach: float) -> None:
+        """List the solids, and expand no triangle yet.
+
+        Args:
+            shapes: the shapes.
+            lattice: the cells.
+            reach: shapes within this distance of a tile count as over it [m].
+        """
         self.lattice = lattice
         self._shapes = shapes
         self._reach = reach
-        nothing = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
-        self._solids = tile_shapes(shapes, lattice, reach, nothing.expand())
+        no_meshes = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
+        self._solids = tile_shapes(shapes, lattice, reach, no_meshes.expand())
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
-        """Shapes with all that are near some rows of whole bands."""
-        y = self.lattice.y_max
-        size = self.lattice.cell_size
+        """Return shapes that include all near some rows of cells, entire rows of tiles."""
+        y_max = self.lattice.y_max
+        cell_size = self.lattice.cell_size
         boxes = self._shapes.meshes.boxes
-        far = self._reach + size
-        is_near = boxes[:, 4] >= y - rows.end * size - far
-        return self._expand(is_near & (boxes[:, 1] <= y - rows.first * size + far))
-
-    def near_cells(self, cells: Int) -> TiledShapes:
-        """Shapes with all that are near some cells."""
-        lattice = self.lattice
-        boxes = self._shapes.meshes.boxes
-        start, item = list_by_tile(boxes, self._reach, lattice)
-        asked = np.zeros(len(start) - 1, dtype=np.bool_)
-        asked[tile_of(lattice, cells)] = True
-        is_near = np.zeros(len(boxes), dtype=np.bool_)
-        is_near[item[np.repeat(asked, np.diff(start))]] = True
+        margin = self._reach + cell_size
+        is_near = boxes[:, 4] >= y_max - rows.end * cell_size - margin
+        is_near &= boxes[:, 1] <= y_max - rows.first * cell_size + margin
         return self._expand(is_near)
 
-    def _expand(self, chosen: Bool) -> TiledShapes:
-        facets = self._shapes.meshes.only(chosen).expand()
+    def near_cells(self, cells: Int) -> TiledShapes:
+        """Return shapes that include all near some cells, given by their ids."""
+        boxes = self._shapes.meshes.boxes
+        start, item = list_by_tile(boxes, self._reach, self.lattice)
+        holds_cell = np.zeros(len(start) - 1, dtype=np.bool_)
+        holds_cell[tile_of(self.lattice, cells)] = True
+        is_near = np.zeros(len(boxes), dtype=np.bool_)
+        is_near[item[np.repeat(holds_cell, np.diff(start))]] = True
+        return self._expand(is_near)
+
+    def _expand(self, is_near: Bool) -> TiledShapes:
+        """Expand and list the triangles of some meshes, (meshes,), next to all solids."""
+        facets = self._shapes.meshes.only(is_near).expand()
         start, item = list_by_tile(facets.bounds, self._reach, self.lattice)
-        tiles = self._solids.tile_index._replace(triangle_start=start, triangle_item=item)
-        return TiledShapes(self._shapes, self.lattice, facets, tiles)
+        tile_index = self._solids.tile_index._replace(triangle_start=start, triangle_item=item)
+        return TiledShapes(self._shapes, self.lattice, facets, tile_index)
 
 
 def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
-    """List the shapes on a lattice: all, or if they are many, those near what is asked for later.
+    """List the shapes on a lattice: all at once, or if they are many, near some cells on request.
 
-    All are expanded, too, where the columns of all cells are kept, or if most of them are near
-    several blocks of rows.
+    All are listed at once where the columns of all cells are kept, and where most triangles are
+    near several chunks of rows.
 
     Args:
-        reach: how far from cells' centres [m].
+        shapes: the shapes.
+        lattice: the cells.
+        reach: shapes within this distance of a tile count as over it [m].
     """
     counts = shapes.meshes.counts
     boxes = shapes.meshes.boxes
-    height = split_into_row_chunks(lattice, ALIVE)[0].end * lattice.cell_size
-    near = counts * (1.0 + (boxes[:, 4] - boxes[:, 1] + 2 * reach) / height)
-    is_large = lattice.width * lattice.height > KEPT_CELLS and counts.sum() > KEPT_TRIANGLES
-    if is_large and near.sum() <= TIMES * counts.sum():
+    chunk_length = split_into_row_chunks(lattice, CHUNKS_ALIVE)[0].end * lattice.cell_size
+    lengths = boxes[:, 4] - boxes[:, 1] + 2 * reach
+    num_expanded = counts * (1.0 + lengths / chunk_length)  # by all chunks together
+    keeps_no_columns = lattice.width * lattice.height > MAX_CELLS_KEPT
+    has_many_triangles = counts.sum() > MAX_TRIANGLES_KEPT
+    if (
+        keeps_no_columns
+        and has_many_triangles
+        and num_expanded.sum() <= MAX_REPEATED_EXPANSION * counts.sum()
+    ):
         return ChunkedShapes(shapes, lattice, reach)
     return tile_shapes(shapes, lattice, reach)
 
 
 class ColumnCaster:
-    """The columns of a lattice: kept where they are few, else cast again for whoever asks.
+    """A `ColumnSource` that casts the columns of a lattice from shapes.
 
-    It is all the same to who asks.
+    Columns of small lattices are cast once and kept. Those of large ones are cast again on each
+    request; the columns are the same.
 
-    Args:
-        clock: times the casting.
+    Attributes:
+        lattice: the cells.
     """
 
     def __init__(
         self, shapes: ShapeSource, agent: AgentSettings, crack: float, clock: StageClock
     ) -> None:
+        """Cast the columns if they are to be kept.
+
+        Args:
+            shapes: the shapes on the lattice, listed for lines up to `crack` away.
+            agent: the agent, which decides on which floors cracks are closed.
+            crack: width of the cracks in floors that are closed, see `close_cracks` [m].
+            clock: times the casting.
+        """
         self.lattice = shapes.lattice
         self._shapes = shapes
         self._agent = agent
         self._crack = crack
         self._clock = clock
-        self._kept: Columns | None = None
-        self._some: tuple[Int, Columns] | None = None  # the cells that were asked for last
+        self._all_columns: Columns | None = None
+        self._last_cells: Int = np.empty(0, dtype=np.int64)  # of the last call of `covering`
+        self._last_columns: Columns | None = None
         with clock.stage("columns"):
-            if self.lattice.width * self.lattice.height <= KEPT_CELLS:
-                self._kept = self._find_all()
+            if self.lattice.width * self.lattice.height <= MAX_CELLS_KEPT:
+                self._all_columns = self._cast_all()
 
     def row_chunks(self) -> Iterator[Columns]:
-        """The columns of all rows, by bands of them, in their order.
+        """Yield the columns of all rows, as chunks of rows in their order.
 
-        The next ones are found on another thread while the caller looks at those before them.
-        The clock has only the time that the caller waits.
+        The next chunk is cast on another thread while the caller works on the one before it. The
+        clock counts only the time that the caller waits.
         """
-        if self._kept is not None:
-            yield self._kept
+        if self._all_columns is not None:
+            yield self._all_columns
             return
-        bands = self._bands()
-        coming = run_beside(self._find, bands[0])
-        for rows in [*bands[1:], None]:
-            found = [self._wait(coming)]
+        chunks = split_into_row_chunks(self.lattice, CHUNKS_ALIVE)
+        next_columns = run_beside(self._cast_rows, chunks[0])
+        for rows in [*chunks[1:], None]:
+            columns = [self._wait(next_columns)]
             if rows is not None:
-                coming = run_beside(self._find, rows)
-            yield found.pop()  # nothing here holds it while the caller waits for the next one
-        give_back_memory()  # of pieces between what lasts
+                next_columns = run_beside(self._cast_rows, rows)
+            # popped, so that no reference is held here while the caller works on it
+            yield columns.pop()
+        give_back_memory()  # free blocks lie between what lasts
 
-    def _bands(self) -> list[RowChunk]:
-        return split_into_row_chunks(self.lattice, ALIVE)
-
-    def _wait(self, found: Callable[[], Columns]) -> Columns:
+    def _wait(self, next_columns: Callable[[], Columns]) -> Columns:
         with self._clock.part("columns"):
-            return found()
+            return next_columns()
 
     def covering(self, cells: Int | Int32) -> Columns:
-        """Columns in which those of some cells are known, whatever the order of their ids."""
-        if self._kept is not None:
-            return self._kept
-        if self._some is None or not np.isin(cells, self._some[0]).all():
-            asked = unique_cells(self.lattice, cells)
-            with self._clock.part("columns"):
-                self._some = asked, cast_cells(self._shapes, self._agent, self._crack, asked)
-        return self._some[1]
+        """Return columns in which at least those of some cells are valid.
 
-    def _find(self, rows: RowChunk) -> Columns:
+        Args:
+            cells: ids of the cells, in any order.
+        """
+        if self._all_columns is not None:
+            return self._all_columns
+        if self._last_columns is not None and np.isin(cells, self._last_cells).all():
+            return self._last_columns
+        ascending_cells = unique_cells(self.lattice, cells)
+        with self._clock.part("columns"):
+            columns = cast_cells(self._shapes, self._agent, self._crack, ascending_cells)
+        self._last_cells = ascending_cells
+        self._last_columns = columns
+        return columns
+
+    def _cast_rows(self, rows: RowChunk) -> Columns:
+        """Cast the columns of a chunk of rows."""
         tiled = self._shapes.near_rows(rows)
-        columns = self._close(cast_columns(tiled, rows).select_rows(rows), tiled)
+        columns = self._close_gaps(cast_columns(tiled, rows).select_rows(rows), tiled)
         return replace(columns, nearby_shapes=tiled)
 
-    def _find_all(self) -> Columns:
-        """The columns of all cells, found band by band for the memory that it takes."""
-        bands = split_into_row_chunks(self.lattice)
-        if len(bands) == 1:
-            tiled = self._shapes.near_rows(bands[0])
-            return self._close(cast_columns(tiled), tiled)
-        gathered = GatheredColumns(self.lattice)
-        for rows in bands:
-            gathered.add(self._find(rows), rows)
-        return gathered.join()
+    def _cast_all(self) -> Columns:
+        """Cast the columns of all cells, chunk by chunk to limit the memory that it takes."""
+        chunks = split_into_row_chunks(self.lattice)
+        if len(chunks) == 1:
+            tiled = self._shapes.near_rows(chunks[0])
+            return self._close_gaps(cast_columns(tiled), tiled)
+        builder = ColumnsBuilder(self.lattice)
+        for rows in chunks:
+            builder.add(self._cast_rows(rows), rows)
+        return builder.build()
 
-    def _close(self, columns: Columns, tiled: TiledShapes) -> Columns:
+    def _close_gaps(self, columns: Columns, tiled: TiledShapes) -> Columns:
         columns = resolve_seams(columns, tiled)
         return close_cracks(columns, tiled, self._agent, self._crack)
 
 
 def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
-    """The columns of a window of a lattice together, whose own lattice is given."""
-    gathered = GatheredColumns(lattice)
-    is_whole = lattice == source.lattice
+    """Join the columns of a window of a lattice.
+
+    Args:
+        source: the columns of the lattice.
+        window: the window.
+        lattice: the window's own lattice, whose cells are at the same places.
+    """
+    builder = ColumnsBuilder(lattice)
+    is_entire_lattice = lattice == source.lattice
     for columns in source.row_chunks():
-        if is_whole and columns.rows is None:
+        if is_entire_lattice and columns.row_chunk is None:
             return columns
-        part = columns if is_whole else columns.crop(*window, lattice)
-        gathered.add(part, part.valid_rows)
-    return gathered.join()
+        cropped = columns if is_entire_lattice else columns.crop(*window, lattice)
+        builder.add(cropped, cropped.valid_rows)
+    return builder.build()
 
 
 class WindowColumns(NamedTuple):
-    """The columns of a window of another lattice, with a lattice of its own; a `ColumnSource`."""
+    """A `ColumnSource` of a window of another source's lattice.
+
+    Attributes:
+        source: the columns of the lattice.
+        window: the window.
+        lattice: the window's own lattice, whose cells are at the same places.
+    """
 
     source: ColumnSource
     window: Window
     lattice: Lattice
 
     def row_chunks(self) -> Iterator[Columns]:
-        """All columns, in one block."""
+        """Yield all columns, in one chunk."""
         yield join_columns(self.source, self.window, self.lattice)
 
     def covering(self, cells: Int | Int32) -> Columns:
-        """Columns in which those of some cells are known, whatever the order of their ids."""
-        asked = unique_cells(self.lattice, cells)
-        whole = self.outer(asked)
-        return index_by_cell(
-            self.lattice, asked, select_columns(self.source.covering(whole).hits, whole)
-        )
+        """Return columns in which at least those of some cells are valid.
 
-    def outer(self, cells: Int) -> Int:
-        """The ids that cells of the window have on the lattice that it is cut from."""
+        Args:
+            cells: ids of the cells in the window, in any order.
+        """
+        window_cells = unique_cells(self.lattice, cells)
+        source_cells = self.to_source_cells(window_cells)
+        hits = select_columns(self.source.covering(source_cells).hits, source_cells)
+        return index_by_cell(self.lattice, window_cells, hits)
+
+    def to_source_cells(self, cells: Int) -> Int:
+        """Turn ids of cells in the window into ids in the lattice of the source."""
         row, col = np.divmod(cells, self.lattice.width)
         rows, cols = self.window
-        found: Int = (row + rows.start) * self.source.lattice.width + col + cols.start
-        return found
+        source_row = row + rows.start
+        source_cells: Int = source_row * self.source.lattice.width + col + cols.start
+        return source_cells
 
 
 def unique_cells(lattice: Lattice, cells: Int | Int32) -> Int:
-    """The ids of some cells, ascending, each once."""
+    """Return ids of cells in ascending order, without repeats."""
     mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
     mask[cells] = True
     return np.flatnonzero(mask)
 
 
 def cast_cells(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int) -> Columns:
-    """Cast the columns of some cells, ascending; others mean nothing."""
+    """Cast the columns of some cells.
+
+    Args:
+        shapes: the shapes on the lattice.
+        agent: see `close_cracks`.
+        crack: see `close_cracks` [m].
+        cells: ids of the cells, ascending, (n,).
+
+    Returns:
+        Columns in which those of the cells are valid; others have no meaning.
+    """
     tiled = shapes.near_cells(cells)
     lattice = shapes.lattice
-    found = cast_points(tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
-    columns = index_by_cell(lattice, cells, found)
+    row, col = np.divmod(cells, lattice.width)
+    hits = cast_points(tiled, cells, lattice.positions(row, col))
+    columns = index_by_cell(lattice, cells, hits)
     columns = resolve_seams(columns, tiled, cells)
-    is_asked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
-    is_asked[cells] = True
-    return close_cracks(columns, tiled, agent, crack, is_asked)
+    is_cast = np.zeros(len(columns.start) - 1, dtype=np.bool_)
+    is_cast[cells] = True
+    return close_cracks(columns, tiled, agent, crack, is_cast)
 
 
 def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
-    """Turn hits listed per cell in `cells` (ascending ids) into columns indexed by cell id."""
+    """Turn hits listed by cells into columns of the lattice.
+
+    Args:
+        lattice: the cells.
+        cells: ids of cells, ascending, (n,).
+        hits: the hits of the cells; column i is that of ``cells[i]``.
+
+    Returns:
+        Columns in which those of the cells are valid; others have no meaning.
+    """
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     start[cells] = hits.start[:-1]
     start[cells + 1] = hits.start[1:]
-    rows = (0, 0) if not len(cells) else (cells[[0, -1]] // lattice.width).tolist()
-    asked = RowChunk(rows[0] // TILE * TILE, min(rows[1] // TILE * TILE + TILE, lattice.height))
-    return Columns(lattice, hits._replace(start=start), asked)
+    first_row, last_row = (cells[[0, -1]] // lattice.width).tolist() if len(cells) else (0, 0)
+    first = first_row // TILE * TILE
+    end = min(last_row // TILE * TILE + TILE, lattice.height)
+    return Columns(lattice, hits._replace(start=start), RowChunk(first, end))

@@ -1,4 +1,8 @@
-"""Columns: every crossing of every cell's vertical line with the scene."""
+"""Columns: all crossings of the vertical line through each cell's centre with the scene's surfaces.
+
+Shapes are first listed by the tiles of cells that they lie over (`tile_shapes`). Then lines are
+cast: through the centres of cells (`cast_columns`), or through points (`cast_points`).
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.hit_kernels import DROPPED, RIM
-from navbake.baker.columns.ray_kernels import GROUP, Lines, cast_lines
+from navbake.baker.columns.ray_kernels import GROUP, Geometry, Lines, cast_lines
 from navbake.baker.core.arrays import ColumnHits, Facets, HeightRange, ShapeIndex
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.tiles import TILE, list_boxes_by_tile
@@ -18,50 +22,63 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_chunks
 from navbake.types import Float, Int, Int32
 
-# ColumnHits of so many cells are found at once, for the memory that it takes
-BLOCK_CELLS = 1 << 20
-# So many lines at points are worth a call on another thread
-LEAST_POINTS = 1024
-# Chunks for each thread, where there are more boxes than so many a tile
-CHUNKS = 2
+# Lines are cast for about this many cells at a time, which limits the memory that it takes
+CELLS_PER_CHUNK = 1 << 20
+# Fewer lines through points than this are not worth a call on another thread
+MIN_POINTS_PER_CALL = 1024
+# Boxes are listed in this many chunks for each thread, if there are more boxes than
+# MIN_BOXES_PER_TILE times the number of tiles
+CHUNKS_PER_THREAD = 2
 MIN_BOXES_PER_TILE = 4
-WORLD_AXES = np.eye(3)  # the axes of a frame in which vertical lines are upright
+WORLD_AXES = np.eye(3)
+"""The axes of the world frame, in which lines are vertical."""
 
 
 class RowChunk(NamedTuple):
-    """A band of rows of cells: the first, and past the last."""
+    """A range of rows of cells.
+
+    Attributes:
+        first: the first row.
+        end: the row behind the last one.
+    """
 
     first: int
     end: int
 
     def cell_range(self, lattice: Lattice) -> tuple[int, int]:
-        """The first of their cells, and past the last."""
+        """Return the id of the first cell, and the id behind the last cell."""
         return self.first * lattice.width, self.end * lattice.width
 
-    def padded(self, by: int, lattice: Lattice) -> "RowChunk":
-        """The rows with some more on both sides, as far as the lattice goes."""
-        return RowChunk(max(self.first - by, 0), min(self.end + by, lattice.height))
 
+def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk]:
+    """Split a lattice into chunks of entire rows of tiles, of about `CELLS_PER_CHUNK` cells each.
 
-def split_into_row_chunks(lattice: Lattice, alive: int = 1) -> list[RowChunk]:
-    """Split a lattice into blocks of rows, of whole `TILE`s, and about `BLOCK_CELLS` cells.
-
-    Where several are `alive` at a time, they have so many cells together.
+    Args:
+        lattice: the cells.
+        num_alive: how many chunks are in memory at a time; together they have about
+            `CELLS_PER_CHUNK` cells.
     """
-    count = max(BLOCK_CELLS // (alive * lattice.width * TILE), 1) * TILE
-    firsts = range(0, lattice.height, count)
-    return [RowChunk(first, min(first + count, lattice.height)) for first in firsts]
+    num_rows = max(CELLS_PER_CHUNK // (num_alive * lattice.width * TILE), 1) * TILE
+    first_rows = range(0, lattice.height, num_rows)
+    return [RowChunk(first, min(first + num_rows, lattice.height)) for first in first_rows]
 
 
 def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
-    """The tiles that some rows of cells lie on, which begin and end with whole tiles."""
-    num = -(-lattice.width // TILE)
-    return range(rows.first // TILE * num, -(-rows.end // TILE) * num)
+    """Return the numbers of the tiles on some rows of cells, which are entire rows of tiles."""
+    tiles_x = -(-lattice.width // TILE)
+    return range(rows.first // TILE * tiles_x, -(-rows.end // TILE) * tiles_x)
 
 
 @dataclass(frozen=True)
 class TiledShapes:
-    """Shapes on a lattice, listed by the tiles of cells that they lie over."""
+    """Shapes on a lattice, listed by the tiles of cells that they lie over.
+
+    Attributes:
+        shapes: the shapes.
+        lattice: the cells.
+        facets: the triangles that are listed: those of `shapes`, or some of them.
+        tile_index: which solids and facets lie over each tile.
+    """
 
     shapes: Shapes
     lattice: Lattice
@@ -69,18 +86,19 @@ class TiledShapes:
     tile_index: ShapeIndex
 
     def near_rows(self, rows: RowChunk) -> "TiledShapes":
-        """The shapes near some rows, and others; see `ShapeSource`."""
+        """Return all shapes, which include those near the rows; see `ShapeSource`."""
         return self
 
     def near_cells(self, cells: Int) -> "TiledShapes":
-        """The shapes near some cells, and others."""
+        """Return all shapes, which include those near the cells; see `ShapeSource`."""
         return self
 
     @cached_property
     def tile_row_index(self) -> ShapeIndex:
-        """Which of them lie over centres of which band of rows."""
-        solids = list_by_tile_row(self.shapes.solids.bounds, RIM, self.lattice)
-        return ShapeIndex(*solids, *list_by_tile_row(self.facets.bounds, RIM, self.lattice))
+        """Which solids and facets cover a cell's centre in each row of tiles."""
+        solid_start, solid_item = list_by_tile_row(self.shapes.solids.bounds, RIM, self.lattice)
+        triangle_start, triangle_item = list_by_tile_row(self.facets.bounds, RIM, self.lattice)
+        return ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
 
     @cached_property
     def height_range(self) -> HeightRange:
@@ -90,326 +108,429 @@ class TiledShapes:
 
 @dataclass(frozen=True)
 class Columns:
-    """All surfaces of all columns, ragged: cell i holds ``[start[i], start[i + 1])``.
+    """The hits of columns with all surfaces.
 
-    Columns of a band of rows have the surfaces of these alone, but `start` has an entry for every
-    cell of the lattice, so that kernels find a cell by its id; those of other rows mean nothing.
+    Columns of a chunk of rows hold the hits of these rows only, but `hits.start` has an entry for
+    every cell of the lattice, so that kernels find a cell by its id. The entries of other rows have
+    no meaning.
 
     Attributes:
         lattice: the cells.
-        hits: the surfaces, as kernels take them, with the attributes below.
-        rows: the rows of cells that are known, all if None.
-        nearby_shapes: the shapes near them, of a block of many.
-        start: shape (cells + 1,), int64.
-        z: heights, ascending in a column, shape (n,), float64 [m].
-        normal: unit normals, shape (n, 3), float32; z > 0 faces up.
-        geom: MuJoCo's geom ids, shape (n,), int32.
+        hits: the hits; column i is that of cell i.
+        row_chunk: the rows that have columns; all if None.
+        nearby_shapes: the shapes near these rows, if they were listed for these rows only.
     """
 
     lattice: Lattice
     hits: ColumnHits
-    rows: RowChunk | None = None
+    row_chunk: RowChunk | None = None
     nearby_shapes: TiledShapes | None = None
 
     @property
     def valid_rows(self) -> RowChunk:
-        """The first row that is known, and past the last."""
-        return self.rows or RowChunk(0, self.lattice.height)
+        """The rows that have columns."""
+        return self.row_chunk or RowChunk(0, self.lattice.height)
 
     def select_rows(self, rows: RowChunk) -> "Columns":
-        """The columns of some of the rows that are known; arrays are parts of these ones."""
-        first, end = rows.cell_range(self.lattice)
-        begin = int(self.start[first])
-        part = slice(begin, int(self.start[end]))
+        """Return the columns of some of the rows; arrays but `start` are views."""
+        first_cell, end_cell = rows.cell_range(self.lattice)
+        first_hit = int(self.start[first_cell])
+        end_hit = int(self.start[end_cell])
+        old_start = self.start[first_cell : end_cell + 1]
         start = np.zeros(len(self.start), dtype=np.int64)  # whose pages cost nothing until written
-        np.subtract(self.start[first : end + 1], begin, out=start[first : end + 1])
-        _, z, normal, geom, closed = self.hits
-        parts = z[part], normal[part], geom[part], closed[part]
-        return Columns(self.lattice, ColumnHits(start, *parts), rows)
+        np.subtract(old_start, first_hit, out=start[first_cell : end_cell + 1])
+        arrays = [array[first_hit:end_hit] for array in self.hits.entries]
+        return Columns(self.lattice, ColumnHits(start, *arrays), rows)
 
     @property
     def start(self) -> Int:
+        """The first hit of each column, and the end of the last one's, shape (cells + 1,)."""
         return self.hits.start
 
     @property
     def z(self) -> Float:
+        """Heights of the hits, ascending in a column, shape (n,) [m]."""
         return self.hits.z
 
     @property
     def normal(self) -> NDArray[np.float32]:
+        """Unit normals of the surfaces, shape (n, 3), float32; z > 0 faces up."""
         return self.hits.normal
 
     @property
     def geom(self) -> Int32:
+        """MuJoCo's ids of the geoms that are hit, shape (n,), int32."""
         return self.hits.geom
 
     def crop(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
-        """The columns of a window, of those of its rows that are known.
+        """Crop the columns to a window; rows of it without columns stay empty.
 
-        `lattice` is the window's own, with cells in the same places.
+        Args:
+            rows, cols: the window.
+            lattice: the window's own lattice, whose cells are at the same places.
         """
-        known = RowChunk(*np.clip(self.valid_rows, rows.start, rows.stop).tolist())
-        row, col = np.ogrid[known.first : known.end, cols]
-        found = select_columns(self.hits, (row * self.lattice.width + col).ravel())
+        first, end = np.clip(self.valid_rows, rows.start, rows.stop).tolist()
+        row, col = np.ogrid[first:end, cols]
+        cells = (row * self.lattice.width + col).ravel()
+        hits = select_columns(self.hits, cells)
+        cropped_rows = RowChunk(first - rows.start, end - rows.start)
+        first_cell, end_cell = cropped_rows.cell_range(lattice)
         start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        shown = RowChunk(known.first - rows.start, known.end - rows.start)
-        place, end = shown.cell_range(lattice)
-        start[place : end + 1] = found.start
-        parts = found._replace(start=start)
-        return Columns(lattice, parts, None if shown == (0, lattice.height) else shown)
+        start[first_cell : end_cell + 1] = hits.start
+        has_all_rows = cropped_rows == (0, lattice.height)
+        return Columns(lattice, hits._replace(start=start), None if has_all_rows else cropped_rows)
 
     def row_chunks(self) -> Iterator["Columns"]:
-        """All columns, in one block."""
+        """Yield all columns, in one chunk; see `ColumnSource`."""
         yield self
 
     def covering(self, cells: Int | Int32) -> "Columns":
-        """The columns of some cells, and others."""
+        """Return all columns, which include those of the cells; see `ColumnSource`."""
         return self
 
 
 class ColumnSource(Protocol):
-    """Where the columns of a lattice come from: all at once, or block by block."""
+    """What yields the columns of a lattice: all at once, or chunk by chunk."""
 
     @property
     def lattice(self) -> Lattice:
         """The cells."""
 
     def row_chunks(self) -> Iterator[Columns]:
-        """The columns of all rows, by bands of them, in their order."""
+        """Yield the columns of all rows, as chunks of rows in their order."""
 
     def covering(self, cells: Int | Int32) -> Columns:
-        """Columns in which those of some cells are known, whatever the order of their ids."""
+        """Return columns in which at least those of some cells are valid.
+
+        Args:
+            cells: ids of the cells, in any order.
+        """
 
 
 class ShapeSource(Protocol):
-    """Where the listed shapes on a lattice come from: all at once, or those near what is asked."""
+    """What yields listed shapes on a lattice: all at once, or those near some cells."""
 
     @property
     def lattice(self) -> Lattice:
         """The cells."""
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
-        """Shapes with all that are near some rows of whole bands."""
+        """Return shapes that include all near some rows of cells, entire rows of tiles."""
 
     def near_cells(self, cells: Int) -> TiledShapes:
-        """Shapes with all that are near some cells."""
+        """Return shapes that include all near some cells, given by their ids."""
 
 
-class GatheredColumns:
-    """Columns of all rows, joined from bands in the order of rows."""
+class ColumnsBuilder:
+    """Joins the columns of chunks of rows, added in the order of the rows."""
 
     def __init__(self, lattice: Lattice) -> None:
+        """Start without columns.
+
+        Args:
+            lattice: the cells.
+        """
         self._lattice = lattice
         self._start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        self._parts = list[list[NDArray[Any]]]()
-        self._count = 0
+        self._arrays_of_chunks = list[list[NDArray[Any]]]()
+        self._num_hits = 0
 
     def add(self, columns: Columns, rows: RowChunk) -> None:
-        """Add the columns of the next rows."""
-        first, end = rows.cell_range(self._lattice)
-        begin = int(columns.start[first])
-        stop = int(columns.start[end])
-        ends = self._start[first + 1 : end + 1]
-        np.add(columns.start[first + 1 : end + 1], self._count - begin, out=ends)
-        self._parts.append([array[begin:stop] for array in columns.hits[1:]])
-        self._count += stop - begin
+        """Add the columns of the next rows.
 
-    def join(self) -> Columns:
-        """The columns of all rows, once."""
-        return Columns(self._lattice, ColumnHits(self._start, *join_arrays(self._parts)))
+        Args:
+            columns: columns that are valid in these rows.
+            rows: the rows; the first one follows the last row that was added.
+        """
+        first_cell, end_cell = rows.cell_range(self._lattice)
+        first_hit = int(columns.start[first_cell])
+        end_hit = int(columns.start[end_cell])
+        np.add(
+            columns.start[first_cell + 1 : end_cell + 1],
+            self._num_hits - first_hit,
+            out=self._start[first_cell + 1 : end_cell + 1],
+        )
+        self._arrays_of_chunks.append([array[first_hit:end_hit] for array in columns.hits.entries])
+        self._num_hits += end_hit - first_hit
+
+    def build(self) -> Columns:
+        """Return the columns of all rows; can be called once."""
+        return Columns(self._lattice, ColumnHits(self._start, *join_arrays(self._arrays_of_chunks)))
+
+
+# ---------------------------------------------------------------- casting lines
 
 
 def tile_shapes(
     shapes: Shapes, lattice: Lattice, reach: float, facets: Facets | None = None
 ) -> TiledShapes:
-    """List the shapes by tiles, within `reach` of cells' centres [m].
+    """List shapes by the tiles that they lie over.
 
-    `facets` are in place of their own triangles.
+    Args:
+        shapes: the shapes.
+        lattice: the cells.
+        reach: shapes within this distance of a tile count as over it [m].
+        facets: triangles to list in place of those of `shapes`.
     """
     facets = shapes.triangles if facets is None else facets
-    solids = list_by_tile(shapes.solids.bounds, reach, lattice)
-    tiles = ShapeIndex(*solids, *list_by_tile(facets.bounds, reach, lattice))
-    return TiledShapes(shapes, lattice, facets, tiles)
+    solid_start, solid_item = list_by_tile(shapes.solids.bounds, reach, lattice)
+    triangle_start, triangle_item = list_by_tile(facets.bounds, reach, lattice)
+    tile_index = ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
+    return TiledShapes(shapes, lattice, facets, tile_index)
 
 
 def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
-    """Cross the vertical line through every cell's centre with all geometry.
+    """Cross the vertical line through every cell's centre with all shapes.
 
     Each solid is crossed from above and from below, planes from their front only. Lines within
     1e-7 m of a rim cross it, so that a seam between two geoms never leaks.
 
     Args:
-        rows: the rows of cells that are asked about, all if None. They become whole `TILE`s.
+        tiled: the shapes on a lattice.
+        rows: the rows of cells to cast lines in, widened to entire rows of tiles; all if None.
     """
     lattice = tiled.lattice
-    asked = rows or RowChunk(0, lattice.height)
-    bands = range(asked.first // TILE, -(-asked.end // TILE))
-    asked = RowChunk(bands.start * TILE, min(bands.stop * TILE, lattice.height))
-    first, end = asked.cell_range(lattice)
-    start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-    none = Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), WORLD_AXES)
-    known = slice(first, end + 1)
-    return Columns(
-        lattice, _cast(tiled, none, tiled.tile_row_index, bands, start, known), rows and asked
+    cast_rows = rows or RowChunk(0, lattice.height)
+    tile_rows = range(cast_rows.first // TILE, -(-cast_rows.end // TILE))
+    cast_rows = RowChunk(tile_rows.start * TILE, min(tile_rows.stop * TILE, lattice.height))
+    first_cell, end_cell = cast_rows.cell_range(lattice)
+    hits = _cast_groups(
+        tiled,
+        lines=Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), WORLD_AXES),
+        shape_index=tiled.tile_row_index,
+        groups=tile_rows,
+        start=np.zeros(lattice.width * lattice.height + 1, dtype=np.int64),
+        lines_of_groups=slice(first_cell, end_cell + 1),
     )
+    return Columns(lattice, hits, rows and cast_rows)
 
 
 def cast_points(
     tiled: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
 ) -> ColumnHits:
-    """Cross lines with the geometry near some cells, as `cast_columns` does; one column a line.
+    """Cross lines through points with the shapes near some cells, as `cast_columns` does.
 
     Args:
+        tiled: the shapes on a lattice.
         cells: the cell that each line is near to, by at most the reach of `tile_shapes`, (n,); or
-            two cells, (n, 2), of a line that lies between them: such a line may cross one thing
-            several times, once in each tile of their rectangle.
+            two cells, (n, 2), for a line that lies between them: such a line may cross one shape
+            several times, once in each tile of the rectangle that the two cells span.
         points: x and y of each line, shape (n, 2) [m].
-        axes: of a frame in which the lines are upright, its rows. The points, the normals and the
-            shapes' solids are in this frame.
+        axes: of a frame in which the lines are vertical, its rows. The points, the normals and the
+            solids of the shapes are in this frame.
+
+    Returns:
+        The hits; column i is that of line i.
     """
     tiles = tile_of(tiled.lattice, cells)
-    tiles = np.stack([tiles, tiles], axis=1) if tiles.ndim == 1 else tiles
-    lines = Lines(np.ascontiguousarray(points), tiles, axes)
-    groups = range(-(-len(points) // GROUP))
-    start = np.zeros(len(points) + 1, dtype=np.int64)
-    return _cast(tiled, lines, tiled.tile_index, groups, start, slice(None), LEAST_POINTS // GROUP)
+    if tiles.ndim == 1:
+        tiles = np.stack([tiles, tiles], axis=1)
+    return _cast_groups(
+        tiled,
+        lines=Lines(np.ascontiguousarray(points), tiles, axes),
+        shape_index=tiled.tile_index,
+        groups=range(-(-len(points) // GROUP)),
+        start=np.zeros(len(points) + 1, dtype=np.int64),
+        lines_of_groups=slice(None),
+        least=MIN_POINTS_PER_CALL // GROUP,
+    )
 
 
-def _cast(
+def _cast_groups(
     tiled: TiledShapes,
+    *,
     lines: Lines,
-    items: ShapeIndex,
+    shape_index: ShapeIndex,
     groups: range,
     start: Int,
-    known: slice,
+    lines_of_groups: slice,
     least: int = 1,
 ) -> ColumnHits:
-    """Cross some groups of lines; columns start at the `known` part of `start`, of zeros."""
-    geometry = tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.height_range
-    dropped = np.zeros(groups.stop, dtype=np.int64)
-    crossed = np.empty(len(items.triangle_item), dtype=np.bool_)
+    """Cross some groups of lines with shapes, see `cast_lines`.
+
+    Args:
+        tiled: the shapes.
+        lines: lines through points; none for those through the centres of cells.
+        shape_index: the shapes by tile for lines through points, else by row of tiles.
+        groups: numbers of the groups of lines.
+        start: zeros, (lines + 1,) int64; becomes `ColumnHits.start`.
+        lines_of_groups: where the entries of the groups' lines are in `start`, with the end of the
+            last line.
+        least: smallest number of groups for one call, see `run_in_chunks`.
+    """
+    shapes = tiled.shapes
+    geometry = Geometry(shapes.solids, tiled.facets, shapes.planes, tiled.height_range)
+    num_dropped = np.zeros(groups.stop, dtype=np.int64)
+    is_crossed = np.empty(len(shape_index.triangle_item), dtype=np.bool_)
 
     def cast(hits: ColumnHits) -> None:
-        asked = tiled.lattice, lines, geometry, items, crossed, hits, dropped
-        run_in_chunks(cast_lines, len(groups), *asked, least=least, begin=groups.start)
+        run_in_chunks(
+            cast_lines,
+            len(groups),
+            tiled.lattice,
+            lines,
+            geometry,
+            shape_index,
+            is_crossed,
+            hits,
+            num_dropped,
+            least=least,
+            begin=groups.start,
+        )
 
-    cast(no_hits(start, 0))  # without room for them, the hits are only counted
-    ends = start[known]
+    cast(empty_hits(start, 0))  # without room for hits, they are only counted
+    ends = start[lines_of_groups]
     np.cumsum(ends, out=ends)
-    hits = no_hits(start, int(ends[-1]))
+    hits = empty_hits(start, int(ends[-1]))
     if len(hits.z):
         cast(hits)
-    if dropped.any():
-        size = GROUP if len(lines.points) else TILE * tiled.lattice.width
-        hits = _without_dropped(hits, groups, size, dropped)
+    if num_dropped.any():
+        lines_per_group = GROUP if len(lines.points) else TILE * tiled.lattice.width
+        hits = _remove_dropped(hits, groups, lines_per_group, num_dropped)
     return hits
 
 
-def _without_dropped(every: ColumnHits, groups: range, size: int, dropped: Int) -> ColumnHits:
-    """Leave out the hits that are DROPPED, so many of each group of `size` lines.
+def _remove_dropped(
+    hits: ColumnHits, groups: range, lines_per_group: int, num_dropped: Int
+) -> ColumnHits:
+    """Remove the hits that are DROPPED, `num_dropped` of each group; `hits.start` is changed."""
+    dropped_before = np.append(0, np.cumsum(num_dropped))
+    group_begin = hits.start[groups.start * lines_per_group :: lines_per_group][: len(groups)]
+    group_bounds = [*group_begin.tolist(), len(hits.z)]
+    remaining_hits = empty_hits(hits.start, len(hits.z) - int(dropped_before[-1]))
 
-    `every.start` is brought up to date in place.
-    """
-    before = np.append(0, np.cumsum(dropped))
-    begin = every.start[groups.start * size :: size][: len(groups)].tolist()
-    begin.append(len(every.z))
-    hits = no_hits(every.start, len(every.z) - int(before[-1]))
-
-    def keep(first: int, end: int) -> None:
+    def copy_remaining(first: int, end: int) -> None:
         for group in range(first, end):
-            old = slice(*begin[group - groups.start : group - groups.start + 2])
-            new = slice(old.start - int(before[group]), old.stop - int(before[group + 1]))
-            ends = every.start[group * size + 1 : (group + 1) * size + 1]
-            is_kept = every.geom[old] != DROPPED
-            ends[:] = new.start + np.append(0, np.cumsum(is_kept))[ends - old.start]
-            kept = np.flatnonzero(is_kept)
-            layers: Any = zip(every[1:], hits[1:], strict=True)
-            for array, own in layers:
-                np.take(array[old], kept, axis=0, out=own[new], mode="clip")
+            old_begin, old_end = group_bounds[group - groups.start : group - groups.start + 2]
+            new_begin = old_begin - int(dropped_before[group])
+            new_end = old_end - int(dropped_before[group + 1])
+            ends = hits.start[group * lines_per_group + 1 : (group + 1) * lines_per_group + 1]
+            remains = hits.geom[old_begin:old_end] != DROPPED
+            ends[:] = new_begin + np.append(0, np.cumsum(remains))[ends - old_begin]
+            remaining = np.flatnonzero(remains)
+            for old, new in zip(hits.entries, remaining_hits.entries, strict=True):
+                new_part = new[new_begin:new_end]
+                np.take(old[old_begin:old_end], remaining, axis=0, out=new_part, mode="clip")
 
-    run_in_chunks(keep, len(groups), begin=groups.start)
-    return hits
+    run_in_chunks(copy_remaining, len(groups), begin=groups.start)
+    return remaining_hits
 
 
 def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
-    """The columns of some cells, numbered as these are."""
+    """Return the columns of some cells; column i of the result is that of ``cells[i]``."""
     first = hits.start[cells]
-    return take_runs(hits[1:], first, hits.start[cells + 1] - first)
+    return gather_hits(hits.entries, first, hits.start[cells + 1] - first)
 
 
-def take_runs(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> ColumnHits:
-    """Copy `counts[i]` hits from `first[i]` on, for each column i."""
+def gather_hits(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> ColumnHits:
+    """Copy runs of hits to new columns.
+
+    Args:
+        arrays: `ColumnHits.entries`.
+        first: the first hit of each column, (columns,).
+        counts: how many hits each column has, (columns,).
+    """
     start = np.concatenate([[0], np.cumsum(counts)])
-    taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
-    return ColumnHits(start, *(array[taken] for array in arrays))
+    indices = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
+    return ColumnHits(start, *(array[indices] for array in arrays))
 
 
-def no_hits(start: Int, count: int) -> ColumnHits:
-    """Room for so many hits of columns that start at known places."""
-    z = np.empty(count)
-    normal = np.empty((count, 3), dtype=np.float32)
-    geom = np.empty(count, dtype=np.int32)
-    closed = np.empty(count, dtype=np.uint8)
-    return ColumnHits(start, z, normal, geom, closed)
+def empty_hits(start: Int, count: int) -> ColumnHits:
+    """Allocate room for `count` hits of columns that begin at `start`, which is not copied."""
+    return ColumnHits(
+        start=start,
+        z=np.empty(count),
+        normal=np.empty((count, 3), dtype=np.float32),
+        geom=np.empty(count, dtype=np.int32),
+        closed=np.empty(count, dtype=np.uint8),
+    )
 
 
 def height_range(shapes: Shapes, lattice: Lattice) -> HeightRange:
-    """Heights below and above everything over the lattice, infinite planes included [m]."""
+    """Return heights 1 m below and above all shapes over a lattice, infinite planes included."""
     bounds = shapes.bounds
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
-    x0, y0, x1, y1 = lattice.bounds
-    corners = np.array([[x0, y0], [x0, y1], [x1, y0], [x1, y1]])
+    x_min, y_min, x_max, y_max = lattice.bounds
+    corners = np.array([[x_min, y_min], [x_min, y_max], [x_max, y_min], [x_max, y_max]])
     for pos, normal in zip(shapes.planes.pos, shapes.planes.normal, strict=True):
         if abs(normal[2]) > 1e-6:
             heights.extend(pos[2] - (corners - pos[:2]) @ normal[:2] / normal[2])
     return HeightRange(float(min(heights)) - 1.0, float(max(heights)) + 1.0)
 
 
-# ---------------------------------------------------------------- lists by tile and band
+# ---------------------------------------------------------------- lists by tile
 
 
 def tile_of(lattice: Lattice, cell: Int | int) -> Int:
-    """The tile that holds each cell; tiles are numbered row by row."""
+    """Return the tile that holds each cell; tiles are numbered row by row.
+
+    Args:
+        lattice: the cells.
+        cell: ids of cells, of any shape.
+    """
     row, col = np.divmod(cell, lattice.width)
     tile: Int = row // TILE * -(-lattice.width // TILE) + col // TILE
     return tile
 
 
-def list_by_tile(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int32]:
-    """List, for each tile, the boxes, shape (n, 6), that reach into it, widened by `grow` [m].
+def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
+    """List, for each tile, the boxes that reach into it.
+
+    Args:
+        boxes: lower corner, upper corner, shape (n, 6) [m].
+        margin: how much the boxes are widened on each side [m].
+        lattice: the cells.
 
     Returns:
         The list of tile t is ``item[start[t] : start[t + 1]]``, ascending; start, shape
         (tiles + 1,), int64, and item, shape (start[-1],), int32.
     """
-    tiles = -(-lattice.width // TILE) * -(-lattice.height // TILE)
-    return _list(boxes, grow, lattice, tiles, by_band=False)
+    num_tiles = -(-lattice.width // TILE) * -(-lattice.height // TILE)
+    return _list_boxes(boxes, margin, lattice, num_tiles, by_tile_row=False)
 
 
-def list_by_tile_row(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int32]:
-    """List, for each band of rows, the boxes that hold a cell's centre there, as `list_by_tile`."""
-    return _list(boxes, grow, lattice, -(-lattice.height // TILE), by_band=True)
+def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
+    """List, for each row of tiles, the boxes that cover a cell's centre there.
+
+    Arguments and returned lists are those of `list_by_tile`.
+    """
+    num_tile_rows = -(-lattice.height // TILE)
+    return _list_boxes(boxes, margin, lattice, num_tile_rows, by_tile_row=True)
 
 
-def _list(
-    boxes: Float, grow: float, lattice: Lattice, count: int, *, by_band: bool
+def _list_boxes(
+    boxes: Float, margin: float, lattice: Lattice, num_tiles: int, *, by_tile_row: bool
 ) -> tuple[Int, Int32]:
+    """List boxes by tile, or by row of tiles, on all threads."""
     if not len(boxes):
-        return np.zeros(count + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
+        return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
     threads = num_threads()
     chunks = 1
-    if threads > 1 and len(boxes) > MIN_BOXES_PER_TILE * count:
+    if threads > 1 and len(boxes) > MIN_BOXES_PER_TILE * num_tiles:
         # no more counts than boxes, however many threads there are
-        chunks = min(CHUNKS * threads, len(boxes) // count)
-    cursor = np.zeros((chunks, count), dtype=np.int64)
-    under = np.empty((len(boxes), 4), dtype=np.int32)
-    asked = boxes, grow, lattice, by_band, under, cursor
-    run_in_chunks(list_boxes_by_tile, chunks, *asked, np.empty(0, dtype=np.int32))
-    start = np.zeros(count + 1, dtype=np.int64)
+        chunks = min(CHUNKS_PER_THREAD * threads, len(boxes) // num_tiles)
+    cursor = np.zeros((chunks, num_tiles), dtype=np.int64)
+    tiles_under = np.empty((len(boxes), 4), dtype=np.int32)
+
+    def list_boxes(item: Int32) -> None:
+        run_in_chunks(
+            list_boxes_by_tile,
+            chunks,
+            boxes,
+            margin,
+            lattice,
+            by_tile_row,
+            tiles_under,
+            cursor,
+            item,
+        )
+
+    list_boxes(np.empty(0, dtype=np.int32))  # without room, the boxes are only counted
+    start = np.zeros(num_tiles + 1, dtype=np.int64)
     np.cumsum(cursor.sum(axis=0), out=start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
     cursor[:] = np.cumsum(cursor, axis=0) - cursor + start[:-1]
     item = np.empty(start[-1], dtype=np.int32)
     if len(item):
-        run_in_chunks(list_boxes_by_tile, chunks, *asked, item)
+        list_boxes(item)
     return start, item

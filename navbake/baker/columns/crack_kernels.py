@@ -1,41 +1,108 @@
-"""Which floors lie beside lines that have none at their height, seen from above.
+"""Floors beside lines that cross no floor at that height, for closing cracks in floors.
 
 What an agent can stand on is a set of convex pieces: triangles and faces of boxes that face up
-within the slope, and of round solids the part that does, a point or a segment with a radius. The
-direction from a line to the nearest point of a piece is perpendicular to the piece's edge: across a
-slot of any direction, and not along the walls of an inner corner.
+within the slope limit, and of round solids the part that does: a point or a segment with a radius.
+Seen from above, the direction from a line to the nearest point of a piece is perpendicular to the
+piece's edge: across a slot of any direction, and not along the walls of an inner corner.
+
+A piece beside a line is a row of numbers, a `side`; the constants DIRECTION to PREVIOUS are its
+columns.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.core.arrays import Facets, ShapeIndex
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER
 from navbake.baker.core.tiles import TILE, cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.geometry.shapes import Solids
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
+from navbake.types import Float, Int
 
-# A ray's surface is a piece's where it is this near to its height, and its radius more [m]
+# A surface that a ray hits is part of a piece if its height is this near to the piece's, plus the
+# piece's radius [m]
 SAME_PIECE = 1e-3
-SAME_WAY = 0.9  # least cosine of the angle between directions that are about the same
-# The numbers of a note, a piece beside a line: the direction, distance and height of its nearest
-# point, and its radius [m]; its geom, the cell, and the previous note of the cell or -1
-WAY = 0
-AWAY = 2
+# Least cosine of the angle between directions that count as equal
+SAME_DIRECTION = 0.9
+# Columns of a side: x and y of the unit vector from the line to the nearest point of the piece,
+# its distance, its height and the piece's radius [m]; the piece's geom, the cell, and the previous
+# side of the same cell or -1
+DIRECTION = 0
+DISTANCE = 2
 HEIGHT = 3
 RADIUS = 4
 GEOM = 5
 CELL = 6
-BEFORE = 7
-NUM_NOTES = 8
-MOST_HEIGHTS = 8  # at which all cells of a tile have a floor; more are not looked for
+PREVIOUS = 7
+NUM_COLUMNS = 8
+# At most this many heights are kept at which all cells of a tile have a floor
+MAX_COMMON_HEIGHTS = 8
+
+
+class TiledGeometry(NamedTuple):
+    """Shapes, and which of them lie over each tile.
+
+    Attributes:
+        solids: primitives.
+        facets: triangles.
+        tile_index: which of them lie over each tile, or within the width of a crack of it.
+    """
+
+    solids: Solids
+    facets: Facets
+    tile_index: ShapeIndex
+
+
+class Scratch(NamedTuple):
+    """Scratch arrays for `_list_in_tile`.
+
+    Attributes:
+        candidates: sides that may bound a crack, (n, NUM_COLUMNS) float64.
+        corners: a piece's corners, (4, 3) float64 [m].
+        box: a piece's box, (1, 6) float64 [m].
+        nearest: the nearest point of a piece, (3,) float64 [m].
+        heights: heights at which all cells of a tile have a floor, (MAX_COMMON_HEIGHTS,) float64.
+        last_side: the last side of each cell of a tile, (TILE * TILE,) int64.
+    """
+
+    candidates: Float
+    corners: Float
+    box: Float
+    nearest: Float
+    heights: Float
+    last_side: Int
+
+
+@subkernel
+def _make_scratch(num_candidates):
+    """Allocate scratch arrays, with room for some candidates."""
+    return Scratch(
+        np.empty((num_candidates, NUM_COLUMNS)),
+        np.empty((4, 3)),
+        np.empty((1, 6)),
+        np.empty(3),
+        np.empty(MAX_COMMON_HEIGHTS),
+        np.empty(TILE * TILE, np.int64),
+    )
 
 
 @subkernel(**NO_REFCOUNT)
-def _take(solids, facets, item, face, min_up, corners):
-    """Write a piece's corners; returns how many there are, 0 for none, and its radius.
+def _write_piece(solids, facets, item, face, min_up, corners):
+    """Write the corners of a piece.
 
-    `face` is -1 for a triangle, an axis for a box, 0 for the upper part of a round solid.
+    Args:
+        solids, facets: the shapes.
+        item: index into `facets` if `face` is -1, else into `solids`.
+        face: -1 for a triangle; the number of an axis for the upper face of a box across it; 0 for
+            the upper part of a round solid.
+        min_up: least z of a unit normal within the slope limit.
+        corners: (4, 3) float64; receives the corners.
+
+    Returns:
+        The number of corners, 0 if the piece is too steep; and the piece's radius [m].
     """
     if face < 0:
         c = facets.corners[item]
@@ -66,42 +133,44 @@ def _take(solids, facets, item, face, min_up, corners):
             along = size[a] if i in (1, 2) else -size[a]
             across = size[b] if i >= 2 else -size[b]
             for k in range(3):
-                of_face = pos[k] + up * size[face] * mat[3 * k + face]
-                corners[i, k] = of_face + along * mat[3 * k + a] + across * mat[3 * k + b]
+                center = pos[k] + up * size[face] * mat[3 * k + face]
+                corners[i, k] = center + along * mat[3 * k + a] + across * mat[3 * k + b]
         return 4 if up * mat[6 + face] >= min_up else 0, 0.0
-    # of a radius, the part that faces up within the slope reaches so far, and is so high at its rim
-    reach = size[0] * math.sqrt(max(1.0 - min_up * min_up, 0.0))
+    # the part of a sphere that faces up within the slope: its radius seen from above, and the
+    # height of its rim over the centre
+    radius = size[0] * math.sqrt(max(1.0 - min_up * min_up, 0.0))
     rise = size[0] * min_up
-    half = 0.0
-    num = 1
+    half_length = 0.0
+    num_corners = 1
     if kind == CYLINDER and abs(mat[8]) >= min_up:  # its upper end
-        reach = size[0] * abs(mat[8])
+        radius = size[0] * abs(mat[8])
         rise = 0.0
-        half = size[1]
+        half_length = size[1]
     elif kind in (CYLINDER, CAPSULE):
-        half = size[1]
-        num = 2
-    elif size[1] > 0.0:  # an ellipsoid, as if it stood upright, by its lesser radius across
-        reach = reach * min(1.0, size[1] / size[0])
+        half_length = size[1]
+        num_corners = 2
+    elif size[1] > 0.0:  # an ellipsoid, as if it stood upright, by its smaller horizontal radius
+        radius = radius * min(1.0, size[1] / size[0])
         rise = size[2] * min_up
-    for i in range(num):
-        end = half if (mat[8] >= 0.0) == (i == 0) else -half
+    for i in range(num_corners):
+        offset = half_length if (mat[8] >= 0.0) == (i == 0) else -half_length
         for k in range(3):
-            corners[i, k] = pos[k] + end * mat[3 * k + 2] + (rise if k == 2 else 0.0)
-    return num, reach
+            corners[i, k] = pos[k] + offset * mat[3 * k + 2] + (rise if k == 2 else 0.0)
+    return num_corners, radius
 
 
 @subkernel(**NO_REFCOUNT)
-def _distance(corners, num, radius, x, y, near):
-    """How far a line is from a piece, <= 0 over it; `near` receives the piece's nearest point.
+def _distance(corners, num_corners, radius, x, y, nearest):
+    """Return how far a line at (x, y) is from a piece seen from above, <= 0 over it [m].
 
-    Its x and y are relative to the line, without the radius.
+    `nearest`, (3,), receives the piece's nearest point, without the radius; its x and y are
+    relative to the line.
     """
-    best = math.inf
-    left = False
-    right = False
-    for i in range(num):
-        j = i + 1 if i + 1 < num else 0
+    least_square = math.inf
+    is_left_of_any = False
+    is_right_of_any = False
+    for i in range(num_corners):
+        j = i + 1 if i + 1 < num_corners else 0
         ax = corners[i, 0] - x
         ay = corners[i, 1] - y
         ex = corners[j, 0] - corners[i, 0]
@@ -113,19 +182,20 @@ def _distance(corners, num, radius, x, y, near):
         dx = ax + t * ex
         dy = ay + t * ey
         side = ex * ay - ey * ax
-        left = left or side > 0.0
-        right = right or side < 0.0
-        if dx * dx + dy * dy < best:
-            best = dx * dx + dy * dy
-            near[0] = dx
-            near[1] = dy
-            near[2] = corners[i, 2] + t * (corners[j, 2] - corners[i, 2])
-    return 0.0 if num > 2 and left != right else math.sqrt(best) - radius
+        is_left_of_any = is_left_of_any or side > 0.0
+        is_right_of_any = is_right_of_any or side < 0.0
+        if dx * dx + dy * dy < least_square:
+            least_square = dx * dx + dy * dy
+            nearest[0] = dx
+            nearest[1] = dy
+            nearest[2] = corners[i, 2] + t * (corners[j, 2] - corners[i, 2])
+    is_inside = num_corners > 2 and is_left_of_any != is_right_of_any
+    return 0.0 if is_inside else math.sqrt(least_square) - radius
 
 
 @subkernel(**NO_REFCOUNT)
 def _has_floor(column_hits, cell, z, step, min_up):
-    """Whether a line crosses what faces up within the slope, within a step of a height."""
+    """Return whether a line crosses a surface within the slope limit, within a step of a height."""
     has_floor = False
     for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
         is_near = abs(column_hits.z[i] - z) <= step
@@ -134,190 +204,230 @@ def _has_floor(column_hits, cell, z, step, min_up):
 
 
 @subkernel(**NO_REFCOUNT)
-def _find_common(lattice, column_hits, window, asked, limits, heights):
-    """Heights within half a step of which all asked cells have a floor; -1 if none is asked."""
+def _find_common_heights(lattice, column_hits, window, selected, limits, heights):
+    """Find heights within half a step of which all selected cells of a window have a floor.
+
+    Returns how many are written to `heights`; -1 if no cell is selected.
+    """
     count = -1
     for row in range(window[0], window[1]):
         for col in range(window[2], window[3]):
             cell = row * lattice.width + col
-            if asked.shape[0] > 0 and not asked[cell]:
+            if selected.shape[0] > 0 and not selected[cell]:
                 continue
             if count < 0:
                 count = 0
                 for i in range(column_hits.start[cell], column_hits.start[cell + 1]):
-                    if column_hits.normal[i, 2] >= limits.min_up and count < MOST_HEIGHTS:
+                    is_floor = column_hits.normal[i, 2] >= limits.min_up
+                    if is_floor and count < MAX_COMMON_HEIGHTS:
                         heights[count] = column_hits.z[i]
                         count += 1
-            kept = 0
+            num_common = 0
             for k in range(count):
                 if _has_floor(column_hits, cell, heights[k], limits.step / 2.0, limits.min_up):
-                    heights[kept] = heights[k]
-                    kept += 1
-            count = kept
+                    heights[num_common] = heights[k]
+                    num_common += 1
+            count = num_common
     return count
 
 
 @subkernel(inline="always")
-def _is_common(heights, num, low, high, step):
-    """Whether all cells of a tile have a floor within a step of all heights between two."""
+def _is_common(heights, count, low, high, step):
+    """Return whether all cells of a tile have a floor within a step of all heights of a range."""
     is_common = False
-    for k in range(num):
+    for k in range(count):
         is_common = is_common or max(high - heights[k], heights[k] - low) <= step / 2.0
     return is_common
 
 
 @subkernel(**NO_REFCOUNT)
-def _is_side(seen, n, last, step):
-    """Whether a note is the nearest of its direction and cell, and another is opposite to it."""
+def _bounds_crack(sides, n, last, step):
+    """Return whether side n bounds a crack: a side of the same cell lies opposite to it.
+
+    It must also be the nearest side of the cell in its direction. `last` is the last side of the
+    cell.
+    """
     m = last
     has_opposite = False
     while m >= 0:
-        along = seen[n, WAY] * seen[m, WAY] + seen[n, WAY + 1] * seen[m, WAY + 1]
-        spare = seen[n, RADIUS] + seen[m, RADIUS] + 2.0 * SAME_PIECE
-        if abs(seen[n, HEIGHT] - seen[m, HEIGHT]) <= step + spare:
-            if along >= SAME_WAY and seen[m, AWAY] < seen[n, AWAY] - SAME_PIECE:
+        cosine = (
+            sides[n, DIRECTION] * sides[m, DIRECTION]
+            + sides[n, DIRECTION + 1] * sides[m, DIRECTION + 1]
+        )
+        slack = sides[n, RADIUS] + sides[m, RADIUS] + 2.0 * SAME_PIECE
+        if abs(sides[n, HEIGHT] - sides[m, HEIGHT]) <= step + slack:
+            is_nearer = sides[m, DISTANCE] < sides[n, DISTANCE] - SAME_PIECE
+            if cosine >= SAME_DIRECTION and is_nearer:
                 return False
-            has_opposite = has_opposite or along <= -SAME_WAY
-        m = np.int64(seen[m, BEFORE])
+            has_opposite = has_opposite or cosine <= -SAME_DIRECTION
+        m = np.int64(sides[m, PREVIOUS])
     return has_opposite
 
 
 @subkernel(**NO_REFCOUNT)
 def _list_in_tile(
-    lattice, column_hits, geometry, tile, limits, crack, asked, scratch, found
-):  # fmt: skip
-    """List the sides of a tile's lines behind the known ones; returns their number, -1 for no room.
+    lattice, column_hits, geometry, tile, limits, crack, selected, scratch, sides, num_sides
+):
+    """List the sides of a tile's lines, behind the first `num_sides` ones in `sides`.
 
-    Each piece visits the lines near it, and is noted where they have no floor near its height.
+    Each piece visits the lines near it, and becomes a candidate where they have no floor near its
+    height.
+
+    Returns:
+        The new number of sides; -1 if there is no room.
     """
-    solids, facets, tiles = geometry
-    seen, sides, num_sides = found
-    corners, box, near, heights, latest = scratch
-    first = tiles.solid_start[tile]
-    last = tiles.solid_start[tile + 1]
-    shift = tiles.triangle_start[tile] - last
-    end = tiles.triangle_start[tile + 1] - shift
+    solids = geometry.solids
+    facets = geometry.facets
+    tile_index = geometry.tile_index
+    candidates = scratch.candidates
+    corners = scratch.corners
+    box = scratch.box
+    nearest = scratch.nearest
+    heights = scratch.heights
+    last_side = scratch.last_side
+    first = tile_index.solid_start[tile]
+    end_solids = tile_index.solid_start[tile + 1]
+    shift = tile_index.triangle_start[tile] - end_solids
+    end = tile_index.triangle_start[tile + 1] - shift
     window = tile_window(lattice, tile)
-    num = -1
-    count = 0
+    num_common = -1
+    num_candidates = 0
     step = limits.step + LIMIT_SLACK
     if end - first > 1:
-        num = _find_common(lattice, column_hits, window, asked, limits, heights)
-    latest[:] = -1
-    for n in range(first, end if num >= 0 else first):
+        num_common = _find_common_heights(lattice, column_hits, window, selected, limits, heights)
+    last_side[:] = -1
+    # the solids over the tile, then the triangles
+    for n in range(first, end if num_common >= 0 else first):
         item = np.int64(0)
         face = -1
-        faces = 0
-        if n >= last:
-            item = np.int64(tiles.triangle_item[n + shift])
+        num_faces = 0
+        if n >= end_solids:
+            item = np.int64(tile_index.triangle_item[n + shift])
             if facets.facing[item] < max(100.0 * limits.min_up - 1.0, 1.0):  # rounded
                 continue
         else:
-            item = np.int64(tiles.solid_item[n])
+            item = np.int64(tile_index.solid_item[n])
             face = 0
-            faces = 3 if solids.kind[item] == BOX else 1
-        while face < faces:
-            if num_sides + count + TILE * TILE > seen.shape[0]:
+            num_faces = 3 if solids.kind[item] == BOX else 1
+        while face < num_faces:
+            if num_sides + num_candidates + TILE * TILE > candidates.shape[0]:
                 return -1
-            # most triangles have floor all around: their corners are taken where there is none
-            corners_of = -1
+            # most triangles have floor all around: corners are written only where there is none
+            num_corners = -1
             radius = 0.0
-            if n >= last:
+            if n >= end_solids:
                 for k in range(6):
                     box[0, k] = facets.bounds[item, k]
             else:
-                corners_of, radius = _take(solids, facets, item, face, limits.min_up, corners)
+                num_corners, radius = _write_piece(
+                    solids, facets, item, face, limits.min_up, corners
+                )
                 for k in range(3):
                     box[0, k] = math.inf
                     box[0, 3 + k] = -math.inf
-                    for i in range(corners_of):
+                    for i in range(num_corners):
                         box[0, k] = min(box[0, k], corners[i, k])
                         box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
             # a line over the piece mostly has a floor near all of its heights: the piece itself
             middle = (box[0, 2] + box[0, 5]) / 2.0
-            most = step - (box[0, 5] - box[0, 2]) / 2.0
-            row0 = window[0]
-            row1 = window[0]
-            col0 = 0
-            col1 = 0
-            if corners_of != 0 and not _is_common(heights, num, box[0, 2], box[0, 5], limits.step):
-                row0, row1, col0, col1 = window_near_box(lattice, window, box, 0, crack + radius)
-            for row in range(row0, row1):
-                for col in range(col0, col1):
+            max_offset = step - (box[0, 5] - box[0, 2]) / 2.0
+            row_first = window[0]
+            row_end = window[0]
+            col_first = 0
+            col_end = 0
+            if num_corners != 0 and not _is_common(
+                heights, num_common, box[0, 2], box[0, 5], limits.step
+            ):
+                row_first, row_end, col_first, col_end = window_near_box(
+                    lattice, window, box, 0, crack + radius
+                )
+            for row in range(row_first, row_end):
+                for col in range(col_first, col_end):
                     cell = row * lattice.width + col
-                    if not (asked.shape[0] == 0 or asked[cell]) or _has_floor(
-                        column_hits, cell, middle, most, limits.min_up
+                    if not (selected.shape[0] == 0 or selected[cell]) or _has_floor(
+                        column_hits, cell, middle, max_offset, limits.min_up
                     ):
                         continue
-                    if corners_of < 0:
-                        corners_of, _ = _take(solids, facets, item, face, limits.min_up, corners)
-                    if corners_of == 0:
+                    if num_corners < 0:
+                        num_corners, _ = _write_piece(
+                            solids, facets, item, face, limits.min_up, corners
+                        )
+                    if num_corners == 0:
                         continue
                     x, y = cell_center_at(lattice, row, col)
-                    away = _distance(corners, corners_of, radius, x, y, near)
-                    if not 0.0 < away < crack or _has_floor(
-                        column_hits, cell, near[2], step, limits.min_up
+                    distance = _distance(corners, num_corners, radius, x, y, nearest)
+                    if not 0.0 < distance < crack or _has_floor(
+                        column_hits, cell, nearest[2], step, limits.min_up
                     ):
                         continue
-                    here = (row - window[0]) * TILE + col - window[2]
-                    note = seen[count]
-                    note[WAY] = near[0] / (away + radius)
-                    note[WAY + 1] = near[1] / (away + radius)
-                    note[AWAY] = away
-                    note[HEIGHT] = near[2]
-                    note[RADIUS] = radius
-                    note[CELL] = cell
-                    note[BEFORE] = latest[here]
-                    note[GEOM] = solids.geom[item] if n < last else facets.geom[item]
-                    latest[here] = count
-                    count += 1
+                    cell_in_tile = (row - window[0]) * TILE + col - window[2]
+                    side = candidates[num_candidates]
+                    side[DIRECTION] = nearest[0] / (distance + radius)
+                    side[DIRECTION + 1] = nearest[1] / (distance + radius)
+                    side[DISTANCE] = distance
+                    side[HEIGHT] = nearest[2]
+                    side[RADIUS] = radius
+                    side[CELL] = cell
+                    side[PREVIOUS] = last_side[cell_in_tile]
+                    side[GEOM] = solids.geom[item] if n < end_solids else facets.geom[item]
+                    last_side[cell_in_tile] = num_candidates
+                    num_candidates += 1
             face += 1
-    for here in range(TILE * TILE if count > 1 else 0):
-        m = latest[here]
+    for cell_in_tile in range(TILE * TILE if num_candidates > 1 else 0):
+        m = last_side[cell_in_tile]
         while m >= 0:
-            if _is_side(seen, m, latest[here], limits.step):
-                for k in range(NUM_NOTES):
-                    sides[num_sides, k] = seen[m, k]
+            if _bounds_crack(candidates, m, last_side[cell_in_tile], limits.step):
+                for k in range(NUM_COLUMNS):
+                    sides[num_sides, k] = candidates[m, k]
                 num_sides += 1
-            m = np.int64(seen[m, BEFORE])
+            m = np.int64(candidates[m, PREVIOUS])
     return num_sides
 
 
 @kernel(nogil=True)
 def list_sides(
-    lattice, column_hits, solids, facets, tiles, limits, crack, asked, first_tile, end
-):  # fmt: skip
-    """List the floors on opposite sides of lines without one, in tiles ``range(first_tile, end)``.
+    lattice, column_hits, solids, facets, tile_index, limits, crack, selected, first_tile, end
+):
+    """List the floors on opposite sides of lines without a floor, in ``range(first_tile, end)``.
 
     Args:
-        tiles: what lies over each tile, `crack` round it included.
-        limits: what an agent can stand on.
-        crack: how near floors on both sides are [m].
-        asked: the cells, (cells,) bool; all if it is empty.
+        lattice: the cells.
+        column_hits: their columns, as `ColumnHits`.
+        solids, facets: the shapes.
+        tile_index: the shapes over each tile, including those within `crack` of it.
+        limits: what an agent can stand on, as `AgentLimits`.
+        crack: how far from the line the floors on both sides may be [m].
+        selected: mask of the cells, (cells,) bool; all if it is empty.
+        first_tile, end: range of tiles.
 
     Returns:
-        A row of notes for each side, (n, NUM_NOTES) float64, and how many count.
+        The sides, (m, NUM_COLUMNS) float64, of which the first ones are valid; and how many.
     """
-    scratch = (
-        np.empty((4, 3)), np.empty((1, 6)), np.empty(3), np.empty(MOST_HEIGHTS),
-        np.empty(TILE * TILE, np.int64),
-    )  # fmt: skip
-    seen = np.empty((256, NUM_NOTES))
-    sides = np.empty((256, NUM_NOTES))
-    num = np.int64(0)
+    geometry = TiledGeometry(solids, facets, tile_index)
+    scratch = _make_scratch(256)
+    sides = np.empty((256, NUM_COLUMNS))
+    num_sides = np.int64(0)
     for tile in range(first_tile, end):
         while True:
-            after = _list_in_tile(
-                lattice, column_hits, (solids, facets, tiles), tile, limits, crack, asked, scratch,
-                (seen, sides, num),
-            )  # fmt: skip
-            if after >= 0:
+            new_num_sides = _list_in_tile(
+                lattice,
+                column_hits,
+                geometry,
+                tile,
+                limits,
+                crack,
+                selected,
+                scratch,
+                sides,
+                num_sides,
+            )
+            if new_num_sides >= 0:
                 break
-            seen = np.empty((2 * seen.shape[0], NUM_NOTES))
-            wider = np.empty((2 * sides.shape[0], NUM_NOTES))
-            for n in range(num):
-                for k in range(NUM_NOTES):
-                    wider[n, k] = sides[n, k]
-            sides = wider
-        num = after
-    return sides, num
+            scratch = _make_scratch(2 * scratch.candidates.shape[0])
+            larger_sides = np.empty((2 * sides.shape[0], NUM_COLUMNS))
+            for n in range(num_sides):
+                for k in range(NUM_COLUMNS):
+                    larger_sides[n, k] = sides[n, k]
+            sides = larger_sides
+        num_sides = new_num_sides
+    return sides, num_sides

@@ -1,15 +1,16 @@
-"""Vertical lines through all geometry: every crossing, both ways.
+"""Vertical lines through all shapes: each crossing, from above and from below.
 
 Solids and infinite planes are crossed by MuJoCo's own rays (`mju_rayGeom`), one up from below and
-one down from above. Triangles are crossed in `raster`; `hits` makes columns of what was hit.
+one down from above. Triangles are crossed in `raster_kernels`; `hit_kernels` turns the hits into
+columns.
 
-Geometry visits the cells that it lies over, as in rasterizers (Pineda, 1988). Each thread takes
-bands of rows, so no two write to one column, and within a band the order is fixed: the result is
-the same for any number of threads. All is done twice: to count, then to write.
+Shapes visit the cells that they lie over, as in rasterizers (Pineda, 1988). Each thread takes rows
+of tiles, so no two threads write to one column, and within a row of tiles the order is fixed: the
+result is the same for any number of threads. Everything is done twice: to count, then to write.
 
-Most column_hits are of level faces: ends of upright boxes and cylinders, and level planes. MuJoCo's
-ray gives the same heights there on all lines to the last bit, as x and y are multiplied by zero; so
-one ray through the middle serves all lines well inside of the rim.
+Most hits are on level faces: ends of upright boxes and cylinders, and level planes. MuJoCo's ray
+gives the same heights there on all lines to the last bit, as x and y are multiplied by zero; so one
+ray through the middle serves all lines that are well inside of the rim.
 """
 
 import math
@@ -27,45 +28,48 @@ from navbake.baker.columns.hit_kernels import (
     OF_SOLID,
     RIM,
     copy_hit,
-    hits_of,
+    finish_line,
     make_hits,
-    settle,
+    view_hits,
 )
 from navbake.baker.columns.raster_kernels import (
-    NEVER_FAR,
+    NO_LIMITS,
     hit_triangle,
     is_beside,
     raster_triangles,
 )
+from navbake.baker.core.arrays import Facets, HeightRange
 from navbake.baker.core.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
 from navbake.baker.core.tiles import TILE, cell_center, centers_between
+from navbake.baker.geometry.shapes import Planes, Solids
 from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
 # An eighth of a turn [rad]
-EIGHTH = 0.7853981633974483
-# A plane's type; a plain int would be a type of its own, and compile what takes it once more
+EIGHTH_TURN = 0.7853981633974483
+# A plane's type; for a plain int, numba would compile functions once more
 PLANE_KIND = np.int32(PLANE)
 # Lines this far from the rim of an upright solid are inside or outside of it, whatever rounding
-# does; and solids narrower than WIDE ask MuJoCo on all lines [m]
-CLEAR = 1e-5
-WIDE = 1e-3
-GROUP = 64  # lines at points that one call takes together
-# Axes; plain integers would compile what takes them once for each
+# does [m]
+RIM_CLEARANCE = 1e-5
+# Solids with a half-size below this are crossed by MuJoCo's ray on each line [m]
+MIN_HALF_SIZE = 1e-3
+GROUP = 64  # lines through points that one call takes together
+# Axes; for plain ints, numba would compile functions once for each
 X = np.int64(0)
 Y = np.int64(1)
 Z = np.int64(2)
 
 
 class Lines(NamedTuple):
-    """Lines at points, in a frame in which they are upright.
+    """Lines through points, in a frame in which they are vertical.
 
     Attributes:
         points: x and y in the frame, (n, 2) float64 [m].
-        tiles: of each, the first and the last one of a rectangle of tiles, for whose items it is
-            looked at; (n, 2) int64.
-        axes: of the frame, (3, 3) float64, its rows; solids are turned into it beforehand.
+        tiles: of each line, the first and the last tile of a rectangle of tiles, over which the
+            shapes lie that it is crossed with; (n, 2) int64.
+        axes: of the frame, its rows, (3, 3) float64. Solids are in this frame already.
     """
 
     points: Float
@@ -73,8 +77,24 @@ class Lines(NamedTuple):
     axes: Float
 
 
+class Geometry(NamedTuple):
+    """The shapes that lines are crossed with.
+
+    Attributes:
+        solids: primitives.
+        facets: triangles.
+        planes: infinite planes.
+        heights: heights below and above all shapes.
+    """
+
+    solids: Solids
+    facets: Facets
+    planes: Planes
+    heights: HeightRange
+
+
 def _load_mujoco() -> None:
-    """Make MuJoCo's functions known to compiled code, whoever compiles or calls it first."""
+    """Make MuJoCo's functions known to compiled code, before it is compiled or called."""
     folder = Path(find_spec("mujoco").origin).parent  # type: ignore[union-attr,arg-type]
     for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
         for path in sorted(folder.glob(pattern)):
@@ -93,18 +113,26 @@ _ray_geom = types.ExternalFunction(
 
 
 class Ray(NamedTuple):
-    """A ray's point and direction, the normal where it hits, and room to nudge it; (3,) each."""
+    """A ray, and scratch for casting it; arrays of (3,) float64.
+
+    Attributes:
+        point: where it begins [m].
+        direction: unit vector.
+        normal: unit normal of the surface where it hits.
+        nudged: a point beside `point` [m].
+        enlarged_size: size of a solid, enlarged [m].
+    """
 
     point: Float
     direction: Float
     normal: Float
     nudged: Float
-    grown: Float
+    enlarged_size: Float
 
 
 @subkernel(**NO_REFCOUNT)
 def _cast(pos, mat, size, kind, point, ray):
-    """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
+    """Return the distance to a geom along a ray from a point, or -1; set the ray's normal."""
     return _ray_geom(
         pos.ctypes.data,
         mat.ctypes.data,
@@ -118,7 +146,10 @@ def _cast(pos, mat, size, kind, point, ray):
 
 @subkernel(inline="always")
 def _cast_at_rim(solids, s, ray):
-    """Cast a ray at a solid; one that misses its rim by at most RIM is moved onto it."""
+    """Cast a ray at a solid; a ray that misses its rim by at most RIM is moved onto it.
+
+    Returns the distance, or -1; sets the ray's normal.
+    """
     pos = solids.pos[s]
     mat = solids.mat[s]
     size = solids.size[s]
@@ -127,13 +158,13 @@ def _cast_at_rim(solids, s, ray):
     if distance >= 0.0:
         return distance
     for i in range(3):
-        ray.grown[i] = size[i] + 2.0 * RIM
-    if _cast(pos, mat, ray.grown, kind, ray.point, ray) < 0.0:
+        ray.enlarged_size[i] = size[i] + 2.0 * RIM
+    if _cast(pos, mat, ray.enlarged_size, kind, ray.point, ray) < 0.0:
         return -1.0
     ray.nudged[2] = ray.point[2]
-    for way in range(8):  # the inward cone of a square corner holds one of eight ways
-        ray.nudged[0] = ray.point[0] + RIM * math.cos(way * EIGHTH)
-        ray.nudged[1] = ray.point[1] + RIM * math.sin(way * EIGHTH)
+    for k in range(8):  # at a square corner, one of eight directions leads inside
+        ray.nudged[0] = ray.point[0] + RIM * math.cos(k * EIGHTH_TURN)
+        ray.nudged[1] = ray.point[1] + RIM * math.sin(k * EIGHTH_TURN)
         distance = _cast(pos, mat, size, kind, ray.nudged, ray)
         if distance >= 0.0:
             return distance
@@ -141,77 +172,80 @@ def _cast_at_rim(solids, s, ray):
 
 
 @subkernel(inline="always")
-def _aim(ray, way, low, high):
-    """Point a ray up from a height (way 0) or down from another (way 1)."""
-    ray.direction[2] = 1.0 if way == 0 else -1.0
-    ray.point[2] = low if way == 0 else high
+def _aim(ray, is_down, low, high):
+    """Point a ray up from a low height (`is_down` 0), or down from a high one (1)."""
+    ray.direction[2] = 1.0 if is_down == 0 else -1.0
+    ray.point[2] = low if is_down == 0 else high
 
 
 @subkernel(inline="always")
-def _hit(hits, at, z, normal, up, geom):
-    """Note a hit of a solid or a plane, but for `closed` and `facet`."""
-    hits.z[at] = z
-    hits.normal[at, 0] = normal[0]
-    hits.normal[at, 1] = normal[1]
-    hits.normal[at, 2] = up
-    hits.geom[at] = geom
-    hits.at_edge[at] = INSIDE
+def _write_hit(hits, place, z, normal, up, geom):
+    """Write a hit of a solid or a plane, except `closed` and `facet`; `up` is the normal's z."""
+    hits.z[place] = z
+    hits.normal[place, 0] = normal[0]
+    hits.normal[place, 1] = normal[1]
+    hits.normal[place, 2] = up
+    hits.geom[place] = geom
+    hits.at_edge[place] = INSIDE
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_solid(solids, s, x, y, ray, hits, at):
-    """Note where a line enters and leaves a solid, from a place of the hits; returns how often."""
+def _hit_solid(solids, s, x, y, ray, hits, place):
+    """Write the hits where a line enters and leaves a solid; return their number."""
     box = solids.bounds[s]
     count = np.int64(0)
     ray.point[0] = x
     ray.point[1] = y
-    for way in range(2):
-        _aim(ray, way, box[2] - 1.0, box[5] + 1.0)
+    for is_down in range(2):
+        _aim(ray, is_down, box[2] - 1.0, box[5] + 1.0)
         distance = _cast_at_rim(solids, s, ray)
         if distance >= 0.0:
             up = ray.normal[2]
-            # a grazed side has no up or down of its own: the ray's way tells
-            up = min(up, -1e-12) if way == 0 else max(up, 1e-12)
+            # a vertical side that is grazed faces neither up nor down: the ray's direction decides
+            up = min(up, -1e-12) if is_down == 0 else max(up, 1e-12)
             z = ray.point[2] + ray.direction[2] * distance
-            _hit(hits, at + count, z, ray.normal, up, solids.geom[s])
-            hits.closed[at + count] = CONVEX_SOLID
-            hits.facet[at + count] = OF_SOLID
+            _write_hit(hits, place + count, z, ray.normal, up, solids.geom[s])
+            hits.closed[place + count] = CONVEX_SOLID
+            hits.facet[place + count] = OF_SOLID
             count += 1
     return count
 
 
 @subkernel(inline="always")
 def _is_upright(mat):
-    """Whether a geom's z is the world's, or its opposite, to the last bit."""
+    """Return whether a geom's z is the world's, or its opposite, to the last bit."""
     return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_plane(planes, p, x, y, heights, ray, hits, at):
-    """Note where a line crosses an infinite plane, from its front only; returns how often."""
+def _hit_plane(planes, p, x, y, heights, ray, hits, place):
+    """Write the hits where a line crosses the front of an infinite plane; return their number."""
     count = np.int64(0)
     pos = planes.pos[p]
     mat = planes.mat[p]
     ray.point[0] = x
     ray.point[1] = y
-    ray.grown[:] = 0.0  # a plane of no size is infinite
-    for way in range(2):
-        _aim(ray, way, heights.low, heights.high)
-        distance = _cast(pos, mat, ray.grown, PLANE_KIND, ray.point, ray)
+    ray.enlarged_size[:] = 0.0  # MuJoCo's planes of size 0 are infinite
+    for is_down in range(2):
+        _aim(ray, is_down, heights.low, heights.high)
+        distance = _cast(pos, mat, ray.enlarged_size, PLANE_KIND, ray.point, ray)
         if distance >= 0.0:
-            # to the last bit, wherever the ray begins
+            # not from the distance: the height is the same to the last bit wherever the ray begins
             across = (x - pos[0]) * mat[2] + (y - pos[1]) * mat[5]
             z = pos[2] - across / mat[8]
-            _hit(hits, at + count, z, ray.normal, ray.normal[2], planes.geom[p])
-            hits.closed[at + count] = OPEN_SURFACE
-            hits.facet[at + count] = OF_PLANE
+            _write_hit(hits, place + count, z, ray.normal, ray.normal[2], planes.geom[p])
+            hits.closed[place + count] = OPEN_SURFACE
+            hits.facet[place + count] = OF_PLANE
             count += 1
     return count
 
 
 @subkernel(inline="always")
-def _beyond_rim(solids, s, x, y):
-    """How far a line is beyond an upright solid's rim, of a box along one axis, < 0 inside [m]."""
+def _distance_to_rim(solids, s, x, y):
+    """Return how far a line is outside of an upright solid's rim, < 0 inside [m].
+
+    For boxes it is the larger distance of those along the box's x and y.
+    """
     mat = solids.mat[s]
     size = solids.size[s]
     kind = solids.kind[s]
@@ -225,111 +259,123 @@ def _beyond_rim(solids, s, x, y):
 
 
 @subkernel(inline="always")
-def _has_known_rim(solids, s):
-    """Whether `_beyond_rim` knows a solid's rim, as seen from above."""
+def _has_simple_rim(solids, s):
+    """Return whether `_distance_to_rim` holds for a solid's rim, as seen from above."""
     kind = solids.kind[s]
     return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[s]))
 
 
 @subkernel(inline="always")
 def _has_level_ends(solids, s):
-    """Whether all lines well inside of a solid's rim cross it at the same two heights."""
+    """Return whether all lines well inside of an upright solid's rim cross it at two heights."""
     size = solids.size[s]
     kind = solids.kind[s]
-    is_wide = size[0] > WIDE and (kind == CYLINDER or size[1] > WIDE)
+    is_wide = size[0] > MIN_HALF_SIZE and (kind == CYLINDER or size[1] > MIN_HALF_SIZE)
     return kind != SPHERE and is_wide
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
-    """Note where the lines of some rows cross a solid, as `raster_triangles` does triangles.
+def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
+    """Write the hits of lines through centres of cells with a solid, as `raster_triangles` does.
 
-    `middle` has room for the hits of the line through its middle.
+    `middle_hits` has room for the hits of the line through the solid's middle.
     """
     box = solids.bounds[s]
-    cell = lattice.cell_size
+    cell_size = lattice.cell_size
     x_min = lattice.x_min
     y_max = lattice.y_max
-    first, last = centers_between(y_max - box[4] - RIM, y_max - box[1] + RIM, cell, lattice.height)
-    first = max(first, rows[0])
-    last = min(last, rows[1] - 1)
-    left, right = centers_between(box[0] - RIM - x_min, box[3] + RIM - x_min, cell, lattice.width)
-    has_rim = _has_known_rim(solids, s)
-    has_level = False
-    if has_rim and _has_level_ends(solids, s):
+    first_row, last_row = centers_between(
+        y_max - box[4] - RIM, y_max - box[1] + RIM, cell_size, lattice.height
+    )
+    first_row = max(first_row, rows[0])
+    last_row = min(last_row, rows[1] - 1)
+    first_col, last_col = centers_between(
+        box[0] - RIM - x_min, box[3] + RIM - x_min, cell_size, lattice.width
+    )
+    has_simple_rim = _has_simple_rim(solids, s)
+    copies_middle = False
+    if has_simple_rim and _has_level_ends(solids, s):
         x = solids.pos[s, 0]
         y = solids.pos[s, 1]
-        has_level = _hit_solid(solids, s, x, y, ray, middle, np.int64(0)) == 2
-    for row in range(first, last + 1):
+        copies_middle = _hit_solid(solids, s, x, y, ray, middle_hits, np.int64(0)) == 2
+    for row in range(first_row, last_row + 1):
         y = cell_center(lattice, row * lattice.width)[1]
-        for col in range(left, right + 1):
+        for col in range(first_col, last_col + 1):
             x = cell_center(lattice, col)[0]
             if is_beside(solids.bounds, s, x, y):
                 continue
-            beyond = _beyond_rim(solids, s, x, y) if has_rim else 0.0
-            if beyond > CLEAR:
+            outside = _distance_to_rim(solids, s, x, y) if has_simple_rim else 0.0
+            if outside > RIM_CLEARANCE:
                 continue
             line = (row - rows[0]) * lattice.width + col
             place = end[line] if writing else 0
-            if has_level and beyond < -CLEAR:
-                for way in range(2):
-                    copy_hit(middle, way, hits, place + way)
+            if copies_middle and outside < -RIM_CLEARANCE:
+                for i in range(2):
+                    copy_hit(middle_hits, i, hits, place + i)
                 end[line] += 2
             else:
                 end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
-    """Note where the lines of some rows cross an infinite plane, see `_cast_solid`."""
+def _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, writing):
+    """Write the hits of lines through centres of cells with a plane, see `_cast_solid`."""
     is_level = _is_upright(planes.mat[p])
     count = np.int64(0)
-    zero = np.int64(0)
+    first_place = np.int64(0)
     for line in range(end.shape[0]):
         if not is_level or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
-            count = _hit_plane(planes, p, x, y, heights, ray, middle, zero)
+            count = _hit_plane(planes, p, x, y, heights, ray, middle_hits, first_place)
         place = end[line] if writing else 0
         for i in range(count):
-            copy_hit(middle, i, hits, place + i)
+            copy_hit(middle_hits, i, hits, place + i)
         end[line] += count
 
 
 @subkernel(**NO_REFCOUNT)
-def _settle_lines(hits, start, end, facets, spare):
-    """`settle` the hits of lines, from `start`, of whole columns, to `end`; returns the dropped."""
-    dropped = 0
+def _finish_lines(hits, start, end, facets, spare):
+    """Finish the hits of lines, see `finish_line`; return how many were dropped.
+
+    `start` is where each line's hits begin in all columns, `end` where they end in `hits`.
+    """
+    num_dropped = 0
     for line in range(end.shape[0]):
         first = start[line] - start[0]
-        dropped += settle(hits, first, end[line], facets, spare, np.int64(0))
-    return dropped
+        num_dropped += finish_line(hits, first, end[line], facets, spare, np.int64(0))
+    return num_dropped
 
 
 @subkernel(inline="always")
 def make_ray():
-    """A ray; its point and direction are for who casts it."""
+    """Allocate a ray; whoever casts it sets its point and direction."""
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
 @subkernel(inline="always")
-def _cast_band(lattice, geometry, items, crossed, band, ray, middle, hits, end, writing):
-    """Note what the lines of a band's cells cross; `end` is as in `raster_triangles`."""
-    solids, facets, planes, heights = geometry
-    rows = band * TILE, min((band + 1) * TILE, lattice.height)
+def _cast_tile_row(
+    lattice, geometry, shape_index, is_crossed, tile_row, ray, middle_hits, hits, end, writing
+):
+    """Write the hits of the lines through the cells of a row of tiles, see `raster_triangles`."""
+    solids = geometry.solids
+    facets = geometry.facets
+    planes = geometry.planes
+    heights = geometry.heights
+    rows = (tile_row * TILE, min((tile_row + 1) * TILE, lattice.height))
     for p in range(planes.geom.shape[0]):
-        _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
-    for i in range(items.solid_start[band], items.solid_start[band + 1]):
-        s = items.solid_item[i]
-        _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing)
-    here = slice(items.triangle_start[band], items.triangle_start[band + 1])
-    listed = items.triangle_item[here]
-    is_crossed = crossed[here]
-    raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing)
+        _cast_plane(planes, p, lattice, rows, heights, ray, middle_hits, hits, end, writing)
+    for i in range(shape_index.solid_start[tile_row], shape_index.solid_start[tile_row + 1]):
+        s = shape_index.solid_item[i]
+        _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing)
+    first = shape_index.triangle_start[tile_row]
+    last = shape_index.triangle_start[tile_row + 1]
+    triangles = shape_index.triangle_item[first:last]
+    raster_triangles(facets, triangles, is_crossed[first:last], lattice, rows, hits, end, writing)
 
 
 @subkernel(inline="always")
-def _along(axes, axis, corners, t):
-    """A triangle's three corners along an axis of a frame."""
+def _project(axes, axis, corners, t):
+    """Return a triangle's three corners along an axis of a frame [m]."""
     x = axes[axis, 0]
     y = axes[axis, 1]
     z = axes[axis, 2]
@@ -341,107 +387,154 @@ def _along(axes, axis, corners, t):
 
 
 @subkernel(inline="always")
-def _is_near(corners, t, x, y, axes, turned):
-    """Whether a line may cross a triangle, whose corners in the line's frame `turned` receives."""
-    a, b, c = _along(axes, X, corners, t)
-    if x < min(a, b, c) - RIM or x > max(a, b, c) + RIM:  # most are
+def _may_cross(corners, t, x, y, axes, local_corners):
+    """Return whether a line may cross a triangle.
+
+    If so, `local_corners`, (1, 3, 3), receives its corners in the line's frame.
+    """
+    x0, x1, x2 = _project(axes, X, corners, t)
+    if x < min(x0, x1, x2) - RIM or x > max(x0, x1, x2) + RIM:  # true for most triangles
         return False
-    d, e, f = _along(axes, Y, corners, t)
-    if y < min(d, e, f) - RIM or y > max(d, e, f) + RIM:
+    y0, y1, y2 = _project(axes, Y, corners, t)
+    if y < min(y0, y1, y2) - RIM or y > max(y0, y1, y2) + RIM:
         return False
-    turned[0, 0, X] = a
-    turned[0, 1, X] = b
-    turned[0, 2, X] = c
-    turned[0, 0, Y] = d
-    turned[0, 1, Y] = e
-    turned[0, 2, Y] = f
-    turned[0, 0, Z], turned[0, 1, Z], turned[0, 2, Z] = _along(axes, Z, corners, t)
-    return unit_normal(turned, 0)[2] != 0.0
+    z0, z1, z2 = _project(axes, Z, corners, t)
+    local_corners[0, 0, X] = x0
+    local_corners[0, 1, X] = x1
+    local_corners[0, 2, X] = x2
+    local_corners[0, 0, Y] = y0
+    local_corners[0, 1, Y] = y1
+    local_corners[0, 2, Y] = y2
+    local_corners[0, 0, Z] = z0
+    local_corners[0, 1, Z] = z1
+    local_corners[0, 2, Z] = z2
+    return unit_normal(local_corners, 0)[2] != 0.0
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing):
-    """Note what the n-th line crosses, from a place of the hits on; returns how often.
+def _cast_line(lattice, geometry, tile_index, lines, n, ray, local_corners, hits, place, writing):
+    """Write the hits of line n, from `place` on; return their number.
 
-    `turned` has room for a triangle's corners, (1, 3, 3).
+    `local_corners` has room for a triangle's corners, (1, 3, 3).
     """
-    solids, facets, planes, heights = geometry
+    solids = geometry.solids
+    facets = geometry.facets
+    planes = geometry.planes
+    heights = geometry.heights
     x = lines.points[n, 0]
     y = lines.points[n, 1]
     count = 0
     tiles_x = -(-lattice.width // TILE)
-    row0 = lines.tiles[n, 0] // tiles_x
-    row1 = lines.tiles[n, 1] // tiles_x
-    col0 = lines.tiles[n, 0] % tiles_x
-    col1 = lines.tiles[n, 1] % tiles_x
-    is_turned = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
+    row_0 = lines.tiles[n, 0] // tiles_x
+    row_1 = lines.tiles[n, 1] // tiles_x
+    col_0 = lines.tiles[n, 0] % tiles_x
+    col_1 = lines.tiles[n, 1] % tiles_x
+    is_rotated = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
     for p in range(planes.geom.shape[0]):
-        count += _hit_plane(planes, p, x, y, heights, ray, hits, at + count if writing else at)
-    for row in range(min(row0, row1), max(row0, row1) + 1):
-        for col in range(min(col0, col1), max(col0, col1) + 1):
+        next_place = place + count if writing else place
+        count += _hit_plane(planes, p, x, y, heights, ray, hits, next_place)
+    for row in range(min(row_0, row_1), max(row_0, row_1) + 1):
+        for col in range(min(col_0, col_1), max(col_0, col_1) + 1):
             tile = row * tiles_x + col
-            for i in range(items.solid_start[tile], items.solid_start[tile + 1]):
-                s = items.solid_item[i]
-                place = at + count if writing else at
+            for i in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
+                s = tile_index.solid_item[i]
+                next_place = place + count if writing else place
                 if not is_beside(solids.bounds, s, x, y):
-                    count += _hit_solid(solids, s, x, y, ray, hits, place)
-            for i in range(items.triangle_start[tile], items.triangle_start[tile + 1]):
-                t = items.triangle_item[i]
-                place = at + count
-                if not is_turned and is_beside(facets.bounds, t, x, y):
+                    count += _hit_solid(solids, s, x, y, ray, hits, next_place)
+            for i in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
+                t = tile_index.triangle_item[i]
+                next_place = place + count
+                if not is_rotated and is_beside(facets.bounds, t, x, y):
                     continue
-                if not _is_near(facets.corners, t, x, y, lines.axes, turned):
+                if not _may_cross(facets.corners, t, x, y, lines.axes, local_corners):
                     continue
-                if hit_triangle(turned, 0, facets, t, x, y, NEVER_FAR, hits, place, writing) > 0:
+                num_hits = hit_triangle(
+                    local_corners, 0, facets, t, x, y, NO_LIMITS, hits, next_place, writing
+                )
+                if num_hits > 0:
                     count += 1
-                    if writing and is_turned:
-                        hits.closed[place] = OPEN_SURFACE  # it may be listed twice
+                    if writing and is_rotated:
+                        # a triangle over two of the line's tiles is hit twice, so such hits
+                        # cannot say what is inside
+                        hits.closed[next_place] = OPEN_SURFACE
     return count
 
 
 @kernel(nogil=True)
-def cast_lines(lattice, lines, geometry, items, crossed, column_hits, dropped, first_group, end):
-    """Cross lines with all geometry, in groups of them; twice: to count, then to write.
+def cast_lines(
+    lattice, lines, geometry, shape_index, is_crossed, column_hits, num_dropped, first_group, end
+):
+    """Cross the lines of groups ``range(first_group, end)`` with all shapes.
+
+    It is called twice: first with empty hits, to count, then with room for the hits.
 
     Args:
-        lines: at points, in groups of GROUP; or none, for those of the lattice's cells, in bands.
-        geometry: solids, facets, planes, and a `Band` below and above everything [m].
-        items: what lies over which tile, for lines at points, or else over which band.
-        crossed: by triangle of the bands, bool: whether any line of its band crosses it; receives
-            that while counting.
-        column_hits: while counting all but `start` are empty, and ``start[line + 1]`` receives the
-            number of hits; while writing `start` has their running sums, and the others receive
-            the column_hits, and behind each column's last those that are DROPPED.
-        dropped: by group, int64; receives the number of hits that are no column_hits.
+        lattice: the cells.
+        lines: lines through points, in groups of GROUP; or none, for lines through the centres of
+            the lattice's cells, in groups of a row of tiles each.
+        geometry: the shapes, as `Geometry`.
+        shape_index: the shapes by tile for lines through points, else by row of tiles.
+        is_crossed: by entry of `shape_index.triangle_item`, bool: whether any line of the row of
+            tiles crosses the triangle; written while counting. Lines through points ignore it.
+        column_hits: `ColumnHits`. While counting, all but `start` are empty, and
+            ``start[line + 1]`` receives the number of hits. While writing, `start` holds their
+            running sums, and the others receive the hits; behind each column's last hit come those
+            with the geom DROPPED.
+        num_dropped: by group, int64; receives the number of DROPPED hits.
+        first_group, end: range of groups.
     """
     start = column_hits.start
     writing = column_hits.z.shape[0] > 0
     ray = make_ray()
-    middle = make_hits(2)
-    turned = np.empty((1, 3, 3))
-    num = lines.points.shape[0]
-    size = GROUP
+    middle_hits = make_hits(2)
+    local_corners = np.empty((1, 3, 3))
+    num_lines = lines.points.shape[0]
+    group_size = GROUP
     at_points = lines.points.shape[0] > 0
     if not at_points:
-        num = lattice.height * lattice.width
-        size = TILE * lattice.width
+        num_lines = lattice.height * lattice.width
+        group_size = TILE * lattice.width
     for group in range(first_group, end):
-        first = group * size
-        last = min((group + 1) * size, num)
-        place = np.zeros(last - first, np.int64)
-        hits = middle
+        first_line = group * group_size
+        end_line = min((group + 1) * group_size, num_lines)
+        place = np.zeros(end_line - first_line, np.int64)  # of each line's next hit
+        hits = middle_hits
         if writing:
-            hits = hits_of(column_hits, start[first], start[last])
-            for line in range(last - first):
-                place[line] = start[first + line] - start[first]
-        if not at_points:
-            _cast_band(lattice, geometry, items, crossed, group, ray, middle, hits, place, writing)
-        for n in range(first, last if at_points else first):
-            at = place[n - first]
-            found = _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
-            place[n - first] += found
+            hits = view_hits(column_hits, start[first_line], start[end_line])
+            for line in range(end_line - first_line):
+                place[line] = start[first_line + line] - start[first_line]
+        if at_points:
+            for n in range(first_line, end_line):
+                first_place = place[n - first_line]
+                place[n - first_line] += _cast_line(
+                    lattice,
+                    geometry,
+                    shape_index,
+                    lines,
+                    n,
+                    ray,
+                    local_corners,
+                    hits,
+                    first_place,
+                    writing,
+                )
+        else:
+            _cast_tile_row(
+                lattice,
+                geometry,
+                shape_index,
+                is_crossed,
+                group,
+                ray,
+                middle_hits,
+                hits,
+                place,
+                writing,
+            )
         if writing:
-            dropped[group] = _settle_lines(hits, start[first:last], place, geometry[1], middle)
+            num_dropped[group] = _finish_lines(
+                hits, start[first_line:end_line], place, geometry.facets, middle_hits
+            )
             continue
-        for line in range(last - first):
-            start[first + line + 1] = place[line]
+        for line in range(end_line - first_line):
+            start[first_line + line + 1] = place[line]

@@ -1,26 +1,25 @@
-"""Seams and cracks: where the lines of cells run between two geoms, or two parts of a floor.
+"""Seams and cracks: lines that run exactly between two geoms, or between two parts of a floor.
 
-Vertical faces of two geoms that meet there are a seam; floors at one height with a gap between them
-that is too narrow for any agent, a crack.
+Where vertical faces of two geoms meet there is a seam; where floors at one height leave a gap that
+is too narrow for any agent, a crack.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from navbake.baker.columns.columns import Columns, TiledShapes, cast_points, tile_of, tiles_of_rows
 from navbake.baker.columns.crack_kernels import (
-    AWAY,
     CELL,
+    DIRECTION,
+    DISTANCE,
     GEOM,
     HEIGHT,
     RADIUS,
+    SAME_DIRECTION,
     SAME_PIECE,
-    SAME_WAY,
-    WAY,
     list_sides,
 )
 from navbake.baker.columns.hit_kernels import RIM
@@ -28,28 +27,37 @@ from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.blocks import splice
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.constants import BOX, OPEN_SURFACE
-from navbake.baker.core.limits import agent_limits
+from navbake.baker.core.limits import AgentLimits, agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-BESIDE = 1e-6  # lines are cast so far east and north of a seam, well beyond its rims [m]
-HAIR = 1e-6  # rays are cast this far beyond an edge [m]
-ALL = np.empty(0, dtype=np.bool_)
+# Lines on a seam are moved this far east and north, well beyond the rims of its faces [m]
+SEAM_SHIFT = 1e-6
+# Rays that find a piece's exact surface are cast this far beyond its edge [m]
+BEYOND_EDGE = 1e-6
+ALL_CELLS = np.empty(0, dtype=np.bool_)
+"""An empty mask that stands for all cells, see `list_sides`."""
+
+
+# ---------------------------------------------------------------- seams
 
 
 def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
-    """Give the lines that run in two faces at once to the geoms on one side.
+    """Cast lines that run in the faces of two geoms again, beside the seam.
 
-    On round coordinates the centres of cells often lie where one geom ends and the next one
-    begins, and both are in the column. As by the top-left rule of rasterizers, such a line belongs
-    to what lies east and north of the seam: it is cast again 1e-6 m further on. Only faces of boxes
-    and triangles along the axes count; the centres of cells meet no two others by chance.
+    On round coordinates, centres of cells often lie where one geom ends and the next one begins,
+    and both are in the column. As by the top-left rule of rasterizers, such a line belongs to what
+    lies east and north of the seam: it is cast again SEAM_SHIFT further on. Only faces of boxes and
+    triangles along the axes count; centres of cells meet no two other faces by chance.
 
     Args:
-        cells: those whose columns are known, ascending; those of the columns' rows if None.
+        columns: the columns.
+        tiled: the shapes that they were cast from.
+        cells: ids of the cells whose columns are valid, ascending; those of `columns.valid_rows` if
+            None.
     """
     if cells is not None and not len(cells):
         return columns
@@ -57,111 +65,156 @@ def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None
     valid_rows = columns.valid_rows
     tiles = tiles_of_rows(lattice, valid_rows) if cells is None else tile_of(lattice, cells)
     tiles = np.unique(np.asarray(tiles, dtype=np.int64))
+    box_bounds = _aligned_boxes(tiled, tiles)
+    corners = _upright_triangles(tiled, tiles)
+
+    # only in the smallest window that holds the cells
+    if cells is None:
+        rows = np.arange(valid_rows.first, valid_rows.end)
+        cols = np.arange(lattice.width)
+        is_valid = np.ones((len(rows), len(cols)), dtype=np.bool_)
+    else:
+        cell_rows, cell_cols = np.divmod(cells, lattice.width)
+        rows = np.arange(cell_rows.min(), cell_rows.max() + 1)
+        cols = np.arange(cell_cols.min(), cell_cols.max() + 1)
+        is_valid = np.zeros((len(rows), len(cols)), dtype=np.bool_)
+        is_valid[cell_rows - rows[0], cell_cols - cols[0]] = True
+    center_x = lattice.center_x()[cols]
+    center_y = lattice.center_y()[rows][::-1]  # ascending
+    on_seam_x = is_valid & _find_seams((center_x, center_y), 0, box_bounds, corners)
+    on_seam_y = is_valid & _find_seams((center_x, center_y), 1, box_bounds, corners)
+    seam_row, seam_col = np.nonzero(on_seam_x | on_seam_y)
+    if not len(seam_row):
+        return columns
+
+    seam_cells = rows[seam_row] * lattice.width + cols[seam_col]
+    points = lattice.positions(rows[seam_row], cols[seam_col])
+    points[on_seam_x[seam_row, seam_col], 0] += SEAM_SHIFT
+    points[on_seam_y[seam_row, seam_col], 1] += SEAM_SHIFT
+    start = columns.hits.start
+    new_hits = cast_points(tiled, seam_cells, points)
+    return splice_columns(columns, seam_cells, start[seam_cells], start[seam_cells + 1], new_hits)
+
+
+def _aligned_boxes(tiled: TiledShapes, tiles: Int) -> Float:
+    """Return the bounds of the boxes along the world's axes over some tiles, shape (n, 6) [m]."""
     solids = tiled.shapes.solids
-    over = tiled.tile_index
-    is_over = _are_over(over.solid_start, over.solid_item, tiles, len(solids.geom))
-    chosen = np.flatnonzero(is_over & (solids.kind == BOX))
-    mat = abs(solids.mat[chosen])
-    boxes = solids.bounds[chosen[np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM]]
+    index = tiled.tile_index
+    is_over = _are_over(index.solid_start, index.solid_item, tiles, len(solids.geom))
+    boxes = np.flatnonzero(is_over & (solids.kind == BOX))
+    mat = abs(solids.mat[boxes])
+    is_aligned = np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM
+    bounds: Float = solids.bounds[boxes[is_aligned]]
+    return bounds
+
+
+def _upright_triangles(tiled: TiledShapes, tiles: Int) -> Float:
+    """Return the corners of the triangles across x or y over some tiles, shape (n, 3, 3) [m]."""
     bounds = tiled.facets.bounds
-    is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
+    index = tiled.tile_index
+    is_candidate = _are_over(index.triangle_start, index.triangle_item, tiles, len(bounds))
 
     def drop_thick(first: int, end: int) -> None:
-        wide = bounds[first:end, 3 + 0] - bounds[first:end, 0]
-        deep = bounds[first:end, 3 + 1] - bounds[first:end, 1]
-        is_over[first:end] &= (wide <= RIM) | (deep <= RIM)
+        size_x = bounds[first:end, 3 + 0] - bounds[first:end, 0]
+        size_y = bounds[first:end, 3 + 1] - bounds[first:end, 1]
+        is_candidate[first:end] &= (size_x <= RIM) | (size_y <= RIM)
 
     run_in_chunks(drop_thick, len(bounds), least=4096)
-    corners = tiled.facets.corners[is_over]
-    # only in the window round the cells
-    row = np.arange(*valid_rows)
-    col = np.arange(lattice.width)
-    known = np.ones((len(row), len(col)), dtype=np.bool_)
-    if cells is not None:
-        rows, cols = np.divmod(cells, lattice.width)
-        row = np.arange(rows.min(), rows.max() + 1)
-        col = np.arange(cols.min(), cols.max() + 1)
-        known = np.zeros((len(row), len(col)), dtype=np.bool_)
-        known[rows - row[0], cols - col[0]] = True
-    centers = lattice.center_x()[col], lattice.center_y()[row][::-1]  # ascending
-    seams = [known & _find_seams(centers, axis, boxes, corners) for axis in (0, 1)]
-    at = np.nonzero(seams[0] | seams[1])
-    if not len(at[0]):
-        return columns
-    asked = row[at[0]] * lattice.width + col[at[1]]
-    points = lattice.positions(row[at[0]], col[at[1]])
-    for axis, on_seam in enumerate(seams):
-        points[on_seam[at], axis] += BESIDE
-    start = columns.hits.start
-    found = cast_points(tiled, asked, points)
-    return splice_columns(columns, asked, start[asked], start[asked + 1], found)
+    return tiled.facets.corners[is_candidate]
 
 
-def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
-    """Mark the items that lie over some tiles, shape (num,); all, if these are all tiles."""
-    mask = np.full(num, len(tiles) == len(start) - 1)
+def _are_over(start: Int, item: Int32, tiles: Int, num_items: int) -> Bool:
+    """Mark the items that lie over some tiles, shape (num_items,); all, if these are all tiles."""
+    mask = np.full(num_items, len(tiles) == len(start) - 1)
     if not mask.all():
-        mask[item[expand_ranges(start[tiles], start[tiles + 1])[1]]] = True
+        _, places = expand_ranges(start[tiles], start[tiles + 1])
+        mask[item[places]] = True
     return mask
 
 
-def _find_seams(centers: tuple[Float, Float], axis: int, boxes: Float, corners: Float) -> Bool:
-    """The cells of a window whose lines run in faces of both directions along x or y.
+def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corners: Float) -> Bool:
+    """Mark the cells of a window whose lines run in two opposite faces across an axis.
 
-    `centers` are x of its columns and y of its rows, ascending.
+    Args:
+        centers: x of the window's columns and y of its rows, ascending [m].
+        axis: 0 for faces across x, 1 for those across y.
+        box_bounds: boxes along the axes, shape (n, 6) [m].
+        corners: triangles across x or y, shape (m, 3, 3) [m].
+
+    Returns:
+        shape (rows, cols) of the window.
     """
-    other = 1 - axis
+    other_axis = 1 - axis
     low = corners.min(axis=1)
     high = corners.max(axis=1)
-    one = corners[:, 1] - corners[:, 0]
-    two = corners[:, 2] - corners[:, 0]
-    # the normal along the axis, whose sign says where the face looks
-    looks = (one[:, other] * two[:, 2] - one[:, 2] * two[:, other]) * (1 - 2 * axis)
-    flat = high[:, axis] - low[:, axis] <= RIM
+    u = corners[:, 1] - corners[:, 0]
+    v = corners[:, 2] - corners[:, 0]
+    # the normal's coordinate along the axis, whose sign says which way the face looks
+    normal = (u[:, other_axis] * v[:, 2] - u[:, 2] * v[:, other_axis]) * (1 - 2 * axis)
+    is_across = high[:, axis] - low[:, axis] <= RIM
     marks = []
-    for is_upper in (False, True):
-        is_side = flat & (looks > 0 if is_upper else looks < 0)
-        at = np.concatenate([boxes[:, axis + 3 * is_upper], low[is_side, axis]])
-        begin = np.concatenate([boxes[:, other], low[is_side, other]])
-        end = np.concatenate([boxes[:, other + 3], high[is_side, other]])
-        marks.append(_mark_lines(centers, axis, at, begin, end))
+    for is_upper_face in (False, True):
+        is_face = is_across & (normal > 0 if is_upper_face else normal < 0)
+        box_face = box_bounds[:, axis + 3 * is_upper_face]
+        face = np.concatenate([box_face, low[is_face, axis]])
+        begin = np.concatenate([box_bounds[:, other_axis], low[is_face, other_axis]])
+        end = np.concatenate([box_bounds[:, other_axis + 3], high[is_face, other_axis]])
+        marks.append(_mark_lines(centers, axis, face, begin, end))
     return marks[0] & marks[1]
 
 
 def _mark_lines(
-    centers: tuple[Float, Float], axis: int, at: Float, begin: Float, end: Float
+    centers: tuple[Float, Float], axis: int, face: Float, begin: Float, end: Float
 ) -> Bool:
-    """Mark the cells of a window with centres on lines at an x (`axis` 0) or a y (1).
+    """Mark the cells of a window whose centres lie in faces, seen from above.
 
-    Each reaches from `begin` to `end` along the other axis [m].
+    Args:
+        centers: x of the window's columns and y of its rows, ascending [m].
+        axis: 0 for faces across x, 1 for those across y.
+        face: where each face is along the axis, (n,) [m].
+        begin, end: from where to where each face reaches along the other axis, (n,) [m].
+
+    Returns:
+        shape (rows, cols) of the window.
     """
-    marked = np.zeros((len(centers[axis]), len(centers[1 - axis])), dtype=np.bool_)
-    index = np.searchsorted(centers[axis], at - 2 * RIM)
-    hit = index < len(centers[axis])
-    hit[hit] = centers[axis][index[hit]] <= at[hit] + 2 * RIM
-    if not hit.any():
+    along_axis = centers[axis]
+    along_face = centers[1 - axis]
+    marked = np.zeros((len(along_axis), len(along_face)), dtype=np.bool_)
+    index = np.searchsorted(along_axis, face - 2 * RIM)
+    holds_centers = index < len(along_axis)
+    candidates = index[holds_centers]
+    holds_centers[holds_centers] = along_axis[candidates] <= face[holds_centers] + 2 * RIM
+    if not holds_centers.any():
         return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
-    first = np.searchsorted(centers[1 - axis], begin[hit] - 2 * RIM)
-    last = np.searchsorted(centers[1 - axis], end[hit] + 2 * RIM, side="right")
-    which, place = expand_ranges(first, last)
-    marked[index[hit][which], place] = True
+    first = np.searchsorted(along_face, begin[holds_centers] - 2 * RIM)
+    last = np.searchsorted(along_face, end[holds_centers] + 2 * RIM, side="right")
+    face_number, place = expand_ranges(first, last)
+    marked[index[holds_centers][face_number], place] = True
     return np.asarray((marked.T if axis == 0 else marked)[::-1])
 
 
-def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: ColumnHits) -> Columns:
-    """Replace the hits ``first[i]`` to before ``last[i]`` of ``cell[i]`` by the i-th of
-    `new`.
+def splice_columns(
+    columns: Columns, cell: Int, first: Int, last: Int, new_hits: ColumnHits
+) -> Columns:
+    """Replace hits of some columns.
 
-    The cells ascend and may repeat.
+    Args:
+        columns: the columns.
+        cell: ids of cells, ascending, with repeats where several runs of a column change, (n,).
+        first, last: the hits ``first[i]`` to before ``last[i]`` of ``cell[i]`` are replaced, (n,).
+        new_hits: their replacement; column i is for ``cell[i]``.
     """
-    old = columns.hits
+    old_hits = columns.hits
     begin, end = columns.valid_rows.cell_range(columns.lattice)
-    more = np.zeros(end - begin + 1, dtype=np.int64)
-    np.add.at(more, cell + 1 - begin, np.diff(new.start) - (last - first))
-    start = np.zeros(len(old.start), dtype=np.int64)  # whose pages cost nothing until written
-    np.add(old.start[begin : end + 1], np.cumsum(more, out=more), out=start[begin : end + 1])
-    layers: Any = zip(old[1:], new[1:], strict=True)
-    arrays = (splice(array, first, last, other, new.start) for array, other in layers)
+    num_added = np.zeros(end - begin + 1, dtype=np.int64)
+    np.add.at(num_added, cell + 1 - begin, np.diff(new_hits.start) - (last - first))
+    num_added_before = np.cumsum(num_added, out=num_added)
+    start = np.zeros(len(old_hits.start), dtype=np.int64)  # whose pages cost nothing until written
+    np.add(old_hits.start[begin : end + 1], num_added_before, out=start[begin : end + 1])
+    arrays = [
+        splice(old, first, last, new, new_hits.start)
+        for old, new in zip(old_hits.entries, new_hits.entries, strict=True)
+    ]
     return replace(columns, hits=ColumnHits(start, *arrays))
 
 
@@ -169,99 +222,146 @@ def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Colu
 
 
 def close_cracks(
-    columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float, asked: Bool = ALL
+    columns: Columns,
+    tiled: TiledShapes,
+    agent: AgentSettings,
+    crack: float,
+    selected: Bool = ALL_CELLS,
 ) -> Columns:
-    """Add to columns the floors that bridge the cracks in which their lines run.
+    """Add floors to columns whose lines run in cracks of a floor.
 
-    Where surfaces that an agent could stand on are within a step of one height on opposite sides of
-    a line, each nearer than `crack` [m], and none on it, the lower one is added to the line's
-    column, as an open surface; of several within a step the lowest. Other cells do not matter.
+    Where surfaces that an agent could stand on lie on opposite sides of a line, within a step of
+    each other, each nearer than `crack`, and the line crosses none, the lower one is added to the
+    line's column as an open surface; of several within a step, the lowest. Nothing that other cells
+    hold matters.
 
     Args:
-        tiled: what the columns were cast at, listed for lines up to `crack` away.
-        asked: the cells whose cracks are closed, shape (cells,), all if it is empty.
+        columns: the columns.
+        tiled: the shapes that they were cast from, listed for lines up to `crack` away.
+        agent: the agent: its slope and step.
+        crack: how far from the line the floors on both sides may be [m]; 0 adds nothing.
+        selected: mask of the cells whose cracks are closed, shape (cells,); all if it is empty.
     """
     if crack == 0:
         return columns
-    shapes = tiled.shapes
-    parts = dict[int, tuple[Float, int]]()
     limits = agent_limits(agent)
-    tiles = tiles_of_rows(columns.lattice, columns.valid_rows)
-
-    def find(first: int, end: int) -> None:
-        geometry = shapes.solids, tiled.facets, tiled.tile_index
-        lines = columns.lattice, columns.hits
-        parts[first] = list_sides(*lines, *geometry, limits, crack, asked, first, end)
-
-    run_in_chunks(find, len(tiles), begin=tiles.start)
-    found = [parts[first] for first in sorted(parts)]
-    if not any(count for _, count in found):
+    sides = _list_all_sides(columns, tiled, limits, crack, selected)
+    if not len(sides):
         return columns
-    sides = np.concatenate([notes[:count] for notes, count in found])
-    sides = sides[np.argsort(sides[:, CELL], kind="stable")]
     cell = sides[:, CELL].astype(np.int64)
-    geom = sides[:, GEOM]
-    way = sides[:, WAY : WAY + 2]
+    direction = sides[:, DIRECTION : DIRECTION + 2]
 
     # rays just beyond the edges find the exact surfaces there
-    beyond = columns.lattice.positions(*np.divmod(cell, columns.lattice.width))
-    beyond += way * (sides[:, AWAY, None] + HAIR)
-    rays = cast_points(tiled, cell, beyond)
-    line = np.repeat(np.arange(len(cell)), np.diff(rays.start))
-    off = abs(rays.z - sides[line, HEIGHT])
-    is_up = rays.normal[:, 2] >= limits.min_up
-    is_piece = is_up & (rays.geom == geom[line]) & (off <= SAME_PIECE + sides[line, RADIUS])
-    seen = np.flatnonzero(is_piece)
-    seen = seen[np.lexsort((off[seen], line[seen]))]
-    line, nearest = np.unique(line[seen], return_index=True)
-    seen = seen[nearest]
-    cell = cell[line]
-    way = way[line]
-    # a surface buried there, and not on the cell's line, only ends at the foot of something
-    is_side = ~_are_buried(rays, line, rays.z[seen])
-    is_side |= _are_buried(columns.hits, cell, rays.z[seen])
-    seen = seen[is_side]
-    cell = cell[is_side]
-    way = way[is_side]
+    lattice = columns.lattice
+    points = lattice.positions(*np.divmod(cell, lattice.width))
+    points += direction * (sides[:, DISTANCE, None] + BEYOND_EDGE)
+    rays = cast_points(tiled, cell, points)
+    side = np.repeat(np.arange(len(cell)), np.diff(rays.start))  # of each hit
+    offset = abs(rays.z - sides[side, HEIGHT])
+    is_floor = rays.normal[:, 2] >= limits.min_up
+    is_piece = is_floor & (rays.geom == sides[side, GEOM])
+    is_piece &= offset <= SAME_PIECE + sides[side, RADIUS]
+    hit = np.flatnonzero(is_piece)
+    hit = hit[np.lexsort((offset[hit], side[hit]))]
+    side, nearest = np.unique(side[hit], return_index=True)
+    hit = hit[nearest]
+    cell = cell[side]
+    direction = direction[side]
+    # a surface that is buried there, but not on the cell's line, only ends at the foot of something
+    bounds_crack = ~_are_buried(rays, side, rays.z[hit])
+    bounds_crack |= _are_buried(columns.hits, cell, rays.z[hit])
+    hit = hit[bounds_crack]
+    cell = cell[bounds_crack]
+    direction = direction[bounds_crack]
 
-    # of each two opposite sides the lower one bridges the line
-    z = rays.z[seen]
-    bridge = np.zeros(len(seen), dtype=np.bool_)
-    for apart in range(1, int(np.unique(cell, return_counts=True)[1].max(initial=1))):
-        one = slice(None, -apart)
-        other = slice(apart, None)
-        are_sides = (cell[one] == cell[other]) & (
-            abs(z[one] - z[other]) <= limits.step + LIMIT_SLACK
+    bridges = _find_lower_sides(cell, rays.z[hit], direction, limits.step)
+    hit = hit[bridges]
+    cell = cell[bridges]
+    z = rays.z[hit]
+    lowest = list[int]()  # of the surfaces of a cell that are within a step of each other
+    for n in np.lexsort((rays.geom[hit], z, cell)).tolist():
+        is_new_cell = not lowest or cell[lowest[-1]] != cell[n]
+        if is_new_cell or z[n] - z[lowest[-1]] > limits.step + LIMIT_SLACK:
+            lowest.append(n)
+    return _add_surfaces(columns, cell[lowest], rays, hit[lowest]) if lowest else columns
+
+
+def _list_all_sides(
+    columns: Columns, tiled: TiledShapes, limits: AgentLimits, crack: float, selected: Bool
+) -> Float:
+    """List the floors on opposite sides of lines, see `list_sides`, ordered by cell."""
+    tiles = tiles_of_rows(columns.lattice, columns.valid_rows)
+    sides_of_chunk = dict[int, Float]()  # by the first tile of the chunk
+
+    def list_chunk(first: int, end: int) -> None:
+        sides, num_sides = list_sides(
+            columns.lattice,
+            columns.hits,
+            tiled.shapes.solids,
+            tiled.facets,
+            tiled.tile_index,
+            limits,
+            crack,
+            selected,
+            first,
+            end,
         )
-        are_sides &= (way[one] * way[other]).sum(axis=1) <= -SAME_WAY
-        bridge[one] |= are_sides & (z[one] <= z[other])
-        bridge[other] |= are_sides & (z[other] <= z[one])
-    seen = seen[bridge]
-    cell = cell[bridge]
-    z = z[bridge]
-    order = np.lexsort((rays.geom[seen], z, cell))
-    kept = list[int]()
-    for n in order.tolist():  # of those of a cell within a step, the lowest
-        if not kept or cell[kept[-1]] != cell[n] or z[n] - z[kept[-1]] > limits.step + LIMIT_SLACK:
-            kept.append(n)
-    return _add(columns, cell[kept], rays, seen[kept]) if kept else columns
+        sides_of_chunk[first] = sides[:num_sides]
+
+    run_in_chunks(list_chunk, len(tiles), begin=tiles.start)
+    if not sides_of_chunk:
+        return np.empty((0, CELL + 1))
+    sides = np.concatenate([sides_of_chunk[first] for first in sorted(sides_of_chunk)])
+    return sides[np.argsort(sides[:, CELL], kind="stable")]
+
+
+def _find_lower_sides(cell: Int, z: Float, direction: Float, step: float) -> Bool:
+    """Mark, of each two sides of a cell that are opposite within a step, the lower one.
+
+    Args:
+        cell: of each side, ascending, (n,).
+        z: heights, (n,) [m].
+        direction: unit vectors from the cell's centre to the sides, (n, 2).
+        step: the largest step [m].
+    """
+    is_lower = np.zeros(len(cell), dtype=np.bool_)
+    most_sides = int(np.unique(cell, return_counts=True)[1].max(initial=1))
+    for distance in range(1, most_sides):
+        first = slice(None, -distance)
+        second = slice(distance, None)
+        are_opposite = cell[first] == cell[second]
+        are_opposite &= abs(z[first] - z[second]) <= step + LIMIT_SLACK
+        are_opposite &= (direction[first] * direction[second]).sum(axis=1) <= -SAME_DIRECTION
+        is_lower[first] |= are_opposite & (z[first] <= z[second])
+        is_lower[second] |= are_opposite & (z[second] <= z[first])
+    return is_lower
 
 
 def _are_buried(hits: ColumnHits, cells: Int, z: Float) -> Bool:
-    """Whether lines run within something just above a height."""
+    """Return whether the lines of columns run within something just above a height."""
     buried = np.empty(len(cells), dtype=np.bool_)
-    find_blocked_lines(cells, z + SAME_HEIGHT, z + 2.0 * SAME_HEIGHT, hits, buried, 0, len(cells))
+    low = z + SAME_HEIGHT
+    high = z + 2.0 * SAME_HEIGHT
+    find_blocked_lines(cells, low, high, hits, buried, 0, len(cells))
     return buried
 
 
-def _add(columns: Columns, cell: Int, rays: ColumnHits, seen: Int) -> Columns:
-    """Add surfaces to columns, by cell and then height."""
-    old = columns.hits
-    z = rays.z[seen]
-    place = old.start[cell]
-    last = old.start[cell + 1]
-    while (below := (place < last) & (old.z[np.minimum(place, len(old.z) - 1)] < z)).any():
-        place = place + below
-    closed = np.full(len(z), OPEN_SURFACE, np.uint8)
-    added = ColumnHits(np.arange(len(z) + 1), z, rays.normal[seen], rays.geom[seen], closed)
-    return splice_columns(columns, cell, place, place, added)
+def _add_surfaces(columns: Columns, cell: Int, rays: ColumnHits, hit: Int) -> Columns:
+    """Add hits of rays to columns as open surfaces; they are ordered by cell and then height."""
+    old_hits = columns.hits
+    z = rays.z[hit]
+    place = old_hits.start[cell]
+    end = old_hits.start[cell + 1]
+    while True:
+        is_below = (place < end) & (old_hits.z[np.minimum(place, len(old_hits.z) - 1)] < z)
+        if not is_below.any():
+            break
+        place = place + is_below
+    new_hits = ColumnHits(
+        start=np.arange(len(z) + 1),
+        z=z,
+        normal=rays.normal[hit],
+        geom=rays.geom[hit],
+        closed=np.full(len(z), OPEN_SURFACE, np.uint8),
+    )
+    return splice_columns(columns, cell, place, place, new_hits)

@@ -4,7 +4,7 @@ numba passes a named tuple to a kernel whole, at no cost in the kernel's loops. 
 of its own, for which numba compiles a function once more, hence ``np.int64(...)`` in some calls.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,11 @@ class ColumnHits(NamedTuple):
     normal: NDArray[np.float32]
     geom: Int32
     closed: NDArray[np.uint8]
+
+    @property
+    def entries(self) -> tuple[NDArray[Any], ...]:
+        """The arrays with one entry for each hit: all but `start`."""
+        return self[1:]
 
 
 class Facets(NamedTuple):

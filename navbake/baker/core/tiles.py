@@ -150,7 +150,7 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 @subkernel(inline="always")
 def _tiles_under(boxes, n, margin, lattice):
-    """Return the tiles that a widened box reaches into: first and last row, first and last column."""
+    """Return the tiles that a widened box reaches into: first and last row, then column."""
     width = lattice.width
     height = lattice.height
     cell_size = lattice.cell_size

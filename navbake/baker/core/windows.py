@@ -28,7 +28,7 @@ def differing_pairs(values: NDArray[Any]) -> Int:
         values: shape (height, width).
 
     Returns:
-        Ids of the cells, shape (2, n): pairs in a row first, then pairs in a column.
+        Ids of the cells, shape (2, n): pairs in a row first, then those in a column.
     """
     width = values.shape[1]
     flat = values.ravel()

@@ -509,7 +509,7 @@ def test_lines_at_points_are_the_same_on_any_number_of_threads(
     cells = np.arange(21 * 21)
     tiled, points = tile_shapes(scene.shapes, lattice, 0.1), lattice.positions(*divmod(cells, 21))
     whole = cast_points(tiled, cells, points)
-    monkeypatch.setattr("navbake.baker.columns.columns.LEAST_POINTS", 7)
+    monkeypatch.setattr("navbake.baker.columns.columns.MIN_POINTS_PER_CALL", 7)
     with limit_threads(2):
         parts = cast_points(tiled, cells, points)
     for one, other in zip(whole, parts, strict=True):

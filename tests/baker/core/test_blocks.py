@@ -48,13 +48,13 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     assert len(whole.z) > len(columns_module.cast_columns(tiles).z)
     cells = np.unique(np.random.default_rng(0).integers(0, width * tiles.lattice.height, 500))
     for rows in (8, 16, 40):
-        monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * width)
+        monkeypatch.setattr(columns_module, "CELLS_PER_CHUNK", rows * width)
         assert len(split_into_row_chunks(tiles.lattice)) == -(-tiles.lattice.height // rows)
         for one, other in zip(join().hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
-    monkeypatch.setattr(column_sources, "KEPT_CELLS", 0)
-    monkeypatch.setattr(column_sources, "KEPT_TRIANGLES", 0)
-    monkeypatch.setattr(column_sources, "TIMES", np.inf)
+    monkeypatch.setattr(column_sources, "MAX_CELLS_KEPT", 0)
+    monkeypatch.setattr(column_sources, "MAX_TRIANGLES_KEPT", 0)
+    monkeypatch.setattr(column_sources, "MAX_REPEATED_EXPANSION", np.inf)
     for shapes in (tiles, open_stages(config, StageClock()).tile_index):
         for one, other in zip(join(shapes).hits, whole.hits, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -68,8 +68,8 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
 
 def in_blocks(monkeypatch, cells):
     """Bake in blocks of about so many cells, and keep none of their columns."""
-    monkeypatch.setattr(columns_module, "BLOCK_CELLS", cells)
-    monkeypatch.setattr(column_sources, "KEPT_CELLS", 0)
+    monkeypatch.setattr(columns_module, "CELLS_PER_CHUNK", cells)
+    monkeypatch.setattr(column_sources, "MAX_CELLS_KEPT", 0)
 
 
 def bake_bytes(config) -> bytes:
