@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.arrays import Facets, ShapeIndex
+from navbake.baker.core.arrays import Facets, ShapeIndex, Solids
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER
 from navbake.baker.core.tiles import TILE, cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.geometry.shapes import Solids
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 

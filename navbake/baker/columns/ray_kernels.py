@@ -38,10 +38,9 @@ from navbake.baker.columns.raster_kernels import (
     is_beside,
     raster_triangles,
 )
-from navbake.baker.core.arrays import Facets, HeightRange
+from navbake.baker.core.arrays import Facets, HeightRange, Planes, Solids
 from navbake.baker.core.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
 from navbake.baker.core.tiles import TILE, cell_center, centers_between
-from navbake.baker.geometry.shapes import Planes, Solids
 from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int

@@ -40,6 +40,45 @@ class ColumnHits(NamedTuple):
         return self[1:]
 
 
+class Solids(NamedTuple):
+    """Convex primitives: spheres, capsules, ellipsoids, cylinders and boxes, in the world frame.
+
+    Attributes:
+        geom: MuJoCo's geom ids, (n,) int32.
+        kind: MuJoCo's geom types, see `constants`, (n,) int32.
+        pos: centres, (n, 3) float64 [m].
+        mat: rotation matrices, row-major, (n, 9) float64.
+        size: MuJoCo's sizes, (n, 3) float64 [m].
+        bounds: exact boxes around them, (n, 6) float64: lower corner, upper corner [m].
+    """
+
+    geom: Int32
+    kind: Int32
+    pos: Float
+    mat: Float
+    size: Float
+    bounds: Float
+
+
+class Planes(NamedTuple):
+    """Infinite planes: half-spaces, solid behind their normal, in the world frame.
+
+    Attributes:
+        geom: MuJoCo's geom ids, (n,) int32.
+        pos: a point of each plane, (n, 3) float64 [m].
+        mat: rotation matrices, row-major, (n, 9) float64; the third column is the normal.
+    """
+
+    geom: Int32
+    pos: Float
+    mat: Float
+
+    @property
+    def normal(self) -> Float:
+        """Unit normals, shape (n, 3), float64."""
+        return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
+
+
 class Facets(NamedTuple):
     """Triangles of geoms, in the world frame.
 

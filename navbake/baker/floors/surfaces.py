@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, RowChunk, cast_columns, tile_shapes
+from navbake.baker.core.arrays import Planes
 from navbake.baker.core.blocks import Blocks, join_arrays, list_rows
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tiles import BLOCK
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.surface_kernels import Surfaces, list_surfaces
-from navbake.baker.geometry.shapes import Planes, Shapes
+from navbake.baker.geometry.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS

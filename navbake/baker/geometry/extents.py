@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.geometry.shapes import Shapes, Solids, support_distances
+from navbake.baker.core.arrays import Solids
+from navbake.baker.geometry.shapes import Shapes, support_distances
 from navbake.baker.geometry.triangle_kernels import RIGHT, find_facing_directions, measure_spans
 from navbake.threads import run_in_chunks
 from navbake.types import Float, Int, Int32

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.arrays import Facets
+from navbake.baker.core.arrays import Facets, Planes, Solids
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from navbake.baker.geometry.triangle_kernels import expand_mesh, measure_areas
@@ -28,33 +28,6 @@ ENDLESS_HALF_SIZE = 1e4
 LEAST = 4096
 MOST_SHARES = 8
 SIDES = 32  # of a round solid that is drawn by triangles
-
-
-class Solids(NamedTuple):
-    """Spheres, capsules, ellipsoids, cylinders and boxes: MuJoCo's ids, types, poses and sizes.
-
-    `mat` is row-major, (n, 9); `bounds` are exact boxes, (n, 6): lower corner, upper corner [m].
-    """
-
-    geom: Int32
-    kind: Int32
-    pos: Float
-    mat: Float
-    size: Float
-    bounds: Float
-
-
-class Planes(NamedTuple):
-    """Infinite planes: half-spaces, solid behind their normal, the third column of `mat`."""
-
-    geom: Int32
-    pos: Float
-    mat: Float
-
-    @property
-    def normal(self) -> Float:
-        """Unit normals, shape (n, 3), float64."""
-        return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
 
 
 class GeomTriangles(NamedTuple):

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, cast_columns, tile_shapes
+from navbake.baker.core.arrays import Solids
 from navbake.baker.core.components import label_components_2d
 from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.geometry.shapes import Shapes, Solids, solid_bounds
+from navbake.baker.geometry.shapes import Shapes, solid_bounds
 from navbake.baker.occupants.list_kernels import BANK, EMPTY, HOLE, SKY, TALL
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH

@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.core import constants
+from navbake.baker.core.arrays import Planes, Solids
 from navbake.baker.geometry.mesh_parts import split_mesh
 from navbake.baker.geometry.shapes import (
     ENDLESS_HALF_SIZE,
     GeomTriangles,
-    Planes,
     Shapes,
-    Solids,
     gather_meshes,
     height_field_triangles,
     hull_faces,

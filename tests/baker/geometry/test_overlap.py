@@ -14,7 +14,7 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from navbake.baker.core.arrays import Prism
+from navbake.baker.core.arrays import Planes, Prism, Solids
 from navbake.baker.core.constants import (
     APART,
     BOX,
@@ -31,7 +31,7 @@ from navbake.baker.geometry.overlap_kernels import (
     plane_meets_prism,
     triangle_meets_prism,
 )
-from navbake.baker.geometry.shapes import Planes, Solids, solid_bounds
+from navbake.baker.geometry.shapes import solid_bounds
 from oracles.prisms import Prisms
 from oracles.surfaces import disc_meets, square_meets
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from navbake.baker.core.arrays import Prism
+from navbake.baker.core.arrays import Prism, Solids
 from navbake.baker.core.constants import (
     APART,
     BOX,
@@ -18,7 +18,6 @@ from navbake.baker.core.constants import (
     SPHERE,
 )
 from navbake.baker.geometry.gjk_kernels import gjk_meets_prism, make_simplex
-from navbake.baker.geometry.shapes import Solids
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
