@@ -16,7 +16,7 @@ from navbake.runtime.flat_grid import check_distance
 from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP
 from navbake.runtime.search import Search
-from navbake.tensors.grid_tensors import GridTensors, Shape, register_pytree
+from navbake.tensors.grid_tensors import Array, GridTensors, Namespace, Shape, register_pytree
 from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
@@ -24,15 +24,16 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import Goal
 
 Floating = np.dtype[np.floating]
-Made = dict[str, NDArray[Any]]
-FINEST = 8  # least width of a cell in numbers of the dtype
+Arrays = dict[str, NDArray[Any]]
+"""Arrays of numpy by the fields of `GridTensors`."""
+MIN_NUMBERS_PER_CELL = 8  # of the dtype, in the width of a cell
 
 
 def make_tensors(
     grids: NavGrid | Sequence[NavGrid],
-    xp: Any = np,
+    xp: Namespace = np,
     *,
-    device: Any = None,
+    device: object = None,
     dtype: str | None = None,
     goals: Sequence[Goal] | Sequence[Sequence[Goal]] = (),
     max_drop: float = MAX_DROP,
@@ -41,7 +42,8 @@ def make_tensors(
 ) -> GridTensors:
     """Turn one or several grids into arrays of one library, on one device.
 
-    Later changes of a grid, blocks included, have no effect: make new tensors then.
+    Later changes of a grid, obstacles that are added included, have no effect: make new tensors
+    then.
 
     Args:
         grids: one grid, or several, numbered as `scene_id` in the order given.
@@ -57,53 +59,84 @@ def make_tensors(
         max_drop: largest height above the floor for `is_navigable` [m], >= 0.
         cut_corners: as in `PathFinder`.
         agent: as in `PathFinder`: the arrays are those of the grids for its size.
+
+    Returns:
+        The tensors.
+
+    Raises:
+        QueryError: grids, goals, library, dtype or device aren't as above, or there are 2^31 cells
+            or more.
+        MissingDependencyError: the extra ``tensors`` isn't installed.
+
+    Example:
+        >>> t = make_tensors(grid, torch, device="cuda", goals=["room:Kitchen"])
     """
-    is_one = hasattr(grids, "levels")
-    if not is_one and not isinstance(grids, Iterable):
-        raise QueryError(f"expected a grid or several, got {grids!r}")
-    several: list[Any] = [grids] if is_one else list(grids)  # type: ignore[arg-type]
-    if not several or not all(hasattr(grid, "levels") for grid in several):
-        raise QueryError(f"expected grids, at least one grid, got {several}")
-    if isinstance(goals, str):
-        raise QueryError(f"expected a list of goals, got {goals!r}: write goals=[{goals!r}]")
-    per_grid: list[Any] = [goals] if is_one else list(goals) or [()] * len(several)
-    if len(per_grid) != len(several) or len({len(g) for g in per_grid}) != 1:
-        wanted = f"as many goals for each of {len(several)} grids"
-        raise QueryError(f"expected {wanted}, got {[len(g) for g in per_grid]}")
+    grid_list, goals_of_grids = _check_grids(grids, goals)
     check_distance(max_drop, "max_drop")
-    xp, make = _open_library(xp, device, dtype)
-    of_library = make(np.zeros(1)).dtype
-    floating: Floating = np.dtype("float64" if of_library == xp.float64 else "float32")
-    searches = [Search(grid, cut_corners=cut_corners, agent=agent) for grid in several]
-    several = [search.grid for search in searches]
-    levels = [level for grid in several for level in grid.levels]
-    most = max(len(grid.levels) for grid in several)
-    shape = Shape(len(several), most, *np.max([v.shape for v in levels], axis=0).tolist())
-    if math.prod(shape) * max(len(per_grid[0]), 1) >= 2**31:
-        text = f"{' x '.join(map(str, shape))} for each of {len(per_grid[0])} goals"
-        raise QueryError(f"expected less than 2^31 cells in all, got {text}")
-    made = _lattices(several, shape, floating) | _layers(searches, shape, floating, max_drop)
-    made |= _goal_fields(searches, per_grid, shape, floating)
+    xp, make_array = _open_library(xp, device, dtype)
+    library_dtype = make_array(np.zeros(1)).dtype
+    floating: Floating = np.dtype("float64" if library_dtype == xp.float64 else "float32")
+    searches = [Search(grid, cut_corners=cut_corners, agent=agent) for grid in grid_list]
+    grid_list = [search.grid for search in searches]
+    shape = _padded_shape(grid_list)
+    num_goals = len(goals_of_grids[0])
+    if math.prod(shape) * max(num_goals, 1) >= 2**31:
+        actual = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
+        raise QueryError(f"expected less than 2^31 cells in all, got {actual}")
+    arrays = _make_lattices(grid_list, shape, floating)
+    arrays |= _make_layers(searches, shape, floating, max_drop)
+    arrays |= _make_goal_fields(searches, goals_of_grids, shape, floating)
     rooms = tuple(tuple(room.id for room in search.rooms.rooms) for search in searches)
-    num_rooms = max(len(of_scene) for of_scene in rooms)
-    made |= _orders(made["room"], made["island"], num_rooms, shape)
+    num_rooms = max(len(rooms_of_scene) for rooms_of_scene in rooms)
+    arrays |= _sort_free_cells(arrays["room"], arrays["island"], num_rooms, shape)
     register_pytree(xp)
     return GridTensors(
         xp=xp,
-        dtype=of_library,
-        index=make(np.zeros(1, dtype=np.int64)).dtype,
+        dtype=library_dtype,
+        index=make_array(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
         num_rooms=num_rooms,
         rooms=rooms,
-        areas=tuple(tuple(area.name for area in grid.areas) for grid in several),
-        goals=tuple(str(goal) for goal in per_grid[0]),
-        **{name: make(value) for name, value in made.items()},
+        areas=tuple(tuple(area.name for area in grid.areas) for grid in grid_list),
+        goals=tuple(str(goal) for goal in goals_of_grids[0]),
+        **{name: make_array(array) for name, array in arrays.items()},
+    )
+
+
+def _check_grids(
+    grids: NavGrid | Sequence[NavGrid], goals: Sequence[Goal] | Sequence[Sequence[Goal]]
+) -> tuple[list[Any], list[Sequence[Goal]]]:
+    """The grids as a list, and the goals of each."""
+    is_single = hasattr(grids, "levels")
+    if not is_single and not isinstance(grids, Iterable):
+        raise QueryError(f"expected a grid or several, got {grids!r}")
+    grid_list: list[Any] = [grids] if is_single else list(grids)  # type: ignore[arg-type]
+    if not grid_list or not all(hasattr(grid, "levels") for grid in grid_list):
+        raise QueryError(f"expected grids, at least one grid, got {grid_list}")
+    if isinstance(goals, str):
+        raise QueryError(f"expected a list of goals, got {goals!r}: write goals=[{goals!r}]")
+    goals_of_grids: list[Any] = [goals] if is_single else list(goals) or [()] * len(grid_list)
+    counts = [len(goals_of_grid) for goals_of_grid in goals_of_grids]
+    if len(counts) != len(grid_list) or len(set(counts)) != 1:
+        expected = f"as many goals for each of {len(grid_list)} grids"
+        raise QueryError(f"expected {expected}, got {counts}")
+    return grid_list, goals_of_grids
+
+
+def _padded_shape(grids: list[Any]) -> Shape:
+    """The largest numbers of levels, rows and columns of any grid."""
+    levels = [level for grid in grids for level in grid.levels]
+    return Shape(
+        scenes=len(grids),
+        levels=max(len(grid.levels) for grid in grids),
+        rows=max(level.height for level in levels),
+        cols=max(level.width for level in levels),
     )
 
 
 def _open_library(
-    xp: Any, device: Any, dtype: str | None
-) -> tuple[Any, Callable[[NDArray[Any]], Any]]:
+    xp: Namespace, device: object, dtype: str | None
+) -> tuple[Namespace, Callable[[NDArray[Any]], Array]]:
     """A library's namespace, and a function that makes arrays of it, floats in the dtype."""
     try:
         from array_api_compat import array_namespace  # of the extra [tensors]
@@ -112,135 +145,158 @@ def _open_library(
         raise MissingDependencyError(message) from error
     try:
         probe = xp.asarray([0.0])
-        space = array_namespace(probe)
+        namespace = array_namespace(probe)
     except (AttributeError, TypeError) as error:
-        wanted = "numpy, torch, jax.numpy or another module of the Python array API"
-        raise QueryError(f"expected {wanted}, got {xp!r}") from error
+        expected = "numpy, torch, jax.numpy or another module of the Python array API"
+        raise QueryError(f"expected {expected}, got {xp!r}") from error
     if dtype not in (None, "float32", "float64"):
         raise QueryError(f'expected a dtype "float32" or "float64", got {dtype!r}')
-    wanted = probe.dtype if dtype is None else getattr(space, dtype)
+    float_dtype = probe.dtype if dtype is None else getattr(namespace, dtype)
+    device_option = {} if device is None else {"device": device}
 
-    def make(value: NDArray[Any]) -> Any:
-        given = {} if device is None else {"device": device}
+    def make_array(array: NDArray[Any]) -> Array:
+        array_dtype = float_dtype if array.dtype.kind == "f" else None
         try:
-            return space.asarray(value, dtype=wanted if value.dtype.kind == "f" else None, **given)
+            return namespace.asarray(array, dtype=array_dtype, **device_option)
         except Exception as error:  # each library has errors of its own
             if device is None:
                 raise
-            where = f"{space.__name__} can be made on the device {device!r}"
-            raise QueryError(f"no array of {where}: {str(error).splitlines()[0]}") from error
+            place = f"{namespace.__name__} can be made on the device {device!r}"
+            raise QueryError(f"no array of {place}: {str(error).splitlines()[0]}") from error
 
-    if make(np.zeros(1)).dtype != wanted:  # JAX has no 64-bit types by default
-        raise QueryError(f"{space.__name__} has no {dtype} in its configuration: use float32")
-    return space, make
+    if make_array(np.zeros(1)).dtype != float_dtype:  # JAX has no 64-bit types by default
+        raise QueryError(f"{namespace.__name__} has no {dtype} in its configuration: use float32")
+    return namespace, make_array
 
 
 def _pad(search: Search, values: NDArray[Any], shape: Shape, outside: float) -> NDArray[Any]:
     """Values by flat id as an array (levels, rows, cols), padded to `shape`."""
     padded = np.full(shape[1:], outside, dtype=values.dtype)
     for number, level in enumerate(search.grid.levels):
-        part = values[search.flat.cells_of(number)].reshape(level.shape)
-        padded[number, : level.height, : level.width] = part
+        level_values = values[search.flat.cells_of(number)].reshape(level.shape)
+        padded[number, : level.height, : level.width] = level_values
     return padded
 
 
-def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
+def _make_lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Arrays:
     """Edges of the columns and rows of each level."""
-    num = shape.scenes, shape.levels
-    names = ("x_first", "y_first", "scale", "west", "east", "north", "south")
-    found: Made = {name: np.zeros(num, dtype=dtype) for name in names}
-    found["x_edge"] = np.zeros((*num, shape.cols + 1), dtype=dtype)
-    found["y_edge"] = np.zeros((*num, shape.rows + 1), dtype=dtype)
-    found |= {name: np.zeros(num, dtype=np.int32) for name in ("num_rows", "num_cols")}
-    for at in ((s, k) for s, grid in enumerate(grids) for k in range(len(grid.levels))):
-        x_min, y_max, size, width, height = grids[at[0]].levels[at[1]].lattice
-        farthest = np.abs([x_min, x_min + width * size, y_max, y_max - height * size]).max()
-        if np.spacing(farthest.astype(dtype)) > size / FINEST:
-            where = f"at x, y up to {farthest:g} m in {grids[at[0]].scene_id!r}"
-            raise QueryError(f"{dtype} can't tell cells of {size:g} m apart {where}: use float64")
-        x_edge = first_in_cell(x_min, size, width, dtype)
-        y_edge = -first_in_cell(-y_max, size, height, dtype)  # the same formula, bit for bit
-        found["x_edge"][at][: width + 1] = x_edge
-        found["y_edge"][at][: height + 1] = y_edge
-        found["num_rows"][at] = height
-        found["num_cols"][at] = width
-        sides = x_edge[0], x_edge[-1], y_edge[0], y_edge[-1]
-        for name, value in zip(names, (x_min, y_max, 1 / size, *sides), strict=True):
-            found[name][at] = value
-    return {name: value.ravel() for name, value in found.items()}
+    num_levels = (shape.scenes, shape.levels)
+    arrays: Arrays = {
+        name: np.zeros(num_levels, dtype=dtype)
+        for name in ("x_first", "y_first", "scale", "west", "east", "north", "south")
+    }
+    arrays["x_edge"] = np.zeros((*num_levels, shape.cols + 1), dtype=dtype)
+    arrays["y_edge"] = np.zeros((*num_levels, shape.rows + 1), dtype=dtype)
+    arrays["num_rows"] = np.zeros(num_levels, dtype=np.int32)
+    arrays["num_cols"] = np.zeros(num_levels, dtype=np.int32)
+    for scene, grid in enumerate(grids):
+        for number, level in enumerate(grid.levels):
+            x_min, y_max, size, width, height = level.lattice
+            sides = [x_min, x_min + width * size, y_max, y_max - height * size]
+            farthest = np.abs(sides).max()
+            if np.spacing(farthest.astype(dtype)) > size / MIN_NUMBERS_PER_CELL:
+                place = f"at x, y up to {farthest:g} m in {grid.scene_id!r}"
+                raise QueryError(
+                    f"{dtype} can't tell cells of {size:g} m apart {place}: use float64"
+                )
+            x_edge = first_in_cell(x_min, size, width, dtype)
+            y_edge = -first_in_cell(-y_max, size, height, dtype)  # the same formula, bit for bit
+            at = (scene, number)
+            arrays["x_edge"][at][: width + 1] = x_edge
+            arrays["y_edge"][at][: height + 1] = y_edge
+            arrays["num_rows"][at] = height
+            arrays["num_cols"][at] = width
+            arrays["x_first"][at] = x_min
+            arrays["y_first"][at] = y_max
+            arrays["scale"][at] = 1 / size
+            arrays["west"][at] = x_edge[0]
+            arrays["east"][at] = x_edge[-1]
+            arrays["north"][at] = y_edge[0]
+            arrays["south"][at] = y_edge[-1]
+    return {name: array.ravel() for name, array in arrays.items()}
 
 
-def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: float) -> Made:
+def _make_layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: float) -> Arrays:
     """The layers of all scenes, by cell."""
-    found: dict[str, list[NDArray[Any]]] = {}
+    layers_of_scenes: dict[str, list[NDArray[Any]]] = {}
     ground = np.zeros((shape.scenes, shape.levels))
     num_islands = 0
-    for number, search in enumerate(searches):
+    for scene, search in enumerate(searches):
         flat = search.flat
         levels = search.grid.levels
-        z = search.flat.floors.z
-        ground[number, : len(levels)] = flat.floors.ground
-        own = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
-        stand = np.where(np.isnan(z), own, z)
-        heights, rank = np.unique(stand, return_inverse=True)
+        z = flat.floors.z
+        ground[scene, : len(levels)] = flat.floors.ground
+        ground_of_cell = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
+        # where there is no floor, one would stand on the level's ground
+        standing_z = np.where(np.isnan(z), ground_of_cell, z)
+        heights, rank = np.unique(standing_z, return_inverse=True)
         rank = np.where(np.isnan(z), rank, rank + len(heights)).astype(np.int32)
         # mirrored: the lowest number from which the mirrored floor is at most the drop above
-        top = np.where(flat.free, -lowest_reaching(-stand, max_drop, dtype), -np.inf)
+        highest = -lowest_reaching(-standing_z, max_drop, dtype)
         island = search.islands.number
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
         num_islands += search.islands.count
-        areas = range(1, len(search.grid.areas) + 1)
+        area_numbers = range(1, len(search.grid.areas) + 1)
+        area = cells_of_areas(search.grid, area_numbers, 0).astype(np.int32) + 0 * island
         layers = {
-            "reach": (lowest_reaching(stand, flat.floors.max_step, dtype), np.inf),
+            "reach": (lowest_reaching(standing_z, flat.floors.max_step, dtype), np.inf),
             "rank": (rank, -1),
-            "top": (top, -np.inf),
+            "top": (np.where(flat.free, highest, -np.inf), -np.inf),
             "floor": (z, np.nan),
             "room": (search.rooms.number, 0),
             "island": (island, 0),
-            "area": (cells_of_areas(search.grid, areas, 0).astype(np.int32) + 0 * island, 0),
-            "clearance": (np.concatenate([clearance(v).ravel() for v in levels]), 0),
+            "area": (area, 0),
+            "clearance": (np.concatenate([clearance(level).ravel() for level in levels]), 0),
         }
         for name, (values, outside) in layers.items():
-            found.setdefault(name, []).append(_pad(search, values, shape, outside))
-    arrays = {name: np.stack(parts).ravel() for name, parts in found.items()}
+            padded = _pad(search, values, shape, outside)
+            layers_of_scenes.setdefault(name, []).append(padded)
+    arrays = {name: np.stack(layers).ravel() for name, layers in layers_of_scenes.items()}
     arrays["ground"] = ground.ravel()
-    return {n: v.astype(dtype) if v.dtype.kind == "f" else v for n, v in arrays.items()}
+    return {
+        name: array.astype(dtype) if array.dtype.kind == "f" else array
+        for name, array in arrays.items()
+    }
 
 
-def _goal_fields(
+def _make_goal_fields(
     searches: list[Search], goals: list[Sequence[Goal]], shape: Shape, dtype: Floating
-) -> Made:
+) -> Arrays:
     """Cost and next cell of the cheapest path to each goal, by cell."""
     cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
-    onward = np.full(cost.shape, -1, dtype=np.int32)
-    every = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
-    for number, search in enumerate(searches):
-        # padded ids by flat id, and -1 at the end, for none
-        levels = enumerate(search.grid.levels)
-        parts = [every[number, k, : v.height, : v.width].ravel() for k, v in levels]
-        ids = np.concatenate([*parts, np.array([-1], dtype=np.int32)])
-        for k, goal in enumerate(goals[number]):
-            field, following = search.find_next_cells(
-                find_target(search, goal).free_cells(search.flat)
-            )
-            cost[k, number] = _pad(search, field, shape, np.inf)
-            onward[k, number] = _pad(search, ids[following], shape, -1)
-    return {"cost": cost.ravel(), "onward": onward.ravel()}
+    next_cell = np.full(cost.shape, -1, dtype=np.int32)
+    padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
+    for scene, search in enumerate(searches):
+        ids_of_levels = [
+            padded_ids[scene, number, : level.height, : level.width].ravel()
+            for number, level in enumerate(search.grid.levels)
+        ]
+        # by flat id; and -1 at the end, for none
+        padded_id = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
+        for number, goal in enumerate(goals[scene]):
+            goal_cells = find_target(search, goal).free_cells(search.flat)
+            cost_of_cell, next_of_cell = search.find_next_cells(goal_cells)
+            cost[number, scene] = _pad(search, cost_of_cell, shape, np.inf)
+            next_cell[number, scene] = _pad(search, padded_id[next_of_cell], shape, -1)
+    return {"cost": cost.ravel(), "onward": next_cell.ravel()}
 
 
-def _orders(room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Shape) -> Made:
+def _sort_free_cells(
+    room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Shape
+) -> Arrays:
     """The free cells sorted by island and room, and by scene and room."""
     free = np.flatnonzero(island)
-    of_scene = free // int(np.prod(shape[1:]))
-    if max(int(island.max(initial=0)) + 1, shape.scenes) * (num_rooms + 1) >= 2**31:
+    scene = free // int(np.prod(shape[1:]))
+    num_groups = max(int(island.max(initial=0)) + 1, shape.scenes)
+    if num_groups * (num_rooms + 1) >= 2**31:
         raise QueryError("too many islands and rooms in all: make tensors of fewer grids at once")
-    found: Made = {}
-    for name, group in (("island", island[free]), ("room", of_scene)):
+    arrays: Arrays = {}
+    for name, group in (("island", island[free]), ("room", scene)):
         key = (group * (num_rooms + 1) + room[free]).astype(np.int32)
         order = np.argsort(key, kind="stable")
-        found[f"by_{name}"] = free[order].astype(np.int32)
-        found[f"{name}_key"] = key[order]
-    return found
+        arrays[f"by_{name}"] = free[order].astype(np.int32)
+        arrays[f"{name}_key"] = key[order]
+    return arrays
 
 
 # A position's cell is ``floor((x - x_min) / cell_size)`` in float64; in float32 the formula is
@@ -249,36 +305,66 @@ def _orders(room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Sha
 
 
 def smallest_true(
-    holds: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
+    condition: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """The smallest number of a dtype at which each of monotone conditions holds, by bisection."""
-    false = low.astype(dtype)
-    true = high.astype(dtype)
+    """The smallest numbers of a dtype at which conditions hold, by bisection.
+
+    Args:
+        condition: whether each holds at a number, shape (n,); from some number on they do.
+        low: numbers at which they don't, shape (n,).
+        high: numbers at which they do, shape (n,).
+        dtype: of the numbers.
+
+    Returns:
+        The numbers, shape (n,).
+    """
+    last_false = low.astype(dtype)
+    first_true = high.astype(dtype)
     while True:
-        middle = false + (true - false) / 2
-        is_open = (middle > false) & (middle < true)
-        if not is_open.any():
-            return true
-        found = holds(middle.astype(np.float64))
-        true = np.where(is_open & found, middle, true)
-        false = np.where(is_open & ~found, middle, false)
+        middle = last_false + (first_true - last_false) / 2
+        is_between = (middle > last_false) & (middle < first_true)
+        if not is_between.any():
+            return first_true
+        holds = condition(middle.astype(np.float64))
+        first_true = np.where(is_between & holds, middle, first_true)
+        last_false = np.where(is_between & ~holds, middle, last_false)
 
 
-def first_in_cell(least: float, size: float, count: int, dtype: Floating) -> NDArray[np.floating]:
-    """The smallest x of `dtype` in each of some columns, and beyond the last; (count + 1,)."""
-    edge = np.arange(count + 1, dtype=np.float64)
-    middle = least + edge * size
+def first_in_cell(x_min: float, size: float, count: int, dtype: Floating) -> NDArray[np.floating]:
+    """The smallest x of a dtype in each column, and beyond the last one.
 
-    def holds(x: Float) -> Bool:
-        return np.asarray(np.floor((x - least) / size) >= edge)
+    Args:
+        x_min: the first column's edge [m].
+        size: width of a column [m].
+        count: number of columns.
+        dtype: of the numbers.
 
-    return smallest_true(holds, middle - size / 2, middle + size / 2, dtype)
+    Returns:
+        x, shape (count + 1,) [m].
+    """
+    number = np.arange(count + 1, dtype=np.float64)
+    edge = x_min + number * size
+
+    def is_in_cell(x: Float) -> Bool:
+        return np.asarray(np.floor((x - x_min) / size) >= number)
+
+    return smallest_true(is_in_cell, edge - size / 2, edge + size / 2, dtype)
 
 
 def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:
-    """The lowest z of `dtype` from which floors are at most a step above, by floor [m]."""
-    some, where = np.unique(floors, return_inverse=True)
+    """The lowest z of a dtype from which each floor is at most a step above.
+
+    Args:
+        floors: z of floors, shape (n,) [m].
+        max_step: [m].
+        dtype: of the numbers.
+
+    Returns:
+        z, shape (n,) [m].
+    """
+    heights, height_of_floor = np.unique(floors, return_inverse=True)
     # bounds beyond the rounding of the exact thresholds
-    exact = some - max_step
-    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(some) + np.abs(exact))
-    return smallest_true(lambda z: some <= z + max_step, exact - reach, exact + reach, dtype)[where]
+    exact = heights - max_step
+    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(heights) + np.abs(exact))
+    lowest = smallest_true(lambda z: heights <= z + max_step, exact - reach, exact + reach, dtype)
+    return lowest[height_of_floor]

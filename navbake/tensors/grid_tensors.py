@@ -14,14 +14,18 @@ import numpy as np
 
 from navbake.errors import QueryError
 
+Namespace: TypeAlias = Any
+"""An array library: numpy, torch, ``jax.numpy`` or another module of the Python array API."""
 Array: TypeAlias = Any
-"""An array of whatever library the tensors were made for."""
+"""An array of the library that the tensors were made for."""
+DType: TypeAlias = Any
+"""A dtype of that library."""
 Ids: TypeAlias = Any
 """An integer, or integers as an array; as `scene_id` None where there is one scene."""
 
 NUMPY = ("numpy", "array_api_compat.numpy")
-PIECE = 16_384  # positions: their coordinates, ids and masks stay in the second cache
-FAR = 1e30  # [m]; higher positions are invalid
+CHUNK = 16_384  # positions: their coordinates, ids and masks stay in the second cache
+MAX_Z = 1e30  # positions from here on are invalid [m]
 
 
 class Shape(NamedTuple):
@@ -42,14 +46,14 @@ class GridTensors:
     number of ids. Arrays "by level" are indexed by ``scene * levels + level``.
     """
 
-    xp: Any  # the array library's namespace
-    dtype: Any  # of positions and of all values in metres: float32 or float64 of the library
-    index: Any  # the integer dtype that ids are computed in
+    xp: Namespace  # the array library's
+    dtype: DType  # of positions and of all values in metres: float32 or float64
+    index: DType  # the integer dtype that ids are computed in
     shape: Shape  # padded
     num_rooms: int  # the most rooms of a scene
     rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
     areas: tuple[tuple[str, ...], ...]  # likewise of `area`
-    goals: tuple[str, ...]  # the given goals by number
+    goals: tuple[str, ...]  # the goals by number, as they were given
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
     scale: Array  # by level, cells per metre
@@ -64,8 +68,8 @@ class GridTensors:
     num_cols: Array
     # by cell, the lowest z [m] from which its floor, or else the ground, is at most a step above
     reach: Array
-    # by cell, int32, the rank of its floor among a scene's, grounds below all floors: the highest
-    # reachable floor is a position's
+    # by cell, int32, the rank of its floor among a scene's, grounds below all floors: a position is
+    # on the reachable floor of the highest rank
     rank: Array
     top: Array  # by cell, the highest z [m] at which `is_navigable` holds; -inf where it never does
     floor: Array  # by cell [m], NaN for no floor
@@ -75,7 +79,8 @@ class GridTensors:
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
     clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
     cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
-    # likewise, int32, the id of that path's next cell; itself at the goal, -1 for no path
+    # at ``goal * n + cell``, int32, the id of the next cell on that path: the cell itself at the
+    # goal, -1 for no path
     onward: Array
     by_island: Array  # the free cells' ids, sorted by `island_key`; int32, shape (m,)
     island_key: Array  # of each of them ``island * (num_rooms + 1) + room``
@@ -89,98 +94,134 @@ class GridTensors:
 STATIC = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "areas", "goals")
 
 
-def register_pytree(xp: Any) -> None:
+def register_pytree(xp: Namespace) -> None:
     """Register GridTensors as a pytree, so that JAX traces functions of it."""
     if xp.__name__.split(".")[0] != "jax":
         return
     from jax import tree_util  # the caller's library
 
-    arrays = [f.name for f in fields(GridTensors) if f.name not in STATIC]
+    arrays = [field.name for field in fields(GridTensors) if field.name not in STATIC]
     with suppress(ValueError):  # registered before
         tree_util.register_dataclass(GridTensors, data_fields=arrays, meta_fields=list(STATIC))
 
 
 def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
-    """Ids of the cells and levels of checked positions, 0 for none, and whether there is one."""
+    """Find the cells of positions.
+
+    Args:
+        t: the tensors.
+        positions: checked world positions, shape (..., 3) [m].
+        scene_id: checked scenes, shape (...), -1 for unknown ones; None for a single scene.
+
+    Returns:
+        Ids of the cells, 0 for none; numbers of the levels in their scenes, 0 for none; and whether
+        there is a cell; shape (...).
+    """
     xp = t.xp
-    first = first_level(t, scene_id)
+    lowest = first_level(t, scene_id)
     x = positions[..., 0]
     y = positions[..., 1]
     z = positions[..., 2]
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # unknown scenes
-    best = level = xp.zeros_like(x, dtype=t.index)
+    best_cell = xp.zeros_like(x, dtype=t.index)
+    best_level = best_cell
     if t.shape.levels == 1:  # no choice of a level
-        cell, inside = on_level(t, x, y, first)
-        inside = inside & (z >= t.reach[cell]) & (z < FAR)
-        return xp.where(inside, cell, 0), level, inside
-    highest = best - 1  # the rank of the best floor
-    for k in range(t.shape.levels):
-        cell, inside = on_level(t, x, y, first + k)
+        cell, inside = clamp_to_level(t, x, y, lowest)
+        inside = inside & (z >= t.reach[cell]) & (z < MAX_Z)
+        return xp.where(inside, cell, 0), best_level, inside
+    best_rank = best_cell - 1
+    for number in range(t.shape.levels):
+        cell, inside = clamp_to_level(t, x, y, lowest + number)
         rank = t.rank[cell]
-        better = inside & (z >= t.reach[cell]) & (z < FAR) & (rank > highest)
-        best = xp.where(better, cell, best)
-        level = xp.where(better, k, level)
-        highest = xp.where(better, rank, highest)
-    return best, level, highest >= 0
+        is_better = inside & (z >= t.reach[cell]) & (z < MAX_Z) & (rank > best_rank)
+        best_cell = xp.where(is_better, cell, best_cell)
+        best_level = xp.where(is_better, number, best_level)
+        best_rank = xp.where(is_better, rank, best_rank)
+    return best_cell, best_level, best_rank >= 0
 
 
-def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
-    """Clamped, always valid cell ids of x, y on one level, and whether they are inside.
+def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tuple[Array, Array]:
+    """Find the nearest cells of x, y on one level, and whether they are inside.
 
-    `first` is the level's number among those of all scenes. Rounding finds the nearest edge, and an
-    exact comparison the position's side of it.
+    Rounding finds the nearest edge, and an exact comparison the position's side of it.
+
+    Args:
+        t: the tensors.
+        x: world x, shape (...) [m].
+        y: world y, shape (...) [m].
+        level: the level's number among those of all scenes, or one for each position.
+
+    Returns:
+        Ids of cells, which always exist; and whether x, y lie in them; shape (...).
     """
     xp = t.xp
     shape = t.shape
-    west = t.west[first]
-    east = t.east[first]
-    north = t.north[first]
-    south = t.south[first]
+    west = t.west[level]
+    east = t.east[level]
+    north = t.north[level]
+    south = t.south[level]
     in_cols = (x >= west) & (x < east)  # False for NaN
     x = xp.where(in_cols, x, west)
-    col = xp.astype(xp.round((x - t.x_first[first]) * t.scale[first]), t.index)
-    col = col - xp.astype(x < t.x_edge[first * (shape.cols + 1) + col], t.index)
+    col = xp.astype(xp.round((x - t.x_first[level]) * t.scale[level]), t.index)
+    col = col - xp.astype(x < t.x_edge[level * (shape.cols + 1) + col], t.index)
     in_rows = (y <= north) & (y > south)
     y = xp.where(in_rows, y, north)
-    row = xp.astype(xp.round((t.y_first[first] - y) * t.scale[first]), t.index)
-    row = row - xp.astype(y > t.y_edge[first * (shape.rows + 1) + row], t.index)
-    return (first * shape.rows + row) * shape.cols + col, in_cols & in_rows
+    row = xp.astype(xp.round((t.y_first[level] - y) * t.scale[level]), t.index)
+    row = row - xp.astype(y > t.y_edge[level * (shape.rows + 1) + row], t.index)
+    return (level * shape.rows + row) * shape.cols + col, in_cols & in_rows
 
 
 def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
-    """The number of each scene's first level among those of all scenes."""
-    return 0 if scene_id is None else t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
+    """The number of each scene's lowest level among those of all scenes."""
+    if scene_id is None:
+        return 0
+    return t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
 
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
     """Level among those of all scenes, row and column of cells."""
-    level = cell // (t.shape.rows * t.shape.cols)
-    rest = cell % (t.shape.rows * t.shape.cols)
-    return level, rest // t.shape.cols, rest % t.shape.cols
+    cells_per_level = t.shape.rows * t.shape.cols
+    cell_of_level = cell % cells_per_level
+    return cell // cells_per_level, cell_of_level // t.shape.cols, cell_of_level % t.shape.cols
 
 
 def check_positions(t: GridTensors, positions: Array) -> Array:
-    """Check the shape and dtype of world positions, (..., 3)."""
-    given = as_array(t, positions)
-    if given.ndim == 0 or given.shape[-1] != 3:
-        raise QueryError(f"expected positions of shape (..., 3) [m], got {tuple(given.shape)}")
-    return given
+    """World positions as an array of shape (..., 3).
+
+    Raises:
+        QueryError: the shape or dtype is another.
+    """
+    points = as_array(t, positions)
+    if points.ndim == 0 or points.shape[-1] != 3:
+        raise QueryError(f"expected positions of shape (..., 3) [m], got {tuple(points.shape)}")
+    return points
 
 
 def as_array(t: GridTensors, values: Array) -> Array:
-    """Numbers as an array of the tensors' dtype; other dtypes might round to another cell."""
+    """Numbers as an array of the tensors' dtype; other dtypes might round to another cell.
+
+    Raises:
+        QueryError: it is an array of another dtype, or holds no numbers.
+    """
     if isinstance(values, int | float | Sequence):
         return _new_array(t, values, t.dtype)
-    if (kind := getattr(values, "dtype", "no numbers")) != t.dtype:
-        found = f"{type(values).__name__} of {kind}"
+    dtype = getattr(values, "dtype", "no numbers")
+    if dtype != t.dtype:
+        actual = f"{type(values).__name__} of {dtype}"
         hint = "convert it, or make the tensors with that dtype"
-        raise QueryError(f"expected an array of {t.dtype}, as the tensors are, got {found}: {hint}")
+        raise QueryError(
+            f"expected an array of {t.dtype}, as the tensors are, got {actual}: {hint}"
+        )
     return values
 
 
 def check_scenes(t: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array:
-    """Scenes in a shape (...), -1 for unknown ones; None for tensors of one scene."""
+    """Scenes broadcast to a shape, -1 for unknown ones; None for tensors of one scene.
+
+    Raises:
+        QueryError: there are several scenes and none is given, or they don't fit the shape.
+    """
     if scene_id is None:
         if t.shape.scenes > 1:
             raise QueryError(f"expected a scene_id, 0 to {t.shape.scenes - 1}: there are several")
@@ -192,46 +233,64 @@ def check_scenes(t: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array
     return check_numbers(t, scene_id, "scene", t.shape.scenes, shape)
 
 
-def check_number(given: int | np.integer, what: str, count: int) -> int:
-    """Check the number of a scene or goal: 0 to count - 1."""
-    if not 0 <= given < count:
-        raise QueryError(f"no {what} {given}: expected 0 to {count - 1}")
-    return int(given)
+def check_number(number: int | np.integer, label: str, count: int) -> int:
+    """The number of a scene or goal, whose `label` errors name.
+
+    Raises:
+        QueryError: it is not from 0 to count - 1.
+    """
+    if not 0 <= number < count:
+        raise QueryError(f"no {label} {number}: expected 0 to {count - 1}")
+    return int(number)
 
 
 def check_numbers(
-    t: GridTensors, given: Ids, what: str, count: int, shape: tuple[int, ...]
+    t: GridTensors, numbers: Ids, label: str, count: int, shape: tuple[int, ...]
 ) -> Array:
-    """`given` as integers in a shape, -1 in place of any that is not from 0 to count - 1.
+    """Numbers of scenes, goals or rooms, broadcast to a shape.
 
-    Traced arrays can't raise for these. Raises a QueryError for what are no integers, or does not
-    fit the shape.
+    Args:
+        t: the tensors.
+        numbers: an integer or integers.
+        label: what they are, for errors.
+        count: how many there are.
+        shape: of the result.
+
+    Returns:
+        Integers, -1 in place of any that is not from 0 to count - 1: traced arrays can't raise.
+
+    Raises:
+        QueryError: they are no integers, or don't fit the shape.
     """
-    if isinstance(given, int | Sequence | np.ndarray | np.integer):
-        given = _new_array(t, given, None)
-    if not hasattr(given, "dtype") or not t.xp.isdtype(given.dtype, "integral"):
-        kind = getattr(given, "dtype", type(given).__name__)
-        raise QueryError(f"expected an integer or integers as {what}, got {kind}")
-    numbers = t.xp.astype(given, t.index)
+    if isinstance(numbers, int | Sequence | np.ndarray | np.integer):
+        numbers = _new_array(t, numbers, None)
+    if not hasattr(numbers, "dtype") or not t.xp.isdtype(numbers.dtype, "integral"):
+        actual = getattr(numbers, "dtype", type(numbers).__name__)
+        raise QueryError(f"expected an integer or integers as {label}, got {actual}")
+    numbers = t.xp.astype(numbers, t.index)
     numbers = t.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
-    return broadcast(t, numbers, shape, what)
+    return broadcast(t, numbers, shape, label)
 
 
-def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], what: str) -> Array:
-    """Values broadcast to a shape; a QueryError if they don't fit."""
+def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], label: str) -> Array:
+    """Values broadcast to a shape; errors name them by their `label`.
+
+    Raises:
+        QueryError: they don't fit.
+    """
     try:
         return t.xp.broadcast_to(values, shape)
     except (ValueError, RuntimeError, TypeError) as error:
-        wanted = f"expected a {what} that fits the shape {tuple(shape)}"
-        raise QueryError(f"{wanted}, got one of shape {tuple(values.shape)}") from error
+        expected = f"expected a {label} that fits the shape {tuple(shape)}"
+        raise QueryError(f"{expected}, got one of shape {tuple(values.shape)}") from error
 
 
-def device_of(t: GridTensors) -> Array:
+def device_of(t: GridTensors) -> object:
     """The arrays' device; None for the default, as inside JAX's traced functions."""
     return getattr(t.floor, "device", None)
 
 
-def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
+def _new_array(t: GridTensors, values: Array, dtype: DType) -> Array:
     """Numbers of Python or numpy as an array on the tensors' device."""
     try:
         return t.xp.asarray(values, dtype=dtype, device=device_of(t))
@@ -239,32 +298,49 @@ def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
         raise QueryError(f"expected numbers, got {values!r:.60}") from error
 
 
-def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -> Array:
-    """Values clipped to a range; NaN stays."""
+def clip(xp: Namespace, values: Array, low: Array | float, high: Array | float) -> Array:
+    """Values clipped to the range from low to high; NaN stays."""
     return xp.where(values < low, low, xp.where(values > high, high, values))
 
 
-def answer_all(
-    t: GridTensors, answer: Callable[..., Array], positions: Array, *further: Array | int | None
+def apply_in_chunks(
+    t: GridTensors, function: Callable[..., Array], positions: Array, *more: Array | int | None
 ) -> Array:
-    """Apply a function to positions of any shape (..., 3), in pieces where that is faster."""
+    """Apply a function to positions, in chunks on several threads where that is faster.
+
+    Args:
+        t: the tensors.
+        function: of flat positions and `more`; returns an array with an entry for each position.
+        positions: shape (..., 3) [m].
+        more: arrays of shape (..., and so on), which are cut as the positions are; or numbers.
+
+    Returns:
+        What the function returns, for the whole shape (...).
+    """
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)
-    if t.xp.__name__ not in NUMPY or count < 2 * PIECE:
-        return answer(positions, *further)
+    if t.xp.__name__ not in NUMPY or count < 2 * CHUNK:
+        return function(positions, *more)
     from navbake.threads import run_in_chunks  # saves numba for small batches
 
-    whole = [
-        a if a is None or isinstance(a, int) else np.reshape(a, (count, *a.shape[len(shape) :]))
-        for a in (positions, *further)
-    ]
-    parts: dict[int, Array] = {}
+    def flatten(argument: Array | int | None) -> Array | int | None:
+        if argument is None or isinstance(argument, int):
+            return argument
+        return np.reshape(argument, (count, *argument.shape[len(shape) :]))
+
+    arguments = [flatten(argument) for argument in (positions, *more)]
+    results: dict[int, Array] = {}  # by the first position of each chunk
 
     def fill(first: int, last: int) -> None:
-        for begin in range(first, last, PIECE):
-            piece = slice(begin, min(begin + PIECE, last))
-            parts[begin] = answer(*(a[piece] if isinstance(a, np.ndarray) else a for a in whole))
+        for begin in range(first, last, CHUNK):
+            chunk = slice(begin, min(begin + CHUNK, last))
+            results[begin] = function(
+                *(
+                    argument[chunk] if isinstance(argument, np.ndarray) else argument
+                    for argument in arguments
+                )
+            )
 
-    run_in_chunks(fill, count, least=PIECE)
-    found = np.concatenate([parts[begin] for begin in sorted(parts)])
-    return found.reshape(*shape, *found.shape[1:])
+    run_in_chunks(fill, count, least=CHUNK)
+    values = np.concatenate([results[begin] for begin in sorted(results)])
+    return values.reshape(*shape, *values.shape[1:])

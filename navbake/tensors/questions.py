@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -21,14 +20,14 @@ from navbake.tensors.grid_tensors import (
     Array,
     GridTensors,
     Ids,
-    answer_all,
+    apply_in_chunks,
     as_array,
-    bounded,
     broadcast,
     check_number,
     check_numbers,
     check_positions,
     check_scenes,
+    clip,
     device_of,
     first_level,
     locate,
@@ -39,112 +38,176 @@ MODES = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The level of each position, int32, as in `PathFinder.cell_at`; -1 for none."""
+    """The level of each position, as in `PathFinder.cell_at`.
 
-    def answer(p: Array, scenes: Array) -> Array:
-        _, level, inside = locate(t, p, scenes)
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        int32, shape (...): 0 is the lowest, -1 for none.
+    """
+
+    def level_of(points: Array, scenes: Array) -> Array:
+        _, level, inside = locate(t, points, scenes)
         return t.xp.astype(t.xp.where(inside, level, -1), t.xp.int32)
 
-    return _ask(t, answer, positions, scene_id)
+    return _apply(t, level_of, positions, scene_id)
 
 
 def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """World z of the floor under each position [m], NaN for none."""
-    return _value(t, t.floor, t.xp.nan, positions, scene_id)
+    """The floor under each position.
+
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        World z, shape (...), NaN for none [m].
+    """
+    return _values_at(t, t.floor, t.xp.nan, positions, scene_id)
 
 
 def room(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The room of each position, int32, 0 for none; ``t.rooms[scene][number - 1]`` is its id."""
-    return _value(t, t.room, 0, positions, scene_id)
+    """The room of each position.
+
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        int32, shape (...), 0 for none; ``t.rooms[scene][number - 1]`` is a room's id.
+    """
+    return _values_at(t, t.room, 0, positions, scene_id)
 
 
 def area(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The area of each position, int32, 0 for none; ``t.areas[scene][number - 1]`` is its name."""
-    return _value(t, t.area, 0, positions, scene_id)
+    """The area of each position.
+
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        int32, shape (...), 0 for none; ``t.areas[scene][number - 1]`` is an area's name.
+    """
+    return _values_at(t, t.area, 0, positions, scene_id)
 
 
 def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The connected part of each position, int32, 0 for none.
+    """The island of each position: the connected free cells that it belongs to.
 
-    Parts are numbered through all scenes in order. In tensors of one grid, the numbers are those of
-    `PathFinder.island_at`.
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        int32, shape (...), numbered from 1 through all scenes in order, 0 for none. In tensors of
+        one grid, the numbers are those of `PathFinder.island_at`.
     """
-    return _value(t, t.island, 0, positions, scene_id)
+    return _values_at(t, t.island, 0, positions, scene_id)
 
 
 def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """Whether an agent can stand at each position, by the `max_drop` of `make_tensors`; bool."""
+    """Whether an agent can stand at each position, by the `max_drop` of `make_tensors`.
 
-    def answer(p: Array, scenes: Array) -> Array:
-        cell, _, inside = locate(t, p, scenes)
-        return inside & (p[..., 2] <= t.top[cell])
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
 
-    return _ask(t, answer, positions, scene_id)
+    Returns:
+        bool, shape (...).
+    """
+
+    def is_free(points: Array, scenes: Array) -> Array:
+        cell, _, inside = locate(t, points, scenes)
+        return inside & (points[..., 2] <= t.top[cell])
+
+    return _apply(t, is_free, positions, scene_id)
 
 
 def clearance(
     t: GridTensors, positions: Array, scene_id: Ids = None, mode: str = "bilinear"
 ) -> Array:
-    """The distance from each position to the nearest cell that isn't free [m]; NaN outside.
+    """How far the nearest cell that isn't free is from each position.
 
     Unlike `PathFinder.clearance`, which measures from the position to obstacles, it is a layer,
     `navbake.navgrid.islands.clearance`: from each free cell's centre to the nearest centre of a
     cell that isn't free, less half a cell; 0 in all others.
 
-    The mode ``"nearest"`` returns the value of the position's cell, as ``grid.values_at`` does;
-    ``"bilinear"`` interpolates between the centres of the four cells round the position on its
-    level, and is differentiable; the outer cells are continued at the edge of the grid.
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        scene_id: of each position, where the tensors have several grids.
+        mode: ``"nearest"`` for the value of the position's cell, as ``grid.values_at`` returns it;
+            ``"bilinear"`` interpolates between the centres of the four cells round the position on
+            its level, and is differentiable; the outer cells are continued at the grid's edge.
+
+    Returns:
+        Distances, shape (...), NaN outside [m].
     """
     if mode not in MODES:
         raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
     if mode == "nearest":
-        return _value(t, t.clearance, t.xp.nan, positions, scene_id)
+        return _values_at(t, t.clearance, t.xp.nan, positions, scene_id)
     xp = t.xp
     shape = t.shape
 
-    def answer(p: Array, scenes: Array) -> Array:
-        _, on, inside = locate(t, p, scenes)
-        level = first_level(t, scenes) + on
+    def interpolate(points: Array, scenes: Array) -> Array:
+        _, level_of_scene, inside = locate(t, points, scenes)
+        level = first_level(t, scenes) + level_of_scene
         # keep positions outside the grid out of the gradient
-        x = xp.where(inside, p[..., 0], t.x_first[level])
-        y = xp.where(inside, p[..., 1], t.y_first[level])
+        x = xp.where(inside, points[..., 0], t.x_first[level])
+        y = xp.where(inside, points[..., 1], t.y_first[level])
         across = (x - t.x_first[level]) * t.scale[level] - 0.5
         down = (t.y_first[level] - y) * t.scale[level] - 0.5
         last_col = t.num_cols[level] - 1
         last_row = t.num_rows[level] - 1
-        col0 = bounded(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
-        row0 = bounded(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
+        col0 = clip(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
+        row0 = clip(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
         col1 = xp.minimum(col0 + 1, last_col)
         row1 = xp.minimum(row0 + 1, last_row)
-        share_x = bounded(xp, across - xp.astype(col0, t.dtype), 0.0, 1.0)
-        share_y = bounded(xp, down - xp.astype(row0, t.dtype), 0.0, 1.0)
+        share_x = clip(xp, across - xp.astype(col0, t.dtype), 0.0, 1.0)
+        share_y = clip(xp, down - xp.astype(row0, t.dtype), 0.0, 1.0)
 
-        def along(row: Array) -> Array:
-            at = level * (shape.rows * shape.cols) + row * shape.cols
-            return t.clearance[at + col0] * (1 - share_x) + t.clearance[at + col1] * share_x
+        def along_row(row: Array) -> Array:
+            start = level * (shape.rows * shape.cols) + row * shape.cols
+            return t.clearance[start + col0] * (1 - share_x) + t.clearance[start + col1] * share_x
 
-        between = along(row0) * (1 - share_y) + along(row1) * share_y
-        return xp.where(inside, between, xp.nan)
+        value = along_row(row0) * (1 - share_y) + along_row(row1) * share_y
+        return xp.where(inside, value, xp.nan)
 
-    return _ask(t, answer, positions, scene_id)
+    return _apply(t, interpolate, positions, scene_id)
 
 
-def _value(t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Ids) -> Array:
+def _values_at(
+    t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Ids
+) -> Array:
     """The values of a layer in the cells of positions."""
 
-    def answer(p: Array, scenes: Array) -> Array:
-        cell, _, inside = locate(t, p, scenes)
+    def value_of(points: Array, scenes: Array) -> Array:
+        cell, _, inside = locate(t, points, scenes)
         return t.xp.where(inside, layer[cell], outside)
 
-    return _ask(t, answer, positions, scene_id)
+    return _apply(t, value_of, positions, scene_id)
 
 
-def _ask(t: GridTensors, answer: Callable[..., Array], positions: Array, scene_id: Ids) -> Array:
-    p = check_positions(t, positions)
-    return answer_all(t, answer, p, check_scenes(t, scene_id, p.shape[:-1]))
+def _apply(
+    t: GridTensors, function: Callable[..., Array], positions: Array, scene_id: Ids
+) -> Array:
+    """Check positions and scenes, and apply a function to them."""
+    points = check_positions(t, positions)
+    scenes = check_scenes(t, scene_id, points.shape[:-1])
+    return apply_in_chunks(t, function, points, scenes)
 
 
-LAYERS: dict[str, Any] = {
+LAYERS: dict[str, Callable[..., Array]] = {
     "floor": floor,
     "free": is_navigable,
     "room": room,
@@ -160,11 +223,20 @@ def heights(
 ) -> Array:
     """A height scan: floor heights at a pattern of points round each agent, rotated with it.
 
-    Each point's floor is the nearest below the agent, by the rule of `level_at`. `yaw` are the
-    agents' headings [rad], 0 along x, counted towards y, shape (...); `pattern` are points in their
-    frames, x ahead, y to the left [m], shape (k, 2). World z [m], shape (..., k); NaN for no floor.
+    Each point's floor is the nearest below the agent, by the rule of `level_at`.
+
+    Args:
+        t: the tensors.
+        positions: of the agents, world x, y, z, shape (..., 3) [m].
+        yaw: their headings, 0 along x, counted towards y, shape (...) [rad].
+        pattern: points in the agents' frames, x ahead, y to the left, shape (k, 2) [m].
+        scene_id: of each agent, where the tensors have several grids.
+
+    Returns:
+        World z, shape (..., k), NaN for no floor [m].
     """
-    return floor(t, *_turned(t, positions, yaw, pattern, scene_id))
+    points, scenes = _pattern_points(t, positions, yaw, pattern, scene_id)
+    return floor(t, points, scenes)
 
 
 def patch(
@@ -178,10 +250,21 @@ def patch(
 ) -> Array:
     """Cut an egocentric map of a layer round each agent, with its heading up.
 
-    The agent is in the middle. Each pixel, of edge `cell` [m], shows the cell at its middle, by the
-    rule of `level_at` at the agent's z. The layer is ``free`` (bool), ``floor``, ``clearance``
-    (both [m]), ``room``, ``area`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows,
-    columns); False, NaN or 0 outside.
+    The agent is in the middle. Each pixel shows the cell at its middle, by the rule of `level_at`
+    at the agent's z.
+
+    Args:
+        t: the tensors.
+        positions: of the agents, world x, y, z, shape (..., 3) [m].
+        yaw: their headings, as in `heights` [rad].
+        shape: rows and columns of the map.
+        cell: edge of a pixel [m].
+        layer: ``free``, ``floor``, ``clearance``, ``room``, ``area`` or ``island``.
+        scene_id: of each agent, where the tensors have several grids.
+
+    Returns:
+        Shape (..., rows, columns): ``free`` as bool, False outside; ``floor`` and ``clearance``,
+        NaN outside [m]; the others as int32, 0 outside.
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
@@ -194,33 +277,35 @@ def patch(
     device = device_of(t)
     cell = float(cell)
     ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
-    left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
-    grid = xp.reshape(xp.stack(xp.meshgrid(ahead, left, indexing="ij"), axis=-1), (-1, 2))
-    values = LAYERS[layer](t, *_turned(t, positions, yaw, grid, scene_id))
+    to_left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
+    pixels = xp.stack(xp.meshgrid(ahead, to_left, indexing="ij"), axis=-1)
+    pattern = xp.reshape(pixels, (-1, 2))
+    points, scenes = _pattern_points(t, positions, yaw, pattern, scene_id)
+    values = LAYERS[layer](t, points, scenes)
     return xp.reshape(values, (*values.shape[:-1], rows, cols))
 
 
-def _turned(
+def _pattern_points(
     t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids
 ) -> tuple[Array, Array]:
     """World positions of a pattern's points round agents, shape (..., k, 3), and their scenes."""
     xp = t.xp
-    p = check_positions(t, positions)
-    turn = as_array(t, yaw)
+    agents = check_positions(t, positions)
+    heading = as_array(t, yaw)
     points = as_array(t, pattern)
     if points.ndim != 2 or points.shape[-1] != 2:
         raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(points.shape)}")
-    shape = tuple(p.shape[:-1])
-    given = tuple(turn.shape)
-    if given != shape:
-        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {given}")
-    cos = xp.cos(turn)[..., None]
-    sin = xp.sin(turn)[..., None]
-    x = p[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
-    y = p[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
-    world = xp.stack([x, y, xp.broadcast_to(p[..., 2, None], x.shape)], axis=-1)
+    shape = tuple(agents.shape[:-1])
+    if tuple(heading.shape) != shape:
+        actual = tuple(heading.shape)
+        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {actual}")
+    cos = xp.cos(heading)[..., None]
+    sin = xp.sin(heading)[..., None]
+    x = agents[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
+    y = agents[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
+    z = xp.broadcast_to(agents[..., 2, None], x.shape)
     scenes = check_scenes(t, scene_id, shape)
-    return world, None if scenes is None else scenes[..., None]
+    return xp.stack([x, y, z], axis=-1), None if scenes is None else scenes[..., None]
 
 
 def distance_to_goal(
@@ -228,79 +313,104 @@ def distance_to_goal(
 ) -> Array:
     """The cost of the cheapest path from each position to a goal, as in `PathFinder.distances`.
 
-    `goal` is its number among those of the tensors: an integer, or integers that broadcast to
-    (...). Costs are metres times weights; inf for no path, NaN outside the grid.
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        goal: its number among those of the tensors: an integer, or integers that broadcast to
+            (...).
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        Metres times weights, shape (...); inf for no path, NaN outside the grid.
     """
 
-    def answer(p: Array, first: Array | int, scenes: Array) -> Array:
-        cell, _, inside = locate(t, p, scenes)
+    def cost_of(points: Array, first: Array | int, scenes: Array) -> Array:
+        cell, _, inside = locate(t, points, scenes)
         return t.xp.where(inside, t.cost[first + cell], t.xp.nan)
 
-    return _ask_goal(t, answer, positions, goal, scene_id)
+    return _apply_to_goal(t, cost_of, positions, goal, scene_id)
 
 
 def distances(
     t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Ids = None
 ) -> Array:
-    """`distance_to_goal` from each start to each of several goals, shape (..., m).
+    """`distance_to_goal` from each start to each of several goals.
 
-    `goals` are their numbers, shape (m,); all goals of the tensors in their order unless given.
+    Args:
+        t: the tensors.
+        starts: world x, y, z, shape (..., 3) [m].
+        goals: their numbers, shape (m,); all goals of the tensors in their order unless given.
+        scene_id: of each start, where the tensors have several grids.
+
+    Returns:
+        Metres times weights, shape (..., m); inf for no path, NaN outside the grid.
     """
     count = _num_goals(t)
     num_cells = int(t.floor.shape[0])
-    given = list(range(count)) if goals is None else goals
-    numbers = check_numbers(t, given, "goal", count, (len(given),))
+    if goals is None:
+        goals = list(range(count))
+    numbers = check_numbers(t, goals, "goal", count, (len(goals),))
 
-    def answer(p: Array, scenes: Array) -> Array:
-        cell, _, inside = locate(t, p, scenes)
+    def costs_of(points: Array, scenes: Array) -> Array:
+        cell, _, inside = locate(t, points, scenes)
         first = t.xp.where(numbers >= 0, numbers, 0) * num_cells
-        known = inside[..., None] & (numbers >= 0)
-        return t.xp.where(known, t.cost[first + cell[..., None]], t.xp.nan)
+        is_known = inside[..., None] & (numbers >= 0)
+        return t.xp.where(is_known, t.cost[first + cell[..., None]], t.xp.nan)
 
-    return _ask(t, answer, starts, scene_id)
+    return _apply(t, costs_of, starts, scene_id)
 
 
 def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None) -> Array:
     """The direction from each position to the centre of the next cell of the cheapest path.
 
     Following it stays in the cells of that path, also over steps to other levels; at the stop of a
-    link it points to the stop that the path leads to. World x, y of unit vectors, shape (..., 2):
-    zeros in the goal's cell and in a lift whose stops lie over each other, NaN for no path.
+    link it points to the stop that the path leads to.
+
+    Args:
+        t: the tensors.
+        positions: world x, y, z, shape (..., 3) [m].
+        goal: its number among those of the tensors: an integer, or integers that broadcast to
+            (...).
+        scene_id: of each position, where the tensors have several grids.
+
+    Returns:
+        World x, y of unit vectors, shape (..., 2): zeros in the goal's cell and in a lift whose
+        stops lie over each other, NaN for no path.
     """
     xp = t.xp
 
-    def answer(p: Array, first: Array | int, scenes: Array) -> Array:
-        cell, _, inside = locate(t, p, scenes)
-        onward = xp.astype(t.onward[first + cell], t.index)
-        leads = inside & (onward >= 0)
-        level, row, col = split(t, xp.where(leads, onward, 0))
+    def direction_of(points: Array, first: Array | int, scenes: Array) -> Array:
+        cell, _, inside = locate(t, points, scenes)
+        next_cell = xp.astype(t.onward[first + cell], t.index)
+        has_path = inside & (next_cell >= 0)
+        level, row, col = split(t, xp.where(has_path, next_cell, 0))
         size = 1 / t.scale[level]
         x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * size
         y = t.y_first[level] - (xp.astype(row, t.dtype) + 0.5) * size
-        ways = xp.stack([x, y], axis=-1) - p[..., :2]
-        ways = xp.where((leads & (onward != cell))[..., None], ways, 0.0)
-        length = xp.sqrt(ways[..., 0] ** 2 + ways[..., 1] ** 2)
-        unit = ways / xp.where(length > 0, length, 1.0)[..., None]
-        return xp.where(leads[..., None], unit, xp.nan)
+        offset = xp.stack([x, y], axis=-1) - points[..., :2]
+        offset = xp.where((has_path & (next_cell != cell))[..., None], offset, 0.0)
+        length = xp.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
+        unit = offset / xp.where(length > 0, length, 1.0)[..., None]
+        return xp.where(has_path[..., None], unit, xp.nan)
 
-    return _ask_goal(t, answer, positions, goal, scene_id)
+    return _apply_to_goal(t, direction_of, positions, goal, scene_id)
 
 
-def _ask_goal(
-    t: GridTensors, answer: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
+def _apply_to_goal(
+    t: GridTensors, function: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
 ) -> Array:
+    """Apply a function to positions, where each goal's cells begin in `cost`, and scenes."""
     xp = t.xp
-    p = check_positions(t, positions)
+    points = check_positions(t, positions)
     num_cells = int(t.floor.shape[0])
-    shape = p.shape[:-1]
+    shape = points.shape[:-1]
     if isinstance(goal, int | np.integer):
         first = check_number(goal, "goal", _num_goals(t)) * num_cells
     else:
         goals = check_numbers(t, goal, "goal", _num_goals(t), shape)
-        p = xp.where((goals >= 0)[..., None], p, xp.nan)  # unknown goals
+        points = xp.where((goals >= 0)[..., None], points, xp.nan)  # unknown goals
         first = xp.where(goals >= 0, goals, 0) * num_cells
-    # `first` is where the goal's cells begin in `cost` and `onward`
-    return answer_all(t, answer, p, first, check_scenes(t, scene_id, shape))
+    return apply_in_chunks(t, function, points, first, check_scenes(t, scene_id, shape))
 
 
 def _num_goals(t: GridTensors) -> int:
@@ -322,12 +432,15 @@ def sample(
     The same numbers give the same places. A grid's levels must have cells of one size.
 
     Args:
+        t: the tensors.
         u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
             it. 0.5 is the cell's centre, where the agent's radius fits for certain.
             Shape (..., 1) returns centres.
         room: only in this room, by its number (see `room`); an integer or integers of shape (...).
         min_clearance: only in cells with at least this `clearance` [m]; one number.
-        reachable_from: only cells of the island of these world positions, shape (..., 3) or (3,).
+        reachable_from: only cells of the island of these world positions, shape (..., 3) or (3,)
+            [m].
+        scene_id: of each place, where the tensors have several grids.
 
     Returns:
         World x, y and floor z [m], shape (..., 3); NaN if there is no such place.
@@ -338,67 +451,78 @@ def sample(
         raise QueryError(f"expected u of shape (..., 3) or (..., 1), got {tuple(numbers.shape)}")
     shape = tuple(numbers.shape[:-1])
     scenes = check_scenes(t, scene_id, shape)
-    base = t.num_rooms + 1
-    is_known = ~xp.isnan(numbers[..., 0])
-    first = xp.where(is_known, numbers[..., 0], 0.0)
+    keys_per_group = t.num_rooms + 1
+    is_valid = ~xp.isnan(numbers[..., 0])
+    share = xp.where(is_valid, numbers[..., 0], 0.0)
+    # cells, sorted by the keys of their group and room: groups are scenes, or islands
     if reachable_from is None:
-        group = xp.zeros_like(first, dtype=t.index) if scenes is None else scenes
+        group = xp.zeros_like(share, dtype=t.index) if scenes is None else scenes
         cells = t.by_room
         keys = t.room_key
-        is_known = is_known & (group >= 0)
+        is_valid = is_valid & (group >= 0)
     else:
         start = as_array(t, reachable_from)
         if scenes is not None:
             start = broadcast(t, start, (*shape, 3), "reachable_from")
-        home = broadcast(t, island(t, start, scenes), shape, "reachable_from")
-        group = xp.astype(home, t.index)
+        start_island = broadcast(t, island(t, start, scenes), shape, "reachable_from")
+        group = xp.astype(start_island, t.index)
         cells = t.by_island
         keys = t.island_key
-        is_known = is_known & (group > 0)
+        is_valid = is_valid & (group > 0)
     if cells.shape[0] == 0:
         return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
-    low = group * base
-    high = (group + 1) * base
+    low = group * keys_per_group
+    high = (group + 1) * keys_per_group
     if room is not None:
-        number = check_numbers(t, room, "room", base, shape)
-        is_known = is_known & (number >= 0)
-        low = group * base + number
+        room_number = check_numbers(t, room, "room", keys_per_group, shape)
+        is_valid = is_valid & (room_number >= 0)
+        low = group * keys_per_group + room_number
         high = low + 1
 
-    def find(keys: Array, wanted: Array) -> Array:
-        """The number of sorted keys smaller than each number."""
-        flat = xp.reshape(xp.astype(wanted, keys.dtype), (-1,))
-        found = xp.searchsorted(keys, flat, side="left")
-        return xp.reshape(xp.astype(found, t.index), wanted.shape)
+    def count_below(sorted_keys: Array, limits: Array) -> Array:
+        """How many sorted keys are smaller than each limit."""
+        flat_limits = xp.reshape(xp.astype(limits, sorted_keys.dtype), (-1,))
+        counts = xp.searchsorted(sorted_keys, flat_limits, side="left")
+        return xp.reshape(xp.astype(counts, t.index), limits.shape)
 
-    begin = find(keys, low)
-    end = find(keys, high)
+    begin = count_below(keys, low)
+    end = count_below(keys, high)
     count = end - begin
-    before = None
+    num_allowed = None  # before each cell
     if min_clearance is not None:
         if getattr(min_clearance, "ndim", 0) != 0:
             raise QueryError("expected one number as min_clearance [m], got an array of them")
-        allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
-        before = xp.concat([xp.zeros_like(allowed[:1]), xp.cumulative_sum(allowed)])
-        count = before[end] - before[begin]
-    # the number's cell among `count`; the product may be rounded up
-    rank = xp.astype(xp.floor(first * xp.astype(count, t.dtype)), t.index)
-    rank = bounded(xp, xp.minimum(rank, count - 1), 0, cells.shape[0])
-    at = begin + rank if before is None else find(before[1:], before[begin] + rank + 1)
-    cell = xp.astype(cells[bounded(xp, at, 0, cells.shape[0] - 1)], t.index)
+        is_allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
+        num_allowed = xp.concat([xp.zeros_like(is_allowed[:1]), xp.cumulative_sum(is_allowed)])
+        count = num_allowed[end] - num_allowed[begin]
+    # the share's cell among `count`; the product may be rounded up
+    rank = xp.astype(xp.floor(share * xp.astype(count, t.dtype)), t.index)
+    rank = clip(xp, xp.minimum(rank, count - 1), 0, cells.shape[0])
+    if num_allowed is None:
+        place = begin + rank
+    else:
+        place = count_below(num_allowed[1:], num_allowed[begin] + rank + 1)
+    cell = xp.astype(cells[clip(xp, place, 0, cells.shape[0] - 1)], t.index)
     level, row, col = split(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
-    column = level * (t.shape.cols + 1) + col
-    line = level * (t.shape.rows + 1) + row
-    west = t.x_edge[column]
-    east = t.x_edge[column + 1]
-    north = t.y_edge[line]
-    south = t.y_edge[line + 1]
-    across, down = (0.5, 0.5) if numbers.shape[-1] == 1 else (numbers[..., 1], numbers[..., 2])
+    column_edge = level * (t.shape.cols + 1) + col
+    row_edge = level * (t.shape.rows + 1) + row
+    west = t.x_edge[column_edge]
+    east = t.x_edge[column_edge + 1]
+    north = t.y_edge[row_edge]
+    south = t.y_edge[row_edge + 1]
+    if numbers.shape[-1] == 1:
+        across = 0.5
+        down = 0.5
+    else:
+        across = numbers[..., 1]
+        down = numbers[..., 2]
     # the eastern and the southern edge belong to the next cells
-    x = xp.minimum(west + across * (east - west), xp.nextafter(east, xp.full_like(east, -xp.inf)))
-    y = xp.maximum(north - down * (north - south), xp.nextafter(south, xp.full_like(south, xp.inf)))
-    places = xp.stack([x, y, z], axis=-1)
-    is_place = is_known & (count > 0) & ~xp.any(xp.isnan(places), axis=-1)
-    return xp.where(is_place[..., None], places, xp.nan)
+    last_x = xp.nextafter(east, xp.full_like(east, -xp.inf))
+    last_y = xp.nextafter(south, xp.full_like(south, xp.inf))
+    x = xp.minimum(west + across * (east - west), last_x)
+    y = xp.maximum(north - down * (north - south), last_y)
+    points = xp.stack([x, y, z], axis=-1)
+    is_place = is_valid & (count > 0) & ~xp.any(xp.isnan(points), axis=-1)
+    return xp.where(is_place[..., None], points, xp.nan)
