@@ -1,4 +1,4 @@
-"""The doors of a grid as lines from jamb to jamb, and other states of its doors and links."""
+"""Grids with doors and links in other states, and the lines of doors from jamb to jamb."""
 
 from __future__ import annotations
 
@@ -25,139 +25,215 @@ DECIMALS = 6  # of ends of lines: micrometres
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
-    """Change the states of doors; the result equals a bake with the doors in these states.
+    """Return a grid with doors in other states; see `GridBase.with_doors`.
 
-    `states` are ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
-    Raises a QueryError if a door or a state does not exist, or the grid was inflated.
+    Args:
+        grid: A grid that was not inflated.
+        states: A state for all doors, or states by the ids of doors.
+
+    Raises:
+        QueryError: A door or a state does not exist, or the grid was inflated.
     """
     if "inflation" in grid.metadata:
-        raise QueryError(
-            f"{grid.scene_id!r} was inflated: change doors on the grid as it was baked, then "
-            "inflate the result"
-        )
+        hint = "change doors on the grid as it was baked, then inflate the result"
+        raise QueryError(f"{grid.scene_id!r} was inflated: {hint}", hint=hint)
     if not isinstance(states, str | Mapping):
-        raise QueryError(f"expected a state, or states by door, got {states!r}")
-    before = {door.id: door for door in grid.doors}
-    wanted = dict.fromkeys(before, states) if isinstance(states, str) else states
-    for name, state in wanted.items():
-        if name not in before:
-            hint = suggest(name, sorted(before))
-            raise QueryError(f"no door {name!r} in {grid.scene_id!r}: {hint}")
-        if state not in STATES:
-            raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
-        if state not in before[name].states:
-            possible = ", ".join(before[name].states)
-            raise QueryError(f"door {name!r} can't be {state}: it can be {possible}")
-    after = [replace(door, state=wanted.get(door.id, door.state)) for door in before.values()]
-    occupied, solid = (
-        [layer.astype(np.bool_).ravel() for layer in layers]
-        for layers in zip(*((level.occupancy, level.solid) for level in grid.levels), strict=True)
-    )
-    # doors may overlap: all are taken out before any is put in
-    for doors, is_there in ((before.values(), False), (after, True)):
-        for door in doors:
-            cells = door.cells_in(door.state, len(occupied)), door.solid_in(door.state, len(solid))
-            for ids, mask in zip([*cells[0], *cells[1]], [*occupied, *solid], strict=True):
-                mask[ids] = is_there
+        expected = "a state, or states by door"
+        raise QueryError(
+            f"expected {expected}, got {states!r}", key="states", value=states, expected=expected
+        )
+    doors_before = {door.id: door for door in grid.doors}
+    new_states = dict.fromkeys(doors_before, states) if isinstance(states, str) else states
+    _check_door_states(grid, doors_before, new_states)
+    doors_after = [
+        replace(door, state=new_states.get(door.id, door.state)) for door in doors_before.values()
+    ]
+    # by level and cell id
+    occupied = [level.occupancy.astype(np.bool_).ravel() for level in grid.levels]
+    solid = [level.solid.astype(np.bool_).ravel() for level in grid.levels]
+    # doors may overlap, so all are taken out before any is put in
+    _mark_doors(list(doors_before.values()), occupied, solid, is_blocked=False)
+    _mark_doors(doors_after, occupied, solid, is_blocked=True)
     levels = []
-    for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
-        is_occupied = mask.reshape(level.shape)
+    for number, level in enumerate(grid.levels):
+        is_occupied = occupied[number].reshape(level.shape)
         was_occupied = level.occupancy.astype(np.bool_)
         is_solid = solid[number].reshape(level.shape)
-        blocks = level.obstacle_state
-        if blocks is not None:
-            is_occupied |= blocks.mask_of(OCCUPIED)
-            is_solid |= blocks.mask_of(OCCUPIED)
+        obstacles = level.obstacle_state
+        if obstacles is not None:
+            is_occupied |= obstacles.mask_of(OCCUPIED)
+            is_solid |= obstacles.mask_of(OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
-        if blocks is not None:
-            weights[blocks.mask_of(BLOCKED)] = np.inf
-        named = None
+        if obstacles is not None:
+            weights[obstacles.mask_of(BLOCKED)] = np.inf
+        user_data = None
         if grid.navbake.get("names", True):
-            named = with_door_names(UserData.of(level.user_data), after, number, len(occupied))
+            user_data = with_door_names(
+                UserData.of(level.user_data), doors_after, number, len(grid.levels)
+            )
         attributes = {"occupancy": is_occupied.astype(np.uint8)}
         if "solid" in level.attributes:
             attributes["solid"] = is_solid.astype(np.uint8)
-        levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
-    stated = zip(grid.navbake.get("doors", []), after, strict=True)
-    tables = [{**entry, "state": door.state} for entry, door in stated]
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": tables}}
-    rebuilt = grid.with_levels(levels, metadata)
-    add_layers(rebuilt, {name for level in levels for name in level.attributes})
-    return rebuilt
+        levels.append(
+            level.with_layers(weights=weights, attributes=attributes, user_data=user_data)
+        )
+    table = [
+        {**entry, "state": door.state}
+        for entry, door in zip(grid.navbake.get("doors", []), doors_after, strict=True)
+    ]
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": table}}
+    changed_grid = grid.with_levels(levels, metadata)
+    add_layers(changed_grid, {name for level in levels for name in level.attributes})
+    return changed_grid
+
+
+def _check_door_states(
+    grid: GridBase, doors: Mapping[str, Door], states: Mapping[str, str]
+) -> None:
+    """Raise a QueryError for a door that does not exist, or a state that it can't have."""
+    for name, state in states.items():
+        if name not in doors:
+            hint = suggest(name, sorted(doors))
+            raise QueryError(
+                f"no door {name!r} in {grid.scene_id!r}: {hint}", key=name, value=state, hint=hint
+            )
+        if state not in STATES:
+            expected = f"one of {', '.join(STATES)}"
+            raise QueryError(
+                f"expected {expected} for {name!r}, got {state!r}",
+                key=name,
+                value=state,
+                expected=expected,
+            )
+        if state not in doors[name].states:
+            possible = ", ".join(doors[name].states)
+            raise QueryError(
+                f"door {name!r} can't be {state}: it can be {possible}",
+                key=name,
+                value=state,
+                expected=possible,
+            )
+
+
+def _mark_doors(
+    doors: Sequence[Door], occupied: list[Bool], solid: list[Bool], *, is_blocked: bool
+) -> None:
+    """Mark the cells of doors in their states, in the masks of all levels."""
+    for door in doors:
+        for number, cells in enumerate(door.cells_in(door.state, len(occupied))):
+            occupied[number][cells] = is_blocked
+        for number, cells in enumerate(door.solid_in(door.state, len(solid))):
+            solid[number][cells] = is_blocked
 
 
 def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
-    """Open or close links; the new grid shares its arrays with this one.
+    """Return a grid with links opened or closed; see `GridBase.with_links`.
 
-    `states` are ``open`` or ``closed``, by a link's name. Raises a QueryError if a link or a state
-    does not exist.
+    Args:
+        grid: The grid; the new one shares its arrays.
+        states: ``open`` or ``closed``, by the names of links.
+
+    Raises:
+        QueryError: A link or a state does not exist.
     """
     if not isinstance(states, Mapping):
-        raise QueryError(f"expected states by link, as {{'A': 'closed'}}, got {states!r}")
+        expected = "states by link, as {'A': 'closed'}"
+        raise QueryError(
+            f"expected {expected}, got {states!r}", key="states", value=states, expected=expected
+        )
     names = [link.name for link in grid.links]
     for name, state in states.items():
         if name not in names:
-            raise QueryError(f"no link {name!r} in {grid.scene_id!r}: {suggest(name, names)}")
-        if state not in LINK_STATES:
+            hint = suggest(name, names)
             raise QueryError(
-                f"expected one of {', '.join(LINK_STATES)} for {name!r}, got {state!r}"
+                f"no link {name!r} in {grid.scene_id!r}: {hint}", key=name, value=state, hint=hint
             )
-    table = [
-        {**entry, "state": states[entry["name"]]}
-        if isinstance(entry, dict) and entry["name"] in states
-        else entry
-        for entry in grid.navbake.get("links") or []
-    ]
+        if state not in LINK_STATES:
+            expected = f"one of {', '.join(LINK_STATES)}"
+            raise QueryError(
+                f"expected {expected} for {name!r}, got {state!r}",
+                key=name,
+                value=state,
+                expected=expected,
+            )
+    table = []
+    for entry in grid.navbake.get("links") or []:
+        is_changed = isinstance(entry, dict) and entry["name"] in states
+        table.append({**entry, "state": states[entry["name"]]} if is_changed else entry)
     metadata = {**grid.metadata, "navbake": {**grid.navbake, "links": table}}
-    changed = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
-    renew_islands(changed)
-    return changed
+    changed_grid = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
+    renew_islands(changed_grid)
+    return changed_grid
 
 
 def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
-    """Add the doors of each cell to a level's user data, by ascending cell id.
+    """Return the user data of a level with the doors of each cell, by ascending cell id.
 
-    A cell's doors are those that block it, closed or in their current state. A door that blocks it
-    in its current state is one of its objects, too.
+    The doors of a cell are those that block it, closed or in their current state. A door that
+    blocks it in its current state is one of its objects, too.
+
+    Args:
+        user_data: The user data, maybe with the doors in other states.
+        doors: All doors of the grid.
+        level: Number of the level, 0 is the lowest.
+        num_levels: Number of levels of the grid.
     """
     if not doors:
-        return user_data  # without reading them
+        return user_data  # without parsing it
     # all cells that a door blocks in any state: the user data may be from that state
-    names: dict[int, set[str]] = {}
-    standing: dict[int, set[str]] = {}
+    doors_by_cell: dict[int, set[str]] = {}
+    blocking_by_cell: dict[int, set[str]] = {}  # those that block it in their current state
     for door in doors:
         for state in door.cells:
             for cell in door.cells_in(state, num_levels)[level].tolist():
-                found = names.setdefault(cell, set())
+                door_ids = doors_by_cell.setdefault(cell, set())
                 if state in ("closed", door.state):
-                    found.add(door.id)
+                    door_ids.add(door.id)
                 if state == door.state:
-                    standing.setdefault(cell, set()).add(door.id)
-    ids = {door.id for door in doors}
-    known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
+                    blocking_by_cell.setdefault(cell, set()).add(door.id)
+    all_door_ids = {door.id for door in doors}
+    cells = np.fromiter(doors_by_cell, dtype=np.int64, count=len(doors_by_cell))
     changed: dict[int, Json] = {}
-    for (cell, found), before in zip(names.items(), known, strict=True):
-        entry = before
-        if "doors" in before:  # without them, and without blockers, which may be doors
-            entry = {key: v for key, v in before.items() if key not in ("doors", "blockers")}
-            if isinstance(entry.get("objects"), list):
-                entry["objects"] = [n for n in names_in(entry, "objects") if n not in ids]
-            entry = {key: v for key, v in entry.items() if key != "objects" or v != []}
-        if found:
-            blocking = standing.get(cell, set())
-            objects = sorted({*names_in(entry, "objects"), *blocking})
-            named = {"doors": sorted(found), **({"objects": objects} if objects else {})}
-            entry = {**named, **{key: v for key, v in entry.items() if key not in named}}
-            # blockers are stated only where they aren't all that stands in the cell
-            if blocking and blocking != {name for key in NAMES for name in names_in(entry, key)}:
-                entry["blockers"] = sorted(blocking)
-        changed[cell] = entry
-    return user_data.replaced(changed)
+    for cell, entry in zip(doors_by_cell, user_data.find(cells), strict=True):
+        changed[cell] = _with_names(
+            _without_doors(entry, all_door_ids),
+            doors_by_cell[cell],
+            blocking_by_cell.get(cell, set()),
+        )
+    return user_data.with_entries(changed)
+
+
+def _without_doors(entry: Json, door_ids: set[str]) -> Json:
+    """The user data of a cell without doors, and without blockers, which may be doors."""
+    if "doors" not in entry:
+        return entry
+    without = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
+    if isinstance(without.get("objects"), list):
+        objects = [name for name in names_in(without, "objects") if name not in door_ids]
+        without["objects"] = objects
+        if not objects:
+            del without["objects"]
+    return without
+
+
+def _with_names(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> Json:
+    """The user data of a cell with its doors; those that block it are objects, too."""
+    if not door_ids:
+        return entry
+    names: Json = {"doors": sorted(door_ids)}
+    objects = sorted({*names_in(entry, "objects"), *blocking_ids})
+    if objects:
+        names["objects"] = objects
+    entry = {**names, **{key: value for key, value in entry.items() if key not in names}}
+    # blockers are listed only where they aren't all that stands in the cell
+    if blocking_ids and blocking_ids != {name for key in NAMES for name in names_in(entry, key)}:
+        entry["blockers"] = sorted(blocking_ids)
+    return entry
 
 
 # ---------------------------------------------------------------- lines
@@ -166,10 +242,10 @@ def with_door_names(
 class DoorLine(NamedTuple):
     """The line of a door's closed leaf on a level."""
 
-    id: str
-    state: str  # closed, open, modelled (neither) or removed
-    start: tuple[float, float]  # one end, world x, y [m]
-    end: tuple[float, float]  # the other end
+    id: str  #: Of the door.
+    state: str  #: ``closed``, ``open``, ``modelled`` (neither of both) or ``removed``.
+    start: tuple[float, float]  #: One end, world x, y [m].
+    end: tuple[float, float]  #: The other end, world x, y [m].
 
     @property
     def width(self) -> float:
@@ -178,20 +254,36 @@ class DoorLine(NamedTuple):
 
     @property
     def middle(self) -> tuple[float, float]:
-        """World x, y [m]."""
+        """The middle of the line, world x, y [m]."""
         return (self.start[0] + self.end[0]) / 2, (self.start[1] + self.end[1]) / 2
 
 
 def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
-    """The lines of a level's doors; see `find_leaf_ends`."""
-    ends = [(door, find_leaf_ends(grid, door, number)) for door in grid.doors]
-    return tuple(
-        DoorLine(door.id, door.like or door.state, *found) for door, found in ends if found
-    )
+    """Find the lines of the doors of a level; see `find_leaf_ends`.
+
+    Args:
+        grid: The grid.
+        number: Number of the level, 0 is the lowest.
+    """
+    lines = []
+    for door in grid.doors:
+        ends = find_leaf_ends(grid, door, number)
+        if ends is not None:
+            lines.append(DoorLine(door.id, door.like or door.state, ends[0], ends[1]))
+    return tuple(lines)
 
 
 def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
-    """The cells of a level that doors currently block, or else those that they can close."""
+    """Mark the cells of a level that doors block.
+
+    Args:
+        grid: The grid.
+        number: Number of the level, 0 is the lowest.
+        blocked: Mark the cells that doors block now; else those that they block when closed.
+
+    Returns:
+        Shape (height, width), bool.
+    """
     mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
     for door in grid.doors:
         state = "closed" if "closed" in door.cells and not blocked else door.state
@@ -204,58 +296,67 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
-    """The ends of a door's leaf on a level when closed, else in its current state.
+    """Find the ends of a door's leaf on a level, when it is closed, else in its current state.
 
     With a layer ``solid``, the cells of the leaf itself are known: the line follows their longer
     axis, from edge to edge. Without it, only the blocked cells are known, which may be deeper than
     the door is wide: the line follows the axis with obstacles at both ends, or else the longer one,
-    and is longer by the agent's radius at each end. None if the door has no cells on the level.
+    and is longer by the agent's radius at each end.
+
+    Args:
+        grid: The grid.
+        door: One of its doors.
+        number: Number of the level, 0 is the lowest.
+
+    Returns:
+        The ends, or None if the door has no cells on the level.
     """
     level = grid.levels[number]
     num_levels = len(grid.levels)
-    cells, leaf = np.empty((2, 0), dtype=np.int64)
     for state in ("closed", door.state, *door.states):
-        leaf = door.solid_in(state, num_levels)[number]
-        cells = leaf if len(leaf) else door.cells_in(state, num_levels)[number]
+        leaf_cells = door.solid_in(state, num_levels)[number]
+        has_leaf = len(leaf_cells) > 0
+        cells = leaf_cells if has_leaf else door.cells_in(state, num_levels)[number]
         if len(cells):
             break
     else:
         return None
-    size = level.lattice.cell_size
-    at = level.lattice.positions(*np.divmod(cells, level.width))
-    from_middle = at - at.mean(axis=0)
+    cell_size = level.lattice.cell_size
+    centers = level.lattice.positions(*np.divmod(cells, level.width))
+    middle = centers.mean(axis=0)
+    offsets = centers - middle
     # the longer principal axis: the eigenvector of the largest eigenvalue
-    longer = _upwards(np.linalg.eigh(from_middle.T @ from_middle)[1][:, 1])
-    if np.ptp(from_middle @ longer) * np.abs(longer).min() < size / 2:
-        # it is along the row of cells, to their resolution
-        longer = np.round(longer) + 0.0
-    axis = longer
-    more = 0.0
-    if not len(leaf):
-        free = np.pad(level.free, 1)  # no cell outside the grid is free
+    axis = _pointing_up(np.linalg.eigh(offsets.T @ offsets)[1][:, 1])
+    if np.ptp(offsets @ axis) * np.abs(axis).min() < cell_size / 2:
+        # it is along a row or column of cells, to their resolution
+        axis = np.round(axis) + 0.0
+    extra_length = 0.0
+    if not has_leaf:
+        is_free = np.pad(level.free, 1)  # no cell outside the grid is free
 
-        def walls(axis: Float) -> int:
-            across = _upwards(np.array([-axis[1], axis[0]]))
-            along = at @ axis
-            aside = np.median(at @ across) * across
-            ends = np.array([[along.min() - size], [along.max() + size]]) * axis + aside
-            rows, cols = (v + 1 for v in level.lattice.rows_cols(ends))
-            rows = rows.clip(0, free.shape[0] - 1)
-            cols = cols.clip(0, free.shape[1] - 1)
-            return int(np.count_nonzero(~free[rows, cols]))
+        def count_obstacles(axis: Float) -> int:
+            """Of the two cells next to the ends of the leaf along an axis, how many are blocked."""
+            across = _pointing_up(np.array([-axis[1], axis[0]]))
+            along = centers @ axis
+            offset = np.median(centers @ across) * across
+            distances = np.array([[along.min() - cell_size], [along.max() + cell_size]])
+            rows, cols = level.lattice.rows_cols(distances * axis + offset)
+            rows = (rows + 1).clip(0, is_free.shape[0] - 1)
+            cols = (cols + 1).clip(0, is_free.shape[1] - 1)
+            return int(np.count_nonzero(~is_free[rows, cols]))
 
-        shorter = _upwards(np.array([-longer[1], longer[0]]))
-        # max returns the first, longer one of a tie
-        axis = max((longer, shorter), key=walls)
-        more = grid.agent_radius
-    # to the outermost edges
-    along = from_middle @ axis
-    more = more + size / 2 / np.abs(axis).max()
-    ends = at.mean(axis=0) + np.array([[along.min() - more], [along.max() + more]]) * axis
-    first, last = (np.round(ends, DECIMALS) + 0.0).tolist()
-    return (first[0], first[1]), (last[0], last[1])
+        shorter_axis = _pointing_up(np.array([-axis[1], axis[0]]))
+        if count_obstacles(shorter_axis) > count_obstacles(axis):
+            axis = shorter_axis
+        extra_length = grid.agent_radius
+    # to the outermost edges of the cells
+    along = offsets @ axis
+    extra_length += cell_size / 2 / np.abs(axis).max()
+    distances = np.array([[along.min() - extra_length], [along.max() + extra_length]])
+    ends = (np.round(middle + distances * axis, DECIMALS) + 0.0).tolist()
+    return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
 
 
-def _upwards(axis: Float) -> Float:
-    """The axis, turned round unless it points up or, if level, to the right."""
+def _pointing_up(axis: Float) -> Float:
+    """The axis or its opposite: the one that points up or, if it is level, to the right."""
     return axis if tuple(axis) > (0.0, 0.0) else 0.0 - axis

@@ -295,9 +295,8 @@ def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
             rows = np.arange(max(first_row, 0), min(end_row, lattice.height))
             # the part of the side in each row, by the columns of its ends
             row_ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], row0, row1)
-            cols = col0 + (row_ends - row0) * (
-                (col1 - col0) / (row1 - row0) if row1 > row0 else 0.0
-            )
+            slope = (col1 - col0) / (row1 - row0) if row1 > row0 else 0.0
+            cols = col0 + (row_ends - row0) * slope
             if row1 - row0 < CELL_SLACK:
                 cols = np.array([[col0], [col1]])
             first_col = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)

@@ -1,8 +1,8 @@
 """The agents that a grid names, and what they use: areas, steps as a bake finds them, named links.
 
-Areas say what cells cost, how fast and for whom they are. Steps and named links are ways that
-aren't the floor of one level; ``metadata.navbake.links`` lists both: a step is a row of four
-integers, a link an object.
+Areas say what cells cost, how fast agents may go there, and which agents may enter. Steps and named
+links lead from cell to cell where the floor of one level does not; ``metadata.navbake.links`` lists
+both: a step is a row of four integers, a link an object.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from navbake.types import Bool, Float, Int, Json, Vector3
 
 AGENTS = "metadata.navbake.agents"
 AREAS = "metadata.navbake.areas"
-MAX_AREAS = 255
-SPEED = 1.0  # [m/s] of an agent that states none
 LINKS = "metadata.navbake.links"
+MAX_AREAS = 255
+SPEED = 1.0  # of an agent, where a file states none [m/s]
 LinkState: TypeAlias = Literal["open", "closed"]
 LINK_STATES: tuple[str, ...] = get_args(LinkState)
 
-SLACK = 1e-9  # share by which an agent may be wider than a link
+WIDTH_SLACK = 1e-9  # share by which an agent may be wider than a link, for rounding
 
 Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 Row = tuple[Id, Id, Id, Id]
@@ -43,47 +43,72 @@ Row = tuple[Id, Id, Id, Id]
 
 @dataclass(frozen=True)
 class Agent:
-    """An agent that plans on a grid; links and areas name those that may use them."""
+    """An agent that plans on a grid; links and areas name those that may use them.
+
+    Attributes:
+        name: Its name, as links and areas use it.
+        radius: Radius of its footprint [m]; None for that of the grid.
+        height: Its height [m]; None for that of the grid.
+        step: The highest step that it takes [m]; None for that of the grid.
+        speed: Its speed [m/s].
+
+    Example:
+        >>> finder = navbake.PathFinder(grid, agent=navbake.Agent("cart", radius=0.3, speed=0.8))
+    """
 
     name: str
-    radius: NonNegative | None = None  #: [m]; None for the grid's.
-    height: Positive | None = None  #: [m]; None for the grid's.
-    step: NonNegative | None = None  #: The highest that it takes [m]; None for the grid's.
-    speed: Positive = SPEED  #: [m/s]
+    radius: NonNegative | None = None
+    height: Positive | None = None
+    step: NonNegative | None = None
+    speed: Positive = SPEED
 
     def of_any_size(self) -> Agent:
-        """The agent with the grid's size: its rights and its speed stay."""
+        """Return the agent with the grid's sizes; it keeps its name and speed."""
         return replace(self, radius=None, height=None, step=None)
 
     def to_json(self) -> Json:
-        """The agent's entry in the file's table, without its name."""
+        """Return the agent's entry in the file's table, without its name."""
         return to_entry(self, "name")
 
 
-def parse_agents(stated: Any) -> dict[str, Agent]:
-    """Read and check ``metadata.navbake.agents``, by name; None is no agent."""
-    entries: dict[str, Json] = read_table(stated or {}, dict[Name, Json], AGENTS)
-    named = {name: {**entry, "name": name} for name, entry in entries.items()}
-    agents: dict[str, Agent] = read_table(named, dict[str, Agent], AGENTS)
+def parse_agents(entries: Any) -> dict[str, Agent]:
+    """Check and convert ``metadata.navbake.agents``; None is no agent.
+
+    Returns:
+        The agents by name.
+
+    Raises:
+        FormatError: The table is broken.
+    """
+    by_name: dict[str, Json] = read_table(entries or {}, dict[Name, Json], AGENTS)
+    with_names = {name: {**entry, "name": name} for name, entry in by_name.items()}
+    agents: dict[str, Agent] = read_table(with_names, dict[str, Agent], AGENTS)
     return agents
 
 
 @dataclass(frozen=True)
 class Area:
-    """An area; the layer ``area`` has its place in the table, from 1, in each of its cells."""
+    """An area; the layer ``area`` has its place in the table, from 1, in each of its cells.
 
-    name: str  #: Unique in the grid.
-    cost: float = 1.0  #: By which the weights of its cells are multiplied; inf bars all agents.
-    speed: float | None = None  #: The highest in it [m/s]; None for the agent's.
-    agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
+    Attributes:
+        name: Its name, unique in the grid.
+        cost: Factor of the weights of its cells; inf bars all agents.
+        speed: The highest speed in it [m/s]; None for that of the agent.
+        agents: Names of the agents that may enter it; None for all.
+    """
+
+    name: str
+    cost: float = 1.0
+    speed: float | None = None
+    agents: tuple[str, ...] | None = None
 
     def bars(self, agent: Agent | None) -> bool:
-        """Whether an agent may not enter it; without one, whether nobody may."""
-        is_named = agent is None or self.agents is None or agent.name in self.agents
-        return math.isinf(self.cost) or not is_named
+        """Whether an agent may not enter the area; of None, whether no agent may."""
+        may_enter = agent is None or self.agents is None or agent.name in self.agents
+        return math.isinf(self.cost) or not may_enter
 
     def to_json(self) -> Json:
-        """The area's entry in the file's table."""
+        """Return the area's entry in the file's table."""
         return {**to_entry(self), "cost": "inf" if math.isinf(self.cost) else self.cost}
 
 
@@ -96,19 +121,37 @@ class _AreaEntry(msgspec.Struct):
     agents: tuple[str, ...] | None = None
 
 
-def parse_areas(stated: Any) -> tuple[Area, ...]:
-    """Read and check ``metadata.navbake.areas``; None is no area."""
+def parse_areas(entries: Any) -> tuple[Area, ...]:
+    """Check and convert ``metadata.navbake.areas``; None is no area.
+
+    Raises:
+        FormatError: The table is broken, has more than 255 areas, or a name twice.
+    """
     areas: dict[str, Area] = {}
-    entries: list[_AreaEntry] = read_table(stated or [], list[_AreaEntry], AREAS)
-    if len(entries) > MAX_AREAS:
-        raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{AREAS}`")
-    for number, entry in enumerate(entries):
+    parsed: list[_AreaEntry] = read_table(entries or [], list[_AreaEntry], AREAS)
+    if len(parsed) > MAX_AREAS:
+        raise FormatError(
+            f"expected at most {MAX_AREAS} areas, got {len(parsed)} at `{AREAS}`",
+            value=len(parsed),
+            expected=f"at most {MAX_AREAS} areas",
+            place=AREAS,
+        )
+    for number, entry in enumerate(parsed):
         if entry.name in areas:
-            raise FormatError(
-                f"expected unique names, got {entry.name!r} twice at `{AREAS}[{number}].name`"
-            )
+            raise _not_unique(entry.name, f"{AREAS}[{number}].name")
         areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
     return tuple(areas.values())
+
+
+def _not_unique(name: str, place: str) -> FormatError:
+    """The error of a name that stands twice in a table."""
+    expected = "unique names"
+    return FormatError(
+        f"expected {expected}, got {name!r} twice at `{place}`",
+        value=name,
+        expected=expected,
+        place=place,
+    )
 
 
 # ---------------------------------------------------------------- links
@@ -116,49 +159,73 @@ def parse_areas(stated: Any) -> tuple[Area, ...]:
 
 @dataclass(frozen=True)
 class Step:
-    """A step between two cells, in both directions, that their heights alone don't show.
+    """A step between two cells, in both directions, that their heights alone do not show.
 
     It joins two levels, or two neighbours on a ramp that rises more than a step over a cell.
+
+    Attributes:
+        level: Level of the first cell.
+        cell: Id of the first cell on it (col + row * width).
+        other_level: Level of the second cell.
+        other_cell: Id of the second cell on it.
     """
 
-    level: int  #: One end's level.
-    cell: int  #: The id of its cell on it (col + row * width).
-    other_level: int  #: The other end's level.
-    other_cell: int  #: The id of its cell.
+    level: int
+    cell: int
+    other_level: int
+    other_cell: int
 
 
 @dataclass(frozen=True)
 class Stop:
-    """A place where agents enter and leave a link."""
+    """A place where agents enter and leave a link.
+
+    Attributes:
+        level: Its level, 0 is the lowest.
+        cell: Id of its cell (col + row * width).
+        position: World x, y, z [m], as the settings have it or the bake found it.
+    """
 
     level: int
-    cell: int  #: The id of its cell (col + row * width).
-    position: Vector3  #: As it was given or found, world x, y, z [m].
+    cell: int
+    position: Vector3
 
 
 @dataclass(frozen=True)
 class Link:
-    """A named way between two or more places: a lift, a drop, a ladder, a flight of stairs.
+    """A named connection of two or more places: a lift, a drop, a ladder, a flight of stairs.
 
     It leads from each stop to each other one, or only to later ones.
+
+    Attributes:
+        name: Its name, unique in the grid.
+        kind: ``lift``, ``drop``, ``jump``, ``ladder``, ``stair`` or any other word.
+        stops: Its stops, two or more.
+        one_way: Whether it leads to later stops only.
+        width: Diameter of the widest agent that fits [m]; None for any.
+        cost: Cost of a passage [m]; None for its length, over the stops in between.
+        seconds: Duration of a passage [s]; None for its cost over the agent's speed.
+        agents: Names of the agents that may use it; None for all.
+        state: ``open`` or ``closed``.
+        auto: Whether the bake found it.
+        car: Of a lift: world x, y of the middle of its car [m], its yaw [rad], its width along that
+            axis and its depth [m]; else None.
     """
 
-    name: Name  #: Unique in the grid.
-    kind: Name  #: ``lift``, ``drop``, ``jump``, ``ladder``, ``stair`` or any other word.
-    stops: tuple[Stop, ...]  #: Two or more.
-    one_way: bool = False  #: Whether it leads to later stops only.
-    width: Positive | None = None  #: The widest agent's diameter [m]; None for any.
-    #: Of a passage [m]; None for the length, over the stops in between.
+    name: Name
+    kind: Name
+    stops: tuple[Stop, ...]
+    one_way: bool = False
+    width: Positive | None = None
     cost: NonNegative | None = None
-    seconds: NonNegative | None = None  #: Of a passage; None for its cost over the agent's speed.
-    agents: tuple[str, ...] | None = None  #: Names of those that may use it; None for all.
+    seconds: NonNegative | None = None
+    agents: tuple[str, ...] | None = None
     state: LinkState = "open"
-    auto: bool = False  #: Whether the bake found it.
-    #: Of a lift: world x, y of its car's middle [m], its yaw [rad], width along it and depth [m].
+    auto: bool = False
     car: tuple[float, float, float, float, float] | None = None
 
     def refuses(self, agent: Agent | None) -> str | None:
-        """Why an agent of any size can't use it, as "is closed"; None if it can."""
+        """Return why an agent of any size can't use the link, as "is closed"; None if it can."""
         if self.state == "closed":
             return "is closed"
         if agent is not None and self.agents is not None and agent.name not in self.agents:
@@ -167,16 +234,21 @@ class Link:
 
     def fits(self, radius: float) -> bool:
         """Whether an agent of a radius [m] fits through."""
-        return self.width is None or self.width >= 2.0 * radius * (1.0 - SLACK)
+        return self.width is None or self.width >= 2.0 * radius * (1.0 - WIDTH_SLACK)
 
     def length(self, begin: int, end: int) -> float:
-        """Length from a stop to another over those in between, by their numbers [m]."""
-        low, high = sorted((begin, end))
-        places = [stop.position for stop in self.stops[low : high + 1]]
-        return sum(math.dist(a, b) for a, b in pairwise(places))
+        """Return the length from one stop to another, over the stops in between [m].
+
+        Args:
+            begin: Index of the first stop.
+            end: Index of the last stop.
+        """
+        first, last = sorted((begin, end))
+        places = [stop.position for stop in self.stops[first : last + 1]]
+        return sum(math.dist(place, next_place) for place, next_place in pairwise(places))
 
     def to_json(self) -> Json:
-        """The link's entry in the file's table."""
+        """Return the link's entry in the file's table."""
         return {
             "name": self.name,
             "kind": self.kind,
@@ -189,105 +261,141 @@ class Link:
 
 
 class Arcs(NamedTuple):
-    """Passages over links, from stop to stop; without those that a closed or barred link has."""
+    """Passages over links, each from one stop to another; one entry a passage."""
 
-    ends: Int  # flat ids of the cells that each leads from and to, shape (n, 2)
-    link: Int  # the link's place in the grid's `links`
-    width: Float  # of the widest agent [m], inf for any
-    cost: Float  # [m]
-    seconds: Float
+    ends: Int  #: Flat ids of the cells that it leads from and to, shape (n, 2), int64.
+    link: Int  #: Index of its link in the grid's `links`, shape (n,), int64.
+    width: Float  #: Diameter of the widest agent that fits [m], inf for any.
+    cost: Float  #: Its cost [m].
+    seconds: Float  #: Its duration [s].
 
     def fits_radius(self, radius: float) -> Bool:
-        """Which of them an agent of a radius fits through."""
-        return np.asarray(self.width >= 2.0 * radius * (1.0 - SLACK))
+        """Mark the passages that an agent of a radius [m] fits through, shape (n,)."""
+        return np.asarray(self.width >= 2.0 * radius * (1.0 - WIDTH_SLACK))
 
 
 def find_arcs(
     links: Sequence[Link], start: Int, agent: Agent | None = None, penalty: float | None = None
 ) -> Arcs:
-    """The passages over links that an agent may use, of any size; without one, over open links.
+    """List the passages over links that an agent may use, whatever its size.
 
     Args:
-        start: the first flat id of each level.
-        agent: whose rights and speed count.
-        penalty: what passages cost more that aren't allowed, also those against a link of one way
-            [m] and [s]; they are left out if None.
+        links: The links of a grid.
+        start: First flat id of each level.
+        agent: The agent, whose rights and speed count; None for one of 1 m/s that may use all open
+            links.
+        penalty: What passages cost more [m, s] that the agent may not use, and those against the
+            direction of a one-way link; None to leave them out.
     """
     speed = SPEED if agent is None else agent.speed
     rows = []
     for number, link in enumerate(links):
         cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
         width = math.inf if link.width is None else link.width
-        for one, other in np.ndindex(len(cells), len(cells)):
-            is_allowed = not link.refuses(agent) and not (link.one_way and other < one)
-            if cells[one] == cells[other] or not (is_allowed or penalty):
+        for begin, end in np.ndindex(len(cells), len(cells)):
+            is_allowed = not link.refuses(agent) and not (link.one_way and end < begin)
+            if cells[begin] == cells[end] or not (is_allowed or penalty):
                 continue
-            cost = link.length(one, other) if link.cost is None else link.cost
+            cost = link.length(begin, end) if link.cost is None else link.cost
             seconds = cost / speed if link.seconds is None else link.seconds
-            more = 0.0 if is_allowed else float(penalty or 0.0)
-            rows.append((cells[one], cells[other], number, width, cost + more, seconds + more))
+            extra = 0.0 if is_allowed else float(penalty or 0.0)
+            rows.append((cells[begin], cells[end], number, width, cost + extra, seconds + extra))
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
-    ends = table[:, :2].astype(np.int64)
-    numbers = table[:, 2].astype(np.int64)
-    return Arcs(ends, numbers, *table[:, 3:].T.copy())
+    return Arcs(
+        ends=table[:, :2].astype(np.int64),
+        link=table[:, 2].astype(np.int64),
+        width=table[:, 3].copy(),
+        cost=table[:, 4].copy(),
+        seconds=table[:, 5].copy(),
+    )
 
 
-class _Stops(msgspec.Struct):
+class _StopsEntry(msgspec.Struct):
     """The stops of a link in a file."""
 
     stops: Annotated[list[tuple[Id, Id]], msgspec.Meta(min_length=2)]
     positions: list[Vector3]
 
 
-def _read(stated: Any) -> list[tuple[int, Row | _Stops]]:
-    """The steps and stops of links of a table, each after its number in it."""
-    entries = unflatten(stated or [])
-    is_mixed = isinstance(entries, list) and any(isinstance(entry, dict) for entry in entries)
-    kind: Any = list[Row | _Stops] if is_mixed else list[Row]
-    return list(enumerate(read_table(entries, kind, LINKS)))
+def _parse_entries(entries: Any) -> list[Row | _StopsEntry]:
+    """Convert a table of links: its steps, and the stops of its named links, in its order."""
+    separate = unflatten(entries or [])
+    has_links = isinstance(separate, list) and any(isinstance(entry, dict) for entry in separate)
+    kind: Any = list[Row | _StopsEntry] if has_links else list[Row]
+    parsed: list[Row | _StopsEntry] = read_table(separate, kind, LINKS)
+    return parsed
 
 
-def parse_steps(stated: Any, num_cells: Sequence[int]) -> Int:
-    """Read the steps of ``metadata.navbake.links``, a list of entries or flat, or None.
+def parse_steps(entries: Any, cell_counts: Sequence[int]) -> Int:
+    """Check and convert the steps of ``metadata.navbake.links``.
 
-    `num_cells` are the levels' numbers of cells. Each row has the fields of a `Step`, shape
-    (n, 4), int64, read-only.
+    Args:
+        entries: The table: a list of entries, a flat list of integers, or None.
+        cell_counts: Number of cells of each level.
+
+    Returns:
+        A row for each `Step` with its fields, shape (n, 4), int64, read-only.
+
+    Raises:
+        FormatError: The table is broken, or a cell does not exist.
     """
-    rows = [(number, row) for number, row in _read(stated) if isinstance(row, tuple)]
-    steps = np.array([row for _, row in rows], dtype=np.int64).reshape(-1, 4)
-    for at, (level, cell) in enumerate(steps.reshape(-1, 2).tolist()):
-        _check_cell(level, cell, num_cells, f"link {rows[at // 2][0]}")
+    numbers = []  # of the steps in the table
+    rows = []
+    for number, entry in enumerate(_parse_entries(entries)):
+        if isinstance(entry, tuple):
+            numbers.append(number)
+            rows.append(entry)
+    steps = np.array(rows, dtype=np.int64).reshape(-1, 4)
+    for index, (level, cell) in enumerate(steps.reshape(-1, 2).tolist()):
+        _check_cell(level, cell, cell_counts, f"link {numbers[index // 2]}")
     steps.flags.writeable = False
     return steps
 
 
-def parse_links(stated: Any, num_cells: Sequence[int]) -> tuple[Link, ...]:
-    """Read and check the named links of ``metadata.navbake.links``, as `parse_steps`."""
+def parse_links(entries: Any, cell_counts: Sequence[int]) -> tuple[Link, ...]:
+    """Check and convert the named links of ``metadata.navbake.links``.
+
+    Args:
+        entries: The table, as of `parse_steps`.
+        cell_counts: Number of cells of each level.
+
+    Raises:
+        FormatError: The table is broken, a name stands twice, or a cell does not exist.
+    """
     links: dict[str, Link] = {}
-    for number, entry in _read(stated):
+    for number, entry in enumerate(_parse_entries(entries)):
         if isinstance(entry, tuple):
             continue
-        where = f"{LINKS}[{number}]"
+        place = f"{LINKS}[{number}]"
         stops = [
-            Stop(*cell, position)
-            for cell, position in zip(entry.stops, entry.positions, strict=False)
+            Stop(level, cell, position)
+            for (level, cell), position in zip(entry.stops, entry.positions, strict=False)
         ]
-        link: Link = read_table({**stated[number], "stops": stops}, Link, where)
+        link: Link = read_table({**entries[number], "stops": stops}, Link, place)
         if link.name in links:
-            raise FormatError(f"expected unique names, got {link.name!r} twice at `{where}.name`")
+            raise _not_unique(link.name, f"{place}.name")
         if len(entry.positions) != len(entry.stops):
+            expected = f"a position for each of {len(entry.stops)} stops"
             raise FormatError(
-                f"expected a position for each of {len(entry.stops)} stops, got "
-                f"{len(entry.positions)}, in link {link.name!r} at `{where}.positions`"
+                f"expected {expected}, got {len(entry.positions)}, in link {link.name!r} at "
+                f"`{place}.positions`",
+                value=len(entry.positions),
+                expected=expected,
+                place=f"{place}.positions",
             )
         for stop in stops:
-            _check_cell(stop.level, stop.cell, num_cells, f"link {number} ({link.name!r})")
+            _check_cell(stop.level, stop.cell, cell_counts, f"link {number} ({link.name!r})")
         links[link.name] = link
     return tuple(links.values())
 
 
-def _check_cell(level: int, cell: int, num_cells: Sequence[int], what: str) -> None:
-    if not (0 <= level < len(num_cells) and 0 <= cell < num_cells[level]):
+def _check_cell(level: int, cell: int, cell_counts: Sequence[int], entry: str) -> None:
+    """Raise a FormatError for a cell that does not exist; `entry` names what it belongs to."""
+    if not (0 <= level < len(cell_counts) and 0 <= cell < cell_counts[level]):
+        expected = "an existing cell"
         raise FormatError(
-            f"expected an existing cell, got cell {cell} of level {level} in {what} at `{LINKS}`"
+            f"expected {expected}, got cell {cell} of level {level} in {entry} at `{LINKS}`",
+            value=(level, cell),
+            expected=expected,
+            place=LINKS,
         )

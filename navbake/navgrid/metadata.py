@@ -1,4 +1,4 @@
-"""A grid's metadata on its attributes and single levels, and how its tables are read."""
+"""A grid's metadata about its attributes and its single levels, and how its tables are parsed."""
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -16,138 +16,174 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 Arrays = Mapping[str, NDArray[Any]]
 
 # Other names that the original client has for datatypes; source: sstk's `TypeUtils.js`
-ALIASES = {"uint8clamped": "uint8", "uchar": "uint8"}
+DATATYPE_ALIASES = {"uint8clamped": "uint8", "uchar": "uint8"}
 
 
-def datatype_name(stated: str) -> str:
-    """Name the datatype of an array type: "uint8" for "Uint8Array" or "uchar"."""
-    name = stated.lower().removesuffix("array")
-    return ALIASES.get(name, name)
+def datatype_name(array_type: str) -> str:
+    """Return the datatype of an array type: "uint8" for "Uint8Array" or "uchar"."""
+    name = array_type.lower().removesuffix("array")
+    return DATATYPE_ALIASES.get(name, name)
 
 
 def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     """List ``{"name", "type", "dataType", …}`` of the levels' attributes, in their order.
 
-    An entry of the metadata is kept, except a ``type`` that is not that of the array. If two
+    An entry of the metadata stays as it is, except a ``type`` that is not that of the array. If two
     levels differ in dtype, the first counts.
+
+    Args:
+        metadata: The metadata of the grid.
+        levels: The attributes of each level, by name.
     """
     entries = metadata.get("cellAttributes")
-    stated = {
-        entry["name"]: entry
-        for entry in (entries if isinstance(entries, list) else [])
-        if isinstance(entry, dict) and isinstance(entry.get("name"), str)
-    }
+    entry_of_name: dict[str, Json] = {}
+    for entry in entries if isinstance(entries, list) else []:
+        if isinstance(entry, dict) and isinstance(entry.get("name"), str):
+            entry_of_name[entry["name"]] = entry
     described: dict[str, Json] = {}
     for arrays in levels:
         for name, array in arrays.items():
-            if name not in described:
-                own = stated.get(name, {})
-                dtype = array.dtype
-                # the array's dtype counts; the file's own name for it is kept
-                kind = own.get("type")
-                if not isinstance(kind, str) or datatype_name(kind) != dtype.name:
-                    kind = f"{dtype.name.capitalize()}Array"
-                data_type = "continuous" if dtype.kind == "f" else "categorical"
-                described[name] = {"name": name, "type": kind, "dataType": data_type, **own}
-                described[name]["type"] = kind
+            if name in described:
+                continue
+            entry = entry_of_name.get(name, {})
+            dtype = array.dtype
+            # the array's dtype counts; the file's name for it is not changed
+            array_type = entry.get("type")
+            if not isinstance(array_type, str) or datatype_name(array_type) != dtype.name:
+                array_type = f"{dtype.name.capitalize()}Array"
+            data_type = "continuous" if dtype.kind == "f" else "categorical"
+            described[name] = {"name": name, "type": array_type, "dataType": data_type, **entry}
+            described[name]["type"] = array_type
     return list(described.values())
 
 
-def read_table(stated: Any, kind: Any, where: str) -> Any:
-    """Read a table of a file as a type; a FormatError has the place of what doesn't fit."""
+def read_table(entries: object, kind: Any, place: str) -> Any:
+    """Convert a table of a file to a type.
+
+    Args:
+        entries: What the file has, as parsed JSON.
+        kind: The type, as ``list[Room]``; msgspec checks it.
+        place: The place of the table, as ``metadata.navbake.rooms``.
+
+    Raises:
+        FormatError: Something does not fit; with its place.
+    """
     try:
-        return msgspec.convert(stated, kind)
+        return msgspec.convert(entries, kind)
     except msgspec.ValidationError as error:
+        # msgspec writes places as `$.area` or `$[0].name`, and none for the whole
         text = str(error) if "`$" in str(error) else f"{error} - at `$`"
-        text = text.replace(" - at ", " at ").replace("`$", f"`{where}")
-        place = text.rpartition(" at `")[2].rstrip("`")
-        raise FormatError(f"{text[0].lower()}{text[1:]}", place=place) from error
+        text = text.replace(" - at ", " at ").replace("`$", f"`{place}")
+        faulty_place = text.rpartition(" at `")[2].rstrip("`")
+        raise FormatError(f"{text[0].lower()}{text[1:]}", place=faulty_place) from error
 
 
-def to_entry(thing: Any, *left_out: str) -> Json:
-    """The fields of a dataclass as JSON, without those that are None."""
-    names = (name for name in thing.__dataclass_fields__ if name not in left_out)
-    fields = {name: getattr(thing, name) for name in names}
-    return {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in fields.items()
-        if value is not None
-    }
+def to_entry(record: Any, *left_out: str) -> Json:
+    """Return the fields of a dataclass as JSON, without those that are None.
+
+    Args:
+        record: An object of a dataclass.
+        *left_out: Names of fields to leave out.
+    """
+    entry: Json = {}
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        if name not in left_out and value is not None:
+            entry[name] = list(value) if isinstance(value, tuple) else value
+    return entry
 
 
 def cut_metadata(metadata: Json, level: int) -> Json:
-    """Cut a copy of a grid's metadata to one level, which becomes level 0 of a grid by itself.
+    """Return a copy of a grid's metadata for one level, which becomes level 0 of a grid by itself.
 
-    Rooms, doors, neighbours and links of other levels are removed. Broken parts stay as they are,
-    as the whole grid reports them. Without navbake's metadata, `metadata` itself is returned.
+    It lacks the rooms, doors, neighbours and links of other levels. Broken parts stay as they are:
+    the whole grid reports them.
+
+    Args:
+        metadata: The metadata of the grid; returned as they are if they have none of navbake's.
+        level: Number of the level, 0 is the lowest.
     """
-    own = metadata.get("navbake")
-    if not isinstance(own, dict) or not own:
+    tables = metadata.get("navbake")
+    if not isinstance(tables, dict) or not tables:
         return metadata
-    cut = dict(own)
-    for name, cut_table in CUTS.items():
+    cut = dict(tables)
+    for name, cut_table in CUTTERS.items():
         with suppress(AttributeError, KeyError, TypeError, ValueError):
-            cut[name] = cut_table(own[name], level)
+            cut[name] = cut_table(tables[name], level)
     return {**metadata, "navbake": cut}
 
 
 def unflatten(links: Any) -> Any:
-    """The entries of a table of links, whose steps may be one flat list of integers."""
+    """Return the entries of a table of links, whose steps may be one flat list of integers."""
     if isinstance(links, list) and links and not isinstance(links[0], list | tuple | dict):
         return [links[i : i + 4] for i in range(0, len(links), 4)]
     return links
 
 
+def cut_levels(levels: list[Json], level: int) -> list[Json]:
+    """Return the entry of the level alone."""
+    return levels[level : level + 1]
+
+
 def cut_links(links: Any, level: int) -> list[Any]:
-    """The steps within one level, and the named links with two or more stops on it."""
+    """Return the steps within a level, and the named links with two or more stops on it."""
     cut: list[Any] = []
     for entry in unflatten(links):
         if isinstance(entry, dict):
-            pairs = zip(entry["stops"], entry["positions"], strict=True)
-            kept = [([0, cell], position) for (on, cell), position in pairs if on == level]
-            if len(kept) >= 2:
-                stops, positions = map(list, zip(*kept, strict=True))
+            stops = []
+            positions = []
+            for (stop_level, cell), position in zip(
+                entry["stops"], entry["positions"], strict=True
+            ):
+                if stop_level == level:
+                    stops.append([0, cell])
+                    positions.append(position)
+            if len(stops) >= 2:
                 cut.append({**entry, "stops": stops, "positions": positions})
         else:
-            at, one, to, other = entry
-            cut += [[0, one, 0, other]] if at == to == level else []
+            first_level, first_cell, second_level, second_cell = entry
+            if first_level == second_level == level:
+                cut.append([0, first_cell, 0, second_cell])
     return cut
 
 
 def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
-    elsewhere = {room["id"] for room in rooms if room["level"] != level}
-    # copied before they are changed: the whole keeps its table
-    return [
-        {
-            **room,
-            "level": 0,
-            "neighbours": [n for n in room["neighbours"] if n["room"] not in elsewhere],
-        }
-        for room in rooms
-        if room["level"] == level
-    ]
-
-
-def cut_doors(doors: list[Json], level: int) -> list[Json]:
+    """Return the rooms of a level, without neighbours on other levels."""
+    rooms_elsewhere = {room["id"] for room in rooms if room["level"] != level}
     cut = []
-    for door in doors:
-        # a door on two levels (beside a stair) is on both, with the cells of each
-        here: Json = {
-            key: {
-                state: [[0, *entry[1:]] for entry in entries if entry[0] == level]
-                for state, entries in door[key].items()
-            }
-            for key in ("cells", "solid")
-            if key in door
-        }
-        if any(any(by_state.values()) for by_state in here.values()):
-            cut.append({**door, **here})
+    for room in rooms:
+        if room["level"] == level:
+            neighbours = [
+                neighbour
+                for neighbour in room["neighbours"]
+                if neighbour["room"] not in rooms_elsewhere
+            ]
+            # a copy: the whole grid's table stays as it is
+            cut.append({**room, "level": 0, "neighbours": neighbours})
     return cut
 
 
-CUTS: dict[str, Callable[[Any, int], Any]] = {
-    "levels": lambda levels, level: levels[level : level + 1],
+def cut_doors(doors: list[Json], level: int) -> list[Json]:
+    """Return the doors with cells on a level, with these cells alone."""
+    cut = []
+    for door in doors:
+        # a door beside a stair may be on two levels: it is in the tables of both
+        cells_on_level: Json = {}
+        for key in ("cells", "solid"):
+            if key in door:
+                cells_on_level[key] = {
+                    state: [[0, *entry[1:]] for entry in entries if entry[0] == level]
+                    for state, entries in door[key].items()
+                }
+        if any(any(by_state.values()) for by_state in cells_on_level.values()):
+            cut.append({**door, **cells_on_level})
+    return cut
+
+
+CUTTERS: dict[str, Callable[[Any, int], Any]] = {
+    "levels": cut_levels,
     "links": cut_links,
     "rooms": cut_rooms,
     "doors": cut_doors,
 }
+"""By the name of a table, the function that returns its part about one level."""

@@ -1,6 +1,6 @@
-"""The rooms of a grid, read from a file's table or measured, and the doors between them.
+"""The rooms of a grid, parsed from a file's table or measured, and the doors between them.
 
-Of a door a grid has, for each state, the cells that only this door blocks, by level.
+For each state of a door, a grid holds the cells that only this door blocks, by level.
 """
 
 from __future__ import annotations
@@ -22,39 +22,56 @@ ROOMS = "metadata.navbake.rooms"
 DOORS = "metadata.navbake.doors"
 State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
 STATES: tuple[str, ...] = get_args(State)
-# A door is in an opening if they are at most this far apart [m]
-DOOR_REACH = 0.4
+DOOR_REACH = 0.4  # a door is in an opening if they are at most this far apart [m]
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A room with an opening to another one."""
+    """A room that another room has an opening to.
 
-    room: str  #: Its id.
-    #: ``open`` (no door between), ``door`` or ``link`` (a step to another level).
+    Attributes:
+        room: Id of the room.
+        kind: ``open`` (no door between), ``door`` or ``link`` (a step to another level).
+        door: Id of the door; None unless the kind is ``door``.
+    """
+
+    room: str
     kind: str = "open"
-    door: str | None = None  #: The door's id, None unless the kind is ``door``.
+    door: str | None = None
 
     def to_json(self) -> Json:
+        """Return the neighbour's entry in the file's table."""
         return {"room": self.room, "door": self.door, "kind": self.kind}
 
 
 @dataclass(frozen=True)
 class Room:
-    """A room of a grid."""
+    """A room of a grid.
 
-    index: int  #: Its number on its level, from 1, as in `SceneGrid2D.room_index`.
-    id: str  #: Unique in the grid.
-    name: str | None  #: From the scene or the settings, None for none.
-    level: int  #: 0 is the lowest.
-    area: float  #: [m²].
-    centroid: Vector3  #: Mean of its cells' centres on their floors, world x, y, z [m].
-    source: str | None = None  #: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
-    neighbours: tuple[Neighbour, ...] = ()  #: The rooms with an opening to it.
-    outdoors: bool = False  #: Whether it is the area under the open sky outside of all walls.
+    Attributes:
+        index: Its number on its level, from 1, as in `SceneGrid2D.room_index`.
+        id: Its id, unique in the grid.
+        name: Its name, from the scene or the settings; None for no name.
+        level: Its level, 0 is the lowest.
+        area: Its area [m²].
+        centroid: Mean of the centres of its cells on their floors, world x, y, z [m].
+        source: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
+        neighbours: The rooms that it has an opening to.
+        outdoors: Whether it is the area under the open sky outside of all walls.
+    """
+
+    index: int
+    id: str
+    name: str | None
+    level: int
+    area: float
+    centroid: Vector3
+    source: str | None = None
+    neighbours: tuple[Neighbour, ...] = ()
+    outdoors: bool = False
 
     def to_json(self) -> Json:
-        """JSON of the room; `outdoors` only if true."""
+        """Return the room's entry in the file's table; `outdoors` only if true."""
         neighbours = [neighbour.to_json() for neighbour in self.neighbours]
         entry = {field.name: getattr(self, field.name) for field in fields(self)}
         entry |= {"centroid": list(self.centroid), "neighbours": neighbours}
@@ -63,40 +80,67 @@ class Room:
         return entry
 
 
-def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
-    """Read and check ``metadata.navbake.rooms``; the rooms by level and index."""
-    if isinstance(stated, list | tuple):
-        stated = [{"name": None, **room} if isinstance(room, dict) else room for room in stated]
-    rooms: list[Room] = read_table(stated, list[Room], ROOMS)
+def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:
+    """Check and convert ``metadata.navbake.rooms``.
+
+    Args:
+        entries: The table.
+        num_levels: Number of levels of the grid.
+
+    Returns:
+        The rooms by level and index.
+
+    Raises:
+        FormatError: The table is broken, or a level does not exist.
+    """
+    if isinstance(entries, list | tuple):
+        entries = [{"name": None, **room} if isinstance(room, dict) else room for room in entries]
+    rooms: list[Room] = read_table(entries, list[Room], ROOMS)
     for number, room in enumerate(rooms):
         if not 0 <= room.level < num_levels or room.index < 1:
-            where = f"`{ROOMS}[{number}]`"
-            raise FormatError(f"expected a level of the grid and an index >= 1 at {where}")
+            place = f"{ROOMS}[{number}]"
+            expected = "a level of the grid and an index >= 1"
+            raise FormatError(
+                f"expected {expected} at `{place}`",
+                value=(room.level, room.index),
+                expected=expected,
+                place=place,
+            )
     return tuple(sorted(rooms, key=lambda room: (room.level, room.index)))
 
 
 def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: int) -> list[Room]:
-    """Describe the rooms of level `number` from its cells alone, sorted by index.
+    """Describe the rooms of a level from its cells alone.
 
-    They have the id ``level:index``, and neither name nor neighbours. `index` is the room of each
-    cell, 0 for none, `floor` its world z [m]; both of shape (height, width).
+    They have the id ``level:index``, and neither name nor neighbours.
+
+    Args:
+        index: The room of each cell, 0 for none, shape (height, width), integers.
+        floor: World z of each cell [m], shape (height, width).
+        lattice: The cells of the level.
+        number: Number of the level, 0 is the lowest.
+
+    Returns:
+        The rooms by index.
     """
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     index = index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass
-    count = np.bincount(index)
-    sums = (np.bincount(index, values.ravel()) for values in (x, y, floor))
-    mean_x, mean_y, mean_z = (total / np.maximum(count, 1) for total in sums)
+    num_cells = np.bincount(index)
+    divisor = np.maximum(num_cells, 1)
+    mean_x = np.bincount(index, x.ravel()) / divisor
+    mean_y = np.bincount(index, y.ravel()) / divisor
+    mean_z = np.bincount(index, floor.ravel()) / divisor
     return [
         Room(
             index=int(room),
             id=f"{number}:{room}",
             name=None,
             level=number,
-            area=round(float(count[room]) * lattice.cell_size**2, 6),
+            area=round(float(num_cells[room]) * lattice.cell_size**2, 6),
             centroid=(rounded(mean_x[room]), rounded(mean_y[room]), rounded(mean_z[room])),
         )
-        for room in np.flatnonzero(count)
+        for room in np.flatnonzero(num_cells)
         if room
     ]
 
@@ -104,7 +148,7 @@ def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: i
 # ---------------------------------------------------------------- doors
 
 Runs = list[int]
-"""Cell ids as runs: first id, count, first id, count, …"""
+"""Ascending cell ids as runs of consecutive ones: first id, count, first id, count, …"""
 
 
 def to_runs(cells: Int) -> Runs:
@@ -118,57 +162,84 @@ def to_runs(cells: Int) -> Runs:
 def from_runs(runs: Sequence[int]) -> Int:
     """Unpack runs into ascending cell ids, shape (n,), int64."""
     pairs = np.array(runs, dtype=np.int64).reshape(-1, 2)
-    parts = [np.arange(first, first + count) for first, count in pairs]
-    return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
+    if not len(pairs):
+        return np.empty(0, dtype=np.int64)
+    return np.concatenate([np.arange(first, first + count) for first, count in pairs])
 
 
 @dataclass(frozen=True)
 class Door:
-    """A door of a grid."""
+    """A door of a grid.
 
-    id: str  #: Unique in the grid.
-    joint: str | None  #: The joint that moves it, None for none.
-    #: Ids of the two rooms that it joins, None for the outside; () if unknown.
+    Attributes:
+        id: Its id, unique in the grid.
+        joint: Name of the joint that moves it; None for no joint.
+        rooms: Ids of the two rooms that it joins, None for the outside; () if unknown.
+        state: Its current state: ``modelled``, ``open``, ``closed`` or ``removed``.
+        cells: The cells that only this door blocks, by state and level, as runs of cell ids.
+        solid: The cells whose squares only this door overlaps, as `cells`; {} unless the grid has a
+            layer ``solid``.
+    """
+
+    id: str
+    joint: str | None
     rooms: tuple[str | None, ...]
-    state: str  #: The current one of `STATES`.
-    #: Blocked cells by state and level, as runs of cell ids.
+    state: str
     cells: Mapping[str, Mapping[int, Runs]]
-    #: Likewise the cells whose squares it overlaps, with a layer ``solid``.
     solid: Mapping[str, Mapping[int, Runs]] = field(default_factory=dict)
 
     @property
     def levels(self) -> list[int]:
         """The levels where it blocks cells in any state, ascending."""
-        return sorted({level for per_level in self.cells.values() for level in per_level})
+        return sorted({level for by_level in self.cells.values() for level in by_level})
 
     @property
     def states(self) -> list[str]:
+        """The states that it can have; the grid holds its cells in each."""
         return [state for state in STATES if state in self.cells or state == "removed"]
 
     @property
     def like(self) -> str | None:
-        """Which of ``closed`` and ``open`` equals ``modelled``, if that is the current state."""
-        as_modelled = self.cells.get("modelled")
-        if self.state != "modelled" or as_modelled is None:
+        """The state, ``closed`` or ``open``, that equals ``modelled``, if it is in that state."""
+        modelled_cells = self.cells.get("modelled")
+        if self.state != "modelled" or modelled_cells is None:
             return None
-        return next((s for s in ("closed", "open") if self.cells.get(s) == as_modelled), None)
+        for state in ("closed", "open"):
+            if self.cells.get(state) == modelled_cells:
+                return state
+        return None
 
     def cells_in(self, state: str, num_levels: int) -> list[Int]:
-        """Ascending ids by level of the cells that only this door blocks in a state."""
-        return [from_runs(self.cells.get(state, {}).get(k, ())) for k in range(num_levels)]
+        """Return the cells that only this door blocks in a state.
+
+        Args:
+            state: A state of a door.
+            num_levels: Number of levels of the grid.
+
+        Returns:
+            Ascending cell ids for each level, int64.
+        """
+        by_level = self.cells.get(state, {})
+        return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
 
     def solid_in(self, state: str, num_levels: int) -> list[Int]:
-        """Ascending ids by level of the cells whose squares only this door overlaps in a state."""
-        return [from_runs(self.solid.get(state, {}).get(k, ())) for k in range(num_levels)]
+        """Return the cells whose squares only this door overlaps in a state; as `cells_in`.
+
+        Args:
+            state: A state of a door.
+            num_levels: Number of levels of the grid.
+        """
+        by_level = self.solid.get(state, {})
+        return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
 
     def to_json(self) -> Json:
-        """JSON of the door without its cells."""
+        """Return the door as JSON, without its cells."""
         names = ("id", "joint", "rooms", "levels", "state", "like", "states")
         return {name: getattr(self, name) for name in names} | {"rooms": list(self.rooms)}
 
 
-class _Entry(msgspec.Struct):
-    """A door in a file; per state, pairs of a level and the runs of its cells."""
+class _DoorEntry(msgspec.Struct):
+    """A door in a file; for each state, pairs of a level and the runs of its cells."""
 
     id: str
     state: State
@@ -178,25 +249,40 @@ class _Entry(msgspec.Struct):
     solid: dict[State, list[tuple[int, list[int]]]] = {}
 
 
-def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
-    """Read and check ``metadata.navbake.doors``, on levels of `num_cells` cells each."""
+def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]:
+    """Check and convert ``metadata.navbake.doors``.
+
+    Args:
+        entries: The table.
+        cell_counts: Number of cells of each level.
+
+    Raises:
+        FormatError: The table is broken, an id stands twice, or a cell does not exist.
+    """
     doors: dict[str, Door] = {}
-    entries: list[_Entry] = read_table(stated, list[_Entry], DOORS)
-    for number, entry in enumerate(entries):
+    parsed: list[_DoorEntry] = read_table(entries, list[_DoorEntry], DOORS)
+    for number, entry in enumerate(parsed):
+        place = f"{DOORS}[{number}]"
         if entry.id in doors:
             raise FormatError(
-                f"expected unique ids, got {entry.id!r} twice at `{DOORS}[{number}].id`"
+                f"expected unique ids, got {entry.id!r} twice at `{place}.id`",
+                value=entry.id,
+                expected="unique ids",
+                place=f"{place}.id",
             )
         for by_state in (entry.cells, entry.solid):
             for state, by_level in by_state.items():
                 levels = [level for level, _ in by_level]
-                if len({*levels}) < len(levels) or not all(
-                    0 <= level < len(num_cells) and _are_runs(runs, num_cells[level])
+                is_valid = len(set(levels)) == len(levels) and all(
+                    0 <= level < len(cell_counts) and _are_runs(runs, cell_counts[level])
                     for level, runs in by_level
-                ):
+                )
+                if not is_valid:
+                    expected = "each level once, with [first cell, count, …] within the grid"
                     raise FormatError(
-                        "expected each level once, with [first cell, count, …] within the grid, "
-                        f"in state {state} at `{DOORS}[{number}]`"
+                        f"expected {expected}, in state {state} at `{place}`",
+                        expected=expected,
+                        place=place,
                     )
         cells = {str(state): dict(by_level) for state, by_level in entry.cells.items()}
         solid = {str(state): dict(by_level) for state, by_level in entry.solid.items()}

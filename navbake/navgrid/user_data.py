@@ -1,8 +1,8 @@
-"""Per-cell user data, parsed or made on first use.
+"""The user data of cells, as names of objects, parsed or made on first use.
 
-Names of objects by cell make up most of a grid's file, are rarely needed, and are often equal in
-many cells. So `UserData` parses a file's on first use, and shares a bake's entries until a caller
-accesses single cells, which are writable.
+They make up most of a grid's file, are rarely needed, and are often equal in many cells. So
+`UserData` parses those of a file on first use, and lets cells share the entries of a bake until a
+caller accesses single cells, which are writable.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list na
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
     """Pause the garbage collector while many objects are made: it would scan them repeatedly."""
-    was_on = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was_on:
+        if was_enabled:
             gc.enable()
 
 
@@ -46,16 +46,18 @@ Entries: TypeAlias = MutableMapping[int, Json] | Shared
 class UserData(MutableMapping[int, Json]):
     """User data by cell id (col + row * width).
 
-    Its source is a dictionary, which is modified in place; `Shared` entries, which become a
-    dictionary on access to single cells; or a function that returns one of these.
+    Args:
+        source: A dictionary, which is modified in place; `Shared` entries, which become a
+            dictionary on access to single cells; a function that returns one of these; or None for
+            no data.
     """
 
     def __init__(self, source: Entries | Callable[[], Entries] | None = None) -> None:
-        self._source: Any = {} if source is None else source
+        self._source: Entries | Callable[[], Entries] = {} if source is None else source
 
     @classmethod
     def of(cls, user_data: MutableMapping[int, Json]) -> UserData:
-        """User data from any mapping; itself if it is one."""
+        """Return user data of any mapping; the mapping itself if it is a `UserData`."""
         return user_data if isinstance(user_data, UserData) else cls(user_data)
 
     @property
@@ -69,19 +71,21 @@ class UserData(MutableMapping[int, Json]):
         if callable(self._source):
             with without_garbage_collection():
                 self._source = self._source()
-        source: Entries = self._source
-        return source
+        return self._source
 
     @property
     def _cells(self) -> MutableMapping[int, Json]:
-        """The dictionary; shared entries are copied into one for each cell."""
+        """The dictionary; of shared entries, each cell gets a copy of its own."""
         source = self.source
-        if isinstance(source, Shared):
-            with without_garbage_collection():
-                entries = [_copy_json(source.entries[k]) for k in source.number.tolist()]
-                source = dict(zip(source.cells.tolist(), entries, strict=True))
-            self._source = source
-        return source
+        if not isinstance(source, Shared):
+            return source
+        with without_garbage_collection():
+            entries = [_copy_json(source.entries[number]) for number in source.number.tolist()]
+            by_cell: MutableMapping[int, Json] = dict(
+                zip(source.cells.tolist(), entries, strict=True)
+            )
+        self._source = by_cell
+        return by_cell
 
     def __getitem__(self, cell: int) -> Json:
         return self._cells[cell]
@@ -105,57 +109,71 @@ class UserData(MutableMapping[int, Json]):
         return {"_source": self.source}  # without the function, which holds a bake or a file
 
     def find(self, cells: Int) -> list[Json]:
-        """The entries of cells, shape (n,), int64; {} for none. They must not be modified."""
+        """Return the entries of cells, {} for cells without one; they must not be modified.
+
+        Args:
+            cells: Cell ids, shape (n,), int64.
+        """
         source = self.source
         if not isinstance(source, Shared):
             return [source.get(cell, {}) for cell in cells.tolist()]
-        known, number, entries = source
-        place = np.searchsorted(known, cells)
-        # one more at the end, for cells beyond the last one that has an entry
-        is_known = np.append(known, -1)[place] == cells
-        numbers = np.where(is_known, np.append(number, -1)[place], -1)
-        with_none = [*entries, {}]
-        return [with_none[k] for k in numbers.tolist()]
+        index = np.searchsorted(source.cells, cells)
+        # a -1 at the end, for cells beyond the last one that has an entry
+        has_entry = np.append(source.cells, -1)[index] == cells
+        numbers = np.where(has_entry, np.append(source.number, -1)[index], -1)
+        entries = [*source.entries, {}]  # the last one has number -1, too
+        return [entries[number] for number in numbers.tolist()]
 
     def shared(self) -> Shared:
-        """All entries and their cells, in the source's order. They must not be modified."""
+        """Return all entries and their cells, in the source's order; they must not be modified."""
         source = self.source
         if isinstance(source, Shared):
             return source
         cells = np.fromiter(source, dtype=np.int64, count=len(source))
         return Shared(cells, np.arange(len(cells)), list(source.values()))
 
-    def replaced(self, changed: Mapping[int, Json]) -> UserData:
-        """User data with other entries in some cells, by ascending cell id; empty ones are removed.
+    def with_entries(self, changed: Mapping[int, Json]) -> UserData:
+        """Return the user data with other entries in some cells, by ascending cell id.
 
-        The entries must not be modified.
+        Args:
+            changed: The new entries by cell id, which must not be modified; an empty one removes
+                the cell's entry.
         """
         source = self.source
         if not isinstance(source, Shared):
             merged = {**source, **changed}
-            kept = (cell for cell in sorted(merged) if cell not in changed or changed[cell])
-            return UserData({cell: merged[cell] for cell in kept})
-        cells, number, known = source
-        is_kept = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
-        number = number[is_kept]
-        # drop unused entries, or they would pile up
-        is_used = np.bincount(number, minlength=len(known)) > 0
-        entries = list(compress(known, is_used))
-        added = {cell: entry for cell, entry in changed.items() if entry}
-        new = len(entries) + np.arange(len(added))
-        number = np.concatenate([(np.cumsum(is_used) - 1)[number], new])
-        cells = np.concatenate([cells[is_kept], np.fromiter(added, dtype=np.int64)])
+            cells_with_entry = [
+                cell for cell in sorted(merged) if cell not in changed or changed[cell]
+            ]
+            return UserData({cell: merged[cell] for cell in cells_with_entry})
+        changed_cells = np.fromiter(changed, dtype=np.int64, count=len(changed))
+        is_unchanged = ~np.isin(source.cells, changed_cells)
+        number = source.number[is_unchanged]
+        # unused entries are dropped: they would pile up
+        is_used = np.bincount(number, minlength=len(source.entries)) > 0
+        entries = list(compress(source.entries, is_used))
+        new_entries = {cell: entry for cell, entry in changed.items() if entry}
+        new_numbers = len(entries) + np.arange(len(new_entries))
+        number = np.concatenate([(np.cumsum(is_used) - 1)[number], new_numbers])
+        new_cells = np.fromiter(new_entries, dtype=np.int64)
+        cells = np.concatenate([source.cells[is_unchanged], new_cells])
         order = np.argsort(cells)
-        return UserData(Shared(cells[order], number[order], [*entries, *added.values()]))
+        return UserData(Shared(cells[order], number[order], [*entries, *new_entries.values()]))
 
 
 def names_in(entry: Json, key: str) -> list[str]:
-    """The names under a key of a cell's user data, which other programs may use for anything."""
+    """Return the names under a key of a cell's user data; other programs may use it for anything.
+
+    Args:
+        entry: The user data of a cell.
+        key: ``doors``, ``objects``, ``walls`` or ``blockers``.
+    """
     names = entry.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 
 def _copy_json(value: Any) -> Any:
+    """Copy parsed JSON, faster than `copy.deepcopy`."""
     if isinstance(value, dict):
         return {key: _copy_json(part) for key, part in value.items()}
     return [_copy_json(part) for part in value] if isinstance(value, list) else value
