@@ -43,21 +43,21 @@ from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
     DoorContext,
-    LeafCells,
     classify_leaves,
-    cut_door,
-    find_blocked_cells,
+    find_door_cells,
     is_stuck,
-    pose_leaves,
+    make_door,
     select_doors,
 )
+from navbake.baker.doors.posed_leaves import LeafCells, find_blocked_cells, pose_leaves
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.geometry.extents import Extents, measure_extents
 from navbake.baker.links.areas import PaintedAreas, paint_areas
 from navbake.baker.links.links import BakedLinks, find_links
 from navbake.baker.links.search import CollisionGeometry, CollisionShapes, LinkSearch
-from navbake.baker.occupancy.occupancy import Footprint, Occupancy, check_occupancy
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import Occupancy, check_occupancy
 from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import MovableContext, MovableOccupants, find_movable_occupants
@@ -210,16 +210,16 @@ class Stages:
         floors = self.floors
         columns = self.column_blocks
         with self.clock.stage("occupancy"):
-            probed = None
+            wall_candidates = None
             if self.extents is not None:
-                probed = mark_wall_candidates(self.scene, self.extents)
+                wall_candidates = mark_wall_candidates(self.scene, self.extents)
             return find_standing_cells(
                 columns,
                 self.tile_index,
                 floors=floors,
                 footprint=self.footprint,
                 agent=self.config.agent,
-                probed=probed,
+                wall_candidates=wall_candidates,
                 clock=self.clock,
             )
 
@@ -237,7 +237,7 @@ class Stages:
                 return None
             return classify_occupants(
                 self.scene,
-                cells.levels,
+                cells.occupants,
                 floors=self.floors,
                 extents=self.extents,
                 agent=self.config.agent,
@@ -525,15 +525,15 @@ def make_grid_door(
     config: BakeConfig,
 ) -> GridDoor:
     """A door as the grid has it: its cells that nothing else occupies, by level."""
-    door = cut_door(
+    cells = find_door_cells(placed, occupants.blocked, occupants.blocked_squares)
+    door = make_door(
         placed,
-        occupants.blocked,
-        occupants.blocked_squares,
+        cells,
         windows=standing.boxes.windows,
         width=standing.lattice.width,
         wanted=config.doors.state,
     )
-    return GridDoor(door, door_to_json(door), is_stuck(placed, occupants.blocked))
+    return GridDoor(door, door_to_json(door), is_stuck(cells))
 
 
 def door_to_json(door: Door) -> Json:

@@ -15,7 +15,9 @@ from navbake.baker.core.windows import Window
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.geometry.extents import measure_extents
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.geometry.shapes import Shapes
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.collect import GeomSelection, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
@@ -26,21 +28,37 @@ from navbake.errors import ConfigError
 from navbake.known_names import suggest
 from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
 from navbake.navgrid.links import Area
-from navbake.types import Bool, Float, Json
+from navbake.types import Bool, Json
 
-BELOW = 0.05  # a geom marks a floor that lies up to so far over it, as a rug does [m]
+MAX_BELOW = 0.05  # a geom marks a floor that lies up to so far over it, as a rug does [m]
 
 
 class PaintedAreas(NamedTuple):
-    """The areas of the settings on the whole lattice."""
+    """The areas of the settings on the whole lattice.
 
-    layers: list[NDArray[np.uint8]]  # the area of each cell of each level, 1-based, 0 for none
-    table: list[Json]  # the areas as a file states them
-    warnings: list[str]  # what the user should know, one line each
+    Attributes:
+        layers: of each level the area of each cell, from 1, 0 for none, (height, width), uint8.
+        table: the areas as a file has them.
+        warnings: what the user should know, one line each.
+    """
+
+    layers: list[NDArray[np.uint8]]
+    table: list[Json]
+    warnings: list[str]
 
 
-Marked = tuple[list[Bool], float, list[str]]
-"""The cells of an area by level, how wide it is [m], NaN if unknown, and warnings."""
+class MarkedArea(NamedTuple):
+    """The cells of an area, with a floor or not.
+
+    Attributes:
+        masks: its cells by level, (height, width), bool.
+        width: how wide it is at its narrowest, NaN if unknown [m].
+        warnings: what the user should know, one line each.
+    """
+
+    masks: list[Bool]
+    width: float
+    warnings: list[str]
 
 
 def paint_areas(
@@ -51,6 +69,13 @@ def paint_areas(
     A keep-out area, one that bars any agent, takes each cell with a floor whose open square it
     touches; any other takes the cells whose centres lie in it.
 
+    Args:
+        scene: the scene, whose geoms may mark areas.
+        lattice: the whole lattice.
+        levels: the floors of each level.
+        rooms: the rooms, which may be areas.
+        config: the areas, and the agent's height.
+
     Raises:
         ConfigError: an area's level doesn't exist.
     """
@@ -59,108 +84,170 @@ def paint_areas(
     warnings = list[str]()
     for number, area in enumerate(config.areas, 1):
         if area.room is not None:
-            masks, width, notes = _mark_room(area, rooms)
+            marked = _mark_room(area, rooms)
         elif area.geoms:
-            masks, width, notes = _mark_geoms(area, scene, lattice, levels, config.agent.height)
+            marked = _mark_geoms(area, scene, lattice, levels, config.agent.height)
+        elif area.box is not None:
+            marked = _mark_box(area, area.box, lattice, levels)
         else:
-            masks, width, notes = _mark_outline(area, lattice, levels)
-        count = 0
-        for layer, level, mask in zip(layers, levels, masks, strict=True):
+            marked = _mark_polygon(area, lattice, levels)
+        num_cells = 0
+        for layer, level, mask in zip(layers, levels, marked.masks, strict=True):
             mask &= ~np.isnan(level.floor)
             layer[mask] = number
-            count += int(np.count_nonzero(mask))
-        warnings += notes
-        if not count and not notes:
+            num_cells += int(np.count_nonzero(mask))
+        warnings += marked.warnings
+        if not num_cells and not marked.warnings:
             warnings.append(f"area {area.name!r} covers no cell with a floor")
-        elif count and width < lattice.cell_size * (1 - LIMIT_SLACK):
-            takes = "it takes each cell that it touches, so it is wider in the grid"
-            takes = takes if area.keeps_out else "it takes cells by their centres, so it has gaps"
-            size = f"{width:.3g} m wide, thinner than a cell of {lattice.cell_size:g} m"
-            warnings.append(f"area {area.name!r} is only {size}: {takes}")
+        elif num_cells and marked.width < lattice.cell_size * (1 - LIMIT_SLACK):
+            warnings.append(_warn_narrow(area, marked.width, lattice.cell_size))
         agents = None if area.agents is None else tuple(area.agents)
         table.append(Area(area.name, float(area.cost), area.speed, agents).to_json())
     return PaintedAreas(layers, table, warnings)
 
 
-def _mark_room(area: AreaSettings, rooms: Rooms) -> Marked:
-    own = [room for room in rooms.table if area.room in (room.id, room.name)]
+def _warn_narrow(area: AreaSettings, width: float, cell_size: float) -> str:
+    """Return the warning of an area that is narrower than a cell [m]."""
+    effect = "it takes cells by their centres, so it has gaps"
+    if area.keeps_out:
+        effect = "it takes each cell that it touches, so it is wider in the grid"
+    return (
+        f"area {area.name!r} is only {width:.3g} m wide, thinner than a cell of {cell_size:g} m: "
+        f"{effect}"
+    )
+
+
+def _mark_room(area: AreaSettings, rooms: Rooms) -> MarkedArea:
+    """Mark the cells of the rooms with the area's id or name."""
     masks = [np.zeros_like(layer, dtype=np.bool_) for layer in rooms.index]
-    for room in own:
+    area_rooms = [room for room in rooms.table if area.room in (room.id, room.name)]
+    for room in area_rooms:
         masks[room.level] |= rooms.index[room.level] == room.index
-    known = [room.name or room.id for room in rooms.table]
-    why = f"no room {area.room!r} for area {area.name!r}: {suggest(area.room, known)}"
-    return masks, np.nan, [] if own else [why]
+    warnings = []
+    if not area_rooms:
+        room_names = [room.name or room.id for room in rooms.table]
+        hint = suggest(area.room, room_names)
+        warnings.append(f"no room {area.room!r} for area {area.name!r}: {hint}")
+    return MarkedArea(masks, np.nan, warnings)
 
 
-def _mark_outline(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFloor]) -> Marked:
-    """The cells of a polygon on its level, or of a box on all levels with floors in it."""
-    cover = touch_cells if area.keeps_out else cover_cells
-    if area.box is not None:
-        (x0, y0, low), (x1, y1, high) = area.box
-        mask = cover([[(x0, y0), (x1, y0), (x1, y1), (x0, y1)]], lattice)
-        floors = [level.floor for level in levels]
-        within = [(low - LIMIT_SLACK <= floor) & (floor <= high + LIMIT_SLACK) for floor in floors]
-        return [mask & inside for inside in within], min(x1 - x0, y1 - y0), []
-    on = [k for k, level in enumerate(levels) if area.level in (k, level.name)]
-    if not on:
-        listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
-        raise ConfigError(f"no level {area.level!r} for area {area.name!r}: there are {listed}")
+def _mark_box(
+    area: AreaSettings,
+    box: Sequence[Sequence[float]],
+    lattice: Lattice,
+    levels: Sequence[LevelFloor],
+) -> MarkedArea:
+    """Mark the cells of a box on all levels with floors in it."""
+    (x_min, y_min, z_min), (x_max, y_max, z_max) = box
+    outline = [[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]
+    is_covered = _cover(area, [outline], lattice)
+    masks = []
+    for level in levels:
+        is_in_height = z_min - LIMIT_SLACK <= level.floor
+        is_in_height &= level.floor <= z_max + LIMIT_SLACK
+        masks.append(is_covered & is_in_height)
+    return MarkedArea(masks, min(x_max - x_min, y_max - y_min), [])
+
+
+def _mark_polygon(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFloor]) -> MarkedArea:
+    """Mark the cells of a polygon on its level.
+
+    Raises:
+        ConfigError: the level doesn't exist.
+    """
+    numbers = [k for k, level in enumerate(levels) if area.level in (k, level.name)]
+    if not numbers:
+        level_names = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
+        raise ConfigError(
+            f"no level {area.level!r} for area {area.name!r}: there are {level_names}"
+        )
     masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
     outline = area.polygon or []
-    masks[on[0]] = cover([outline, *area.rings], lattice)
+    masks[numbers[0]] = _cover(area, [outline, *area.rings], lattice)
+    # the polygon is as wide as its extent in the direction that is normal to one of its sides
     corners = np.array(outline)
     sides = np.roll(corners, -1, axis=0) - corners
     length = np.hypot(*sides.T)
     normals = np.stack([-sides[:, 1], sides[:, 0]])[:, length > 0] / length[length > 0]
-    return masks, float(np.ptp(corners @ normals, axis=0).min()), []
+    width = float(np.ptp(corners @ normals, axis=0).min())
+    return MarkedArea(masks, width, [])
+
+
+def _cover(
+    area: AreaSettings, rings: Sequence[Sequence[Sequence[float]]], lattice: Lattice
+) -> Bool:
+    """Mark the cells that a polygon touches, of a keep-out area; else those with centres in it."""
+    cover = touch_cells if area.keeps_out else cover_cells
+    return cover(rings, lattice)
 
 
 def _mark_geoms(
-    area: AreaSettings, scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], high: float
-) -> Marked:
-    """The cells over whose floors geoms, left out or not, stand or hang lower than an agent's head.
-
-    The agent is `high` [m].
-    """
+    area: AreaSettings,
+    scene: Scene,
+    lattice: Lattice,
+    levels: Sequence[LevelFloor],
+    agent_height: float,
+) -> MarkedArea:
+    """Mark the cells over whose floors geoms, left out or not, stand or hang below heads."""
     names = [geom.geom for geom in all_names(scene.model).geoms]
     masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
     warnings = list[str]()
-    chosen = np.zeros(len(names), dtype=np.bool_)
+    is_area_geom = np.zeros(len(names), dtype=np.bool_)
     for pattern in area.geoms:
-        found = [fnmatchcase(name, pattern) for name in names]
-        chosen |= found
-        if not any(found):
+        matches = [fnmatchcase(name, pattern) for name in names]
+        is_area_geom |= matches
+        if not any(matches):
             text = warn_unmatched("geoms", pattern, names)
             warnings.append(f"of area {area.name!r}, {text}")
-    if not chosen.any():
-        return masks, np.nan, warnings
-    geoms = np.flatnonzero(chosen).tolist()
-    known = scene.selections
-    modes = {geom: known[geom].mesh if known[geom].counted else "surface" for geom in geoms}
-    choices = {geom: GeomSelection(True, "marks an area", modes[geom]) for geom in geoms}
-    shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.exact_meshes, geoms)
+    if not is_area_geom.any():
+        return MarkedArea(masks, np.nan, warnings)
+    geoms = np.flatnonzero(is_area_geom).tolist()
+    shapes = _collect_geoms(scene, geoms)
     window: Window | None = np.s_[0 : lattice.height], np.s_[0 : lattice.width]
-    if not len(shapes.planes.geom) and not shapes.endless.any():
+    is_endless = len(shapes.planes.geom) > 0 or shapes.endless.any()
+    if not is_endless:
         window = None if shapes.bounds is None else lattice.window(shapes.bounds)
     if window is None:
-        return masks, np.nan, warnings
+        return MarkedArea(masks, np.nan, warnings)
     tiled = tile_shapes(shapes, lattice.cut(*window), lattice.cell_size)
     columns = cast_columns(tiled)
-    # surfaces that enclose nothing are looked for in squares wider by 2 * TOUCH_DEPTH
-    square = lattice.cell_size / 2 - 3 * TOUCH_DEPTH
-    touching = Footprint(square, 0.0, -BELOW, high - TOUCH_DEPTH)
+    # surfaces that enclose nothing are tested in squares wider by 2 * TOUCH_DEPTH
+    touching = Footprint(
+        square=lattice.cell_size / 2 - 3 * TOUCH_DEPTH,
+        radius=0.0,
+        low=-MAX_BELOW,
+        high=agent_height - TOUCH_DEPTH,
+    )
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window].ravel()
         cells = np.flatnonzero(~np.isnan(floor))
         floors = floor[cells]
-        inside = np.zeros(len(cells), dtype=np.bool_)
+        is_inside = np.zeros(len(cells), dtype=np.bool_)
         if area.keeps_out:
-            inside = check_occupancy(columns, tiled, touching, cells, floors).occupied
+            is_inside = check_occupancy(columns, tiled, touching, cells, floors).occupied
         else:
-            band: tuple[Float, Float] = (floors - BELOW, floors + high)
-            find_blocked_lines(cells, *band, columns.hits, inside, 0, len(cells))
-        part = np.zeros(len(floor), dtype=np.bool_)
-        part[cells[inside]] = True
-        mask[window] = part.reshape(mask[window].shape)
+            find_blocked_lines(
+                cells,
+                floors - MAX_BELOW,
+                floors + agent_height,
+                columns.hits,
+                is_inside,
+                0,
+                len(cells),
+            )
+        window_mask = np.zeros(len(floor), dtype=np.bool_)
+        window_mask[cells[is_inside]] = True
+        mask[window] = window_mask.reshape(mask[window].shape)
     thin = measure_extents(shapes, len(names)).thin[geoms]
-    return masks, float(np.nanmin(thin, initial=np.inf)), warnings
+    return MarkedArea(masks, float(np.nanmin(thin, initial=np.inf)), warnings)
+
+
+def _collect_geoms(scene: Scene, geoms: Sequence[int]) -> Shapes:
+    """Collect the geometry of some geoms, whether or not they count in the bake."""
+    selections = {}
+    for geom in geoms:
+        selection = scene.selections[geom]
+        mesh = selection.mesh if selection.counted else "surface"
+        selections[geom] = GeomSelection(counted=True, reason="marks an area", mesh=mesh)
+    shapes, *_ = collect_shapes(scene.model, scene.data, selections, scene.exact_meshes, geoms)
+    return shapes

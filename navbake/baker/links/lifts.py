@@ -1,4 +1,4 @@
-"""Links that are found by what carries agents from storey to storey: ladders and lifts."""
+"""Links that are found by what carries agents from level to level: ladders and lifts."""
 
 from __future__ import annotations
 
@@ -17,21 +17,26 @@ from navbake.baker.links.search import (
     DIRECTIONS,
     CollisionGeometry,
     CollisionShapes,
-    Landing,
+    Landings,
+    LandingTest,
     LatticeLink,
     LinkSearch,
 )
-from navbake.baker.scene.cars import VERTICAL, find_lift_joints, measure_car
+from navbake.baker.scene.cars import VERTICAL, CarFloor, find_lift_joints, measure_car
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import all_names, find_subtree_ends, mark_body
 from navbake.baker.scene.pose import data_with_joints
 from navbake.config.links import LinkSettings
+from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
 
-LADDERS = ("*ladder*",)  # bodies and geoms that are ladders, if no patterns are given
+LADDER_PATTERNS = ("*ladder*",)  # names of bodies and geoms that are ladders, if no others are set
 LADDER_GAP = 0.6  # between a ladder and where one stands beside it [m]
 LIFT_GAP = 0.5  # between the floor of a car and a landing [m]
+
+
+# ---------------------------------------------------------------- ladders
 
 
 def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
@@ -40,59 +45,97 @@ def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     A ladder stops on each level that has a free cell within the gap [m] of its box, from above,
     whose floor lies between a step below its foot and a step above its top: at the nearest one. It
     is as wide as its box, seen from above.
+
+    Args:
+        search: floors, free cells and geometry.
+        rule: a rule for ladders.
     """
-    model = search.scene.model
-    names = all_names(search.scene.model)
-    patterns = rule.patterns or LADDERS
-    gap = LADDER_GAP if rule.gap is None else rule.gap
-    things = list[tuple[str, Bool]]()
-    ends = find_subtree_ends(model)
-    taken = set[int]()
-    bodies = [(name, mark_body(model, k, int(ends[k]))) for k, name in enumerate(names.bodies)][1:]
-    geoms = [(own.geom, np.arange(model.ngeom) == k) for k, own in enumerate(names.geoms)]
-    for name, mask in bodies + geoms:
-        own = set(np.flatnonzero(mask).tolist())
-        if own and not own & taken and any(fnmatchcase(name, pattern) for pattern in patterns):
-            things.append((name, mask))
-            taken |= own
+    max_gap = LADDER_GAP if rule.gap is None else rule.gap
     links = []
-    for name, mask in things:
-        box = search.shapes.only(mask).bounds
+    for name, is_ladder_geom in _name_ladders(search, rule.patterns or LADDER_PATTERNS):
+        box = search.shapes.only(is_ladder_geom).bounds
         if box is None:
             continue
-        if len(stops := list(_stops_beside(box, gap, search))) > 1:
+        stops = list(_stops_beside(box, max_gap, search))
+        if len(stops) > 1:
             width = round(float(np.diff(box[:, :2], axis=0).max()), 6)
             links.append(LatticeLink(stops, {"name": name, "width": width}))
     return links
 
 
-def _stops_beside(box: Float, gap: float, search: LinkSearch) -> Iterator[Stop]:
-    """The nearest free cell to a box on each level whose floors it reaches."""
-    (x0, y0, low), (x1, y1, high) = box.tolist()
+def _name_ladders(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str, Bool]]:
+    """Return the names of bodies, and then geoms, that match, and the geoms of each, as a mask.
+
+    Of nested matches only the first counts.
+    """
+    model = search.scene.model
+    names = all_names(model)
+    subtree_ends = find_subtree_ends(model)
+    candidates: list[tuple[str, Bool]] = []
+    for body, body_name in enumerate(names.bodies):
+        if body > 0:  # the world is none
+            candidates.append((body_name, mark_body(model, body, int(subtree_ends[body]))))
+    for geom, geom_names in enumerate(names.geoms):
+        candidates.append((geom_names.geom, np.arange(model.ngeom) == geom))
+
+    ladders: list[tuple[str, Bool]] = []
+    ladder_geoms = set[int]()
+    for name, is_candidate_geom in candidates:
+        geoms = set(np.flatnonzero(is_candidate_geom).tolist())
+        if not geoms or geoms & ladder_geoms:
+            continue
+        if any(fnmatchcase(name, pattern) for pattern in patterns):
+            ladders.append((name, is_candidate_geom))
+            ladder_geoms |= geoms
+    return ladders
+
+
+def _stops_beside(box: Float, max_gap: float, search: LinkSearch) -> Iterator[Stop]:
+    """Yield a stop on the nearest free cell to a box, (2, 3), on each level that it reaches."""
+    (x_min, y_min, low), (x_max, y_max, high) = box.tolist()
     x = search.lattice.center_x()
     y = search.lattice.center_y()[:, None]
-    off = np.hypot(np.clip(x, x0, x1) - x, np.clip(y, y0, y1) - y)
+    distance = np.hypot(np.clip(x, x_min, x_max) - x, np.clip(y, y_min, y_max) - y)
     for level, (floor, free) in enumerate(zip(search.floors, search.free, strict=True)):
-        here = free & (off <= gap + LIMIT_SLACK)
-        here &= (floor >= low - search.step) & (floor <= high + search.step)
-        if here.any():
-            yield search.stop(level, int(np.argmin(np.where(here, np.round(off, 9), np.inf))))
+        is_beside = free & (distance <= max_gap + LIMIT_SLACK)
+        is_beside &= (floor >= low - search.max_step) & (floor <= high + search.max_step)
+        if is_beside.any():
+            # rounded, so that the first of equally near cells is taken
+            nearest_cell = np.argmin(np.where(is_beside, np.round(distance, 9), np.inf))
+            yield search.make_stop(level, int(nearest_cell))
+
+
+# ---------------------------------------------------------------- lifts
 
 
 class Car(NamedTuple):
-    """The car of a lift."""
+    """The car of a lift.
+
+    Attributes:
+        name: of its body.
+        joint: id of its slide joint.
+        geoms: which geoms are its own, shape (ngeom,), bool.
+        window: of the lattice, round the car and its landings.
+        floor: which cells of the lattice its floor covers, (height, width), bool.
+        outline: which cells anything of it covers, (height, width), bool.
+        height: of its floor in the scene's pose [m].
+        min_height: the lowest height of its floor [m].
+        max_height: the highest height of its floor [m].
+        width: of its floor [m].
+        pose: x, y of its middle [m], yaw [rad], width along it and depth [m].
+    """
 
     name: str
     joint: int
-    geoms: Bool  # which are its own, shape (ngeom,)
-    window: Window  # of the lattice, round the car and its landings
-    floor: Bool  # which cells of the lattice its floor covers
-    outline: Bool  # and anything of it
-    z: float  # height of its floor now [m]
-    low: float  # lowest and highest height of its floor [m]
-    high: float
-    width: float  # of its floor [m]
-    place: tuple[float, ...]  # x, y of its middle [m], yaw [rad], width along it and depth [m]
+    geoms: Bool
+    window: Window
+    floor: Bool
+    outline: Bool
+    height: float
+    min_height: float
+    max_height: float
+    width: float
+    pose: tuple[float, ...]
 
 
 def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
@@ -102,117 +145,164 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     to the rule's [m] and up or down a step at most, with the car at that height and nothing in the
     way; on each level once at each of its sides, in the middle. A lift is as wide as its floor, or
     the narrowest way out of it.
+
+    Args:
+        search: floors, free cells and geometry.
+        rule: a rule for lifts.
     """
     links = []
-    gap = LIFT_GAP if rule.gap is None else rule.gap
-    for car in _find_cars(search, rule.patterns or ("*",), gap):
+    max_gap = LIFT_GAP if rule.gap is None else rule.gap
+    for car in _find_cars(search, rule.patterns or ("*",), max_gap):
         stops = list[Stop]()
         width = car.width
         for level in range(len(search.floors)):
-            land = _landing(car, level, search)
-            found = search.look_out((level, car.floor), range(len(DIRECTIONS)), gap, land)
-            found["z"] = np.clip(found["other_z"], car.low, car.high)
-            for group, *_ in search.group(found):
-                group["z"] = np.median(group["z"])
-                clear = group[search.are_clear(group, _space_at(car, group["z"][0], search))]
-                if len(clear):
-                    _, middle, out = max(search.group(clear), key=lambda part: len(part[0]))
-                    width = min(width, out)
-                    way = int(middle["way"])
-                    cell = int(middle["other_cell"])
-                    stops.append(search.stand_back(level, cell, way, min(car.width, out)))
+            crossings = search.find_crossings(
+                level,
+                starts=car.floor,
+                directions=range(len(DIRECTIONS)),
+                max_gap=max_gap,
+                check_landing=_landing_test(car, level, search),
+            )
+            crossings["from_height"] = np.clip(
+                crossings["to_height"], car.min_height, car.max_height
+            )
+            for side in search.group_crossings(crossings):
+                landing = side.crossings
+                # the car stops at one height
+                landing["from_height"] = np.median(landing["from_height"])
+                geometry = _geometry_at(car, landing["from_height"][0], search)
+                clear = landing[search.mark_clear(landing, geometry)]
+                if not len(clear):
+                    continue
+                widest = max(search.group_crossings(clear), key=lambda group: len(group.crossings))
+                width = min(width, widest.width)
+                stop = search.make_stop_off_edge(
+                    level,
+                    int(widest.middle["to_cell"]),
+                    direction=int(widest.middle["direction"]),
+                    width=min(car.width, widest.width),
+                )
+                stops.append(stop)
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
-            fields = {"name": car.name, "width": round(width, 6), "car": car.place}
+            fields = {"name": car.name, "width": round(width, 6), "car": car.pose}
             links.append(LatticeLink(stops, fields))
     return links
 
 
-def _landing(car: Car, level: int, search: LinkSearch) -> Landing:
-    """Whether one lands on a level, beside the car."""
+def _landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
+    """Return a test whether lines from the car land on a level, beside the car."""
 
-    def land(rows: Int, cols: Int, _z: Float, _between: int) -> tuple[Int, Bool, Bool]:
+    def check_landing(rows: Int, cols: Int, _from_height: Float, _num_between: int) -> Landings:
         floor = search.floors[level, rows, cols]
-        lands = np.abs(floor - np.clip(floor, car.low, car.high)) <= search.step
+        car_height = np.clip(floor, car.min_height, car.max_height)
+        lands = np.abs(floor - car_height) <= search.max_step
         lands &= search.free[level, rows, cols] & ~car.outline[rows, cols]
-        return np.full(len(rows), level), lands, ~car.floor[rows, cols]
+        return Landings(
+            level=np.full(len(rows), level),
+            lands=lands,
+            goes_on=~car.floor[rows, cols],
+        )
 
-    return land
+    return check_landing
 
 
-def _find_cars(search: LinkSearch, patterns: Sequence[str], gap: float) -> Iterator[Car]:
+def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> Iterator[Car]:
+    """Yield the cars whose bodies' names match, and which have a floor over the lattice."""
     scene = search.scene
     lattice = search.lattice
     model = scene.model
-    names = all_names(model).bodies
-    ends = find_subtree_ends(model)
+    body_names = all_names(model).bodies
+    subtree_ends = find_subtree_ends(model)
     for joint in find_lift_joints(model, scene.data, patterns):
         body = int(model.jnt_bodyid[joint])
-        own = mark_body(model, body, int(ends[body]))
-        shapes = search.shapes.only(own)
+        geoms = mark_body(model, body, int(subtree_ends[body]))
+        shapes = search.shapes.only(geoms)
         bounds = shapes.bounds
-        window = None if bounds is None else lattice.window(bounds, gap + lattice.cell_size)
+        window = None if bounds is None else lattice.window(bounds, max_gap + lattice.cell_size)
         if body not in scene.cars or bounds is None or window is None:
             continue
-        part = lattice.cut(*window)
-        car_floor = measure_car(shapes, part, search.agent)
+        window_lattice = lattice.cut(*window)
+        car_floor = measure_car(shapes, window_lattice, search.agent)
         if car_floor is None:
             continue
-        floor, outline = np.zeros((2, *lattice.shape), dtype=np.bool_)
-        for mask, cells in ((floor, car_floor.cells), (outline, car_floor.outline)):
-            mask[window][np.divmod(cells, part.width)] = True
-        carrier = car_floor.carrier
-        width = float(measure_extents(shapes, model.ngeom).thin[carrier])
-        axis = float(scene.data.xaxis[joint, 2])
-        now = float(scene.data.qpos[model.jnt_qposadr[joint]])
-        reach = model.jnt_range[joint].tolist()
-        low, high = sorted(car_floor.height + axis * (end - now) for end in reach)
-        # where it stands: by its floor's frame if that is an upright box, else by its bounds
-        middle = bounds.mean(axis=0)
-        yaw = 0.0
-        size = np.diff(bounds, axis=0)[0]
-        turn = scene.data.geom_xmat[carrier]
-        if model.geom_type[carrier] == BOX and turn[8] >= VERTICAL:
-            middle = scene.data.geom_xpos[carrier]
-            size = 2.0 * model.geom_size[carrier]
-            yaw = float(np.arctan2(turn[3], turn[0]))
-        place = (round(float(v), 6) + 0.0 for v in (middle[0], middle[1], yaw, size[0], size[1]))
+        joint_axis = float(scene.data.xaxis[joint, 2])
+        joint_position = float(scene.data.qpos[model.jnt_qposadr[joint]])
+        end_heights = [
+            car_floor.height + joint_axis * (end - joint_position)
+            for end in model.jnt_range[joint].tolist()
+        ]
         yield Car(
-            name=names[body],
+            name=body_names[body],
             joint=joint,
-            geoms=own,
+            geoms=geoms,
             window=window,
-            floor=floor,
-            outline=outline,
-            z=car_floor.height,
-            low=low,
-            high=high,
-            width=width,
-            place=tuple(place),
+            floor=_mark_cells(car_floor.cells, window, window_lattice, lattice),
+            outline=_mark_cells(car_floor.outline, window, window_lattice, lattice),
+            height=car_floor.height,
+            min_height=min(end_heights),
+            max_height=max(end_heights),
+            width=float(measure_extents(shapes, model.ngeom).thin[car_floor.carrier]),
+            pose=_car_pose(search, car_floor, bounds),
         )
 
 
-def _space_at(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
-    """The geometry round a car when its floor is at a height."""
+def _mark_cells(cells: Int, window: Window, window_lattice: Lattice, lattice: Lattice) -> Bool:
+    """Mark cells of a window on the whole lattice, (height, width)."""
+    marked = np.zeros(lattice.shape, dtype=np.bool_)
+    marked[window][np.divmod(cells, window_lattice.width)] = True
+    return marked
+
+
+def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[float, ...]:
+    """Return x, y of a car's middle [m], its yaw [rad], its width along it and its depth [m].
+
+    They are those of its floor's geom if that is an upright box, else those of its bounds.
+    """
+    model = search.scene.model
+    data = search.scene.data
+    geom = car_floor.carrier
+    middle = bounds.mean(axis=0)
+    size = np.diff(bounds, axis=0)[0]
+    yaw = 0.0
+    rotation = data.geom_xmat[geom]  # row by row
+    if model.geom_type[geom] == BOX and rotation[8] >= VERTICAL:
+        middle = data.geom_xpos[geom]
+        size = 2.0 * model.geom_size[geom]
+        yaw = float(np.arctan2(rotation[3], rotation[0]))
+    numbers = (middle[0], middle[1], yaw, size[0], size[1])
+    # adding 0 turns -0.0 into 0.0
+    return tuple(round(float(number), 6) + 0.0 for number in numbers)
+
+
+def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeometry:
+    """Return the geometry round a car while its floor is at a height [m]."""
     scene = search.scene
     model = scene.model
-    axis = float(scene.data.xaxis[car.joint, 2])
-    position = float(scene.data.qpos[model.jnt_qposadr[car.joint]]) + axis * (height - car.z)
+    joint_axis = float(scene.data.xaxis[car.joint, 2])
+    joint_position = float(scene.data.qpos[model.jnt_qposadr[car.joint]])
+    position = joint_position + joint_axis * (height - car.height)
     data = data_with_joints(model, scene.data, {car.joint: position})
-    kinds = search.shapes.solids, search.shapes.planes, search.shapes.meshes
-    known = np.unique(np.concatenate([kind.geom for kind in kinds]))
-    moved, *_ = collect_shapes(
+    shapes = search.shapes
+    counted_geoms = np.unique(
+        np.concatenate([shapes.solids.geom, shapes.planes.geom, shapes.meshes.geom])
+    )
+    car_shapes, *_ = collect_shapes(
         model,
         data,
         selections=scene.selections,
         exact_meshes=scene.exact_meshes,
-        only=known[car.geoms[known]].tolist(),
+        only=counted_geoms[car.geoms[counted_geoms]].tolist(),
         meshes=scene.meshes,
     )
     footprint = search.geometry.footprint
     tiled = tile_shapes(
-        search.shapes.replaced(moved, car.geoms),
+        shapes.replaced(car_shapes, car.geoms),
         search.lattice.cut(*car.window),
         footprint.reach,
     )
-    return CollisionGeometry([CollisionShapes(cast_columns(tiled), tiled)], footprint, car.window)
+    return CollisionGeometry(
+        parts=[CollisionShapes(cast_columns(tiled), tiled)],
+        footprint=footprint,
+        window=car.window,
+    )

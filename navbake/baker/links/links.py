@@ -2,110 +2,146 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.links.lifts import find_ladders, find_lifts
-from navbake.baker.links.search import CROSSING, DIRECTIONS, LatticeLink, LinkSearch
+from navbake.baker.links.search import (
+    CROSSING,
+    DIRECTIONS,
+    Landings,
+    LandingTest,
+    LatticeLink,
+    LinkSearch,
+)
 from navbake.config.links import LinkSettings
 from navbake.known_names import unique_name
 from navbake.navgrid.links import Stop
-from navbake.types import Bool, Float, Int
+from navbake.types import Float, Int
 
-NEAR = 0.5  # of a given stop from its cell, seen from above, and in height [m]
-# heights of drops, and gaps, that are not in the settings [m]
-DROP = 1.0
-GAP = 0.5
+# How far a stop of the settings is from its cell at most, seen from above, and in height [m]
+STOP_REACH = 0.5
+# Height of drops, and widest gap, where the settings state none [m]
+DROP_HEIGHT = 1.0
+EDGE_GAP = 0.5
+
+LinkFinder = Callable[[LinkSearch, LinkSettings], list[LatticeLink]]
 
 
 class BakedLinks(NamedTuple):
-    """The named links of a bake, cells counted on the whole lattice, and warnings."""
+    """The named links of a bake.
+
+    Attributes:
+        links: with cells counted on the whole lattice.
+        warnings: what the user should know, one line each.
+    """
 
     links: list[LatticeLink]
     warnings: list[str]
 
 
 def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
-    """Put the given links on cells, and find those that rules ask for; given ones first.
+    """Put the links of the settings on cells, and find those of its rules, which come last.
 
     A stop without a free cell nearby, or on the cell of one before, is left out, and so is a link
     of fewer than two stops.
+
+    Args:
+        search: floors, free cells and geometry.
+        settings: links and rules, in the order of the settings.
     """
     links = list[LatticeLink]()
     warnings = list[str]()
-    finders = {"ladder": find_ladders, "lift": find_lifts}
-    for given in settings:
-        if given.auto is None:
-            link, told = _place_link(given, search)
-            links += [link] if len(link.stops) > 1 else []
-            warnings += told
-    taken = {given.name for given in settings if given.name}
+    finders: dict[str, LinkFinder] = {"ladder": find_ladders, "lift": find_lifts}
+    for link_settings in settings:
+        if link_settings.auto is None:
+            link, link_warnings = _place_link(link_settings, search)
+            if len(link.stops) > 1:
+                links.append(link)
+            warnings += link_warnings
+    used_names = {link_settings.name for link_settings in settings if link_settings.name}
     for rule in settings:
         if rule.auto is None:
             continue
-        found = finders.get(rule.auto, find_edges)(search, rule)
-        found.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
-        for number, link in enumerate(found, 1):
-            name = unique_name(link.fields.get("name") or f"{rule.auto} {number}", taken)
-            named = {"name": name, "kind": rule.auto, "auto": True}
-            links.append(LatticeLink(link.stops, {**link.fields, **_stated(rule), **named}))
-        if not found:
+        finder = finders.get(rule.auto, find_edges)
+        rule_links = finder(search, rule)
+        rule_links.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
+        for number, link in enumerate(rule_links, 1):
+            name = unique_name(link.fields.get("name") or f"{rule.auto} {number}", used_names)
+            fields = {
+                **link.fields,
+                **_set_fields(rule),
+                "name": name,
+                "kind": rule.auto,
+                "auto": True,
+            }
+            links.append(LatticeLink(link.stops, fields))
+        if not rule_links:
             warnings.append(f"`links` asks for {rule.auto}s, but the scene has none")
     return BakedLinks(links, warnings)
 
 
-def _stated(settings: LinkSettings) -> dict[str, object]:
-    """What the settings say of a link beside its stops, without what they leave open."""
-    stated = settings.model_dump(include={"width", "cost", "seconds", "agents", "state"})
-    return {key: value for key, value in stated.items() if value is not None}
+def _set_fields(settings: LinkSettings) -> dict[str, object]:
+    """Return the fields of a link beside its stops that the settings set."""
+    fields = settings.model_dump(include={"width", "cost", "seconds", "agents", "state"})
+    return {key: value for key, value in fields.items() if value is not None}
 
 
-def _place_link(given: LinkSettings, search: LinkSearch) -> tuple[LatticeLink, list[str]]:
-    """The link with each stop on the nearest free cell; and what is wrong with its stops."""
+def _place_link(settings: LinkSettings, search: LinkSearch) -> tuple[LatticeLink, list[str]]:
+    """Make a link of the settings, each stop on the nearest free cell; and warn of wrong stops."""
     stops = list[Stop]()
-    wrong = list[str]()
-    taken = set[tuple[int, int]]()
-    for number, (x, y, z) in enumerate(given.stops, 1):
-        found = _find_stop(x, y, z, search)
-        if isinstance(found, Stop) and (found.level, found.cell) in taken:
-            found = "is on the cell of another stop"
-        if isinstance(found, Stop):
-            taken.add((found.level, found.cell))
-            stops.append(found)
+    errors = list[str]()
+    used_cells = set[tuple[int, int]]()
+    for number, (x, y, z) in enumerate(settings.stops, 1):
+        stop = _find_stop(x, y, z, search)
+        if isinstance(stop, Stop) and (stop.level, stop.cell) in used_cells:
+            stop = "is on the cell of another stop"
+        if isinstance(stop, Stop):
+            used_cells.add((stop.level, stop.cell))
+            stops.append(stop)
         else:
-            wrong.append(f"stop {number}, ({x:.2f}, {y:.2f}, {z:.2f}), {found}")
-    fields = {"name": given.name, "kind": given.kind, "one_way": given.one_way, **_stated(given)}
-    told = []
-    if wrong:
-        left = f"it has {len(stops)} stops left" if len(stops) > 1 else "it is left out"
-        told = [f"link {given.name!r}: {'; '.join(wrong)}; {left}"]
-    return LatticeLink(stops, fields), told
+            errors.append(f"stop {number}, ({x:.2f}, {y:.2f}, {z:.2f}), {stop}")
+    fields = {
+        "name": settings.name,
+        "kind": settings.kind,
+        "one_way": settings.one_way,
+        **_set_fields(settings),
+    }
+    warnings = []
+    if errors:
+        outcome = f"it has {len(stops)} stops left" if len(stops) > 1 else "it is left out"
+        warnings = [f"link {settings.name!r}: {'; '.join(errors)}; {outcome}"]
+    return LatticeLink(stops, fields), warnings
 
 
 def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
-    """The nearest free cell on the level whose floor is nearest to z; or why there is none."""
+    """Return a stop on the level whose floor is nearest to z, on the nearest free cell.
+
+    Where there is none, return what is wrong with the position.
+    """
     lattice = search.lattice
-    at = np.array([[x, y], [x, y]])
-    window = lattice.window(at, NEAR)
+    window = lattice.window(np.array([[x, y], [x, y]]), STOP_REACH)
     if window is None:
         return "lies outside of the grid"
     rows, cols = window
-    off = np.hypot(lattice.center_x()[None, cols] - x, lattice.center_y()[rows, None] - y)
-    gap = np.abs(search.floors[:, rows, cols] - z)
-    gap = np.where((off <= NEAR + LIMIT_SLACK) & ~np.isnan(gap), gap, np.inf)
-    nearest = gap.min(axis=(1, 2))
-    level = int(np.argmin(nearest))
-    if not np.isfinite(nearest[level]):
-        return f"has no floor within {NEAR:g} m"
-    if nearest[level] > NEAR + LIMIT_SLACK:
-        return f"is {nearest[level]:.2f} m off the nearest floor"
-    here = search.free[level, rows, cols] & (gap[level] <= NEAR + LIMIT_SLACK)
-    if not here.any():
-        return f"is blocked: nothing is free within {NEAR:g} m"
-    off = np.where(here, np.round(off, 9), np.inf)
-    row, col = np.unravel_index(int(np.argmin(off)), off.shape)
+    distance = np.hypot(lattice.center_x()[None, cols] - x, lattice.center_y()[rows, None] - y)
+    height_gap = np.abs(search.floors[:, rows, cols] - z)
+    is_near = (distance <= STOP_REACH + LIMIT_SLACK) & ~np.isnan(height_gap)
+    height_gap = np.where(is_near, height_gap, np.inf)
+    least_gap = height_gap.min(axis=(1, 2))
+    level = int(np.argmin(least_gap))
+    if not np.isfinite(least_gap[level]):
+        return f"has no floor within {STOP_REACH:g} m"
+    if least_gap[level] > STOP_REACH + LIMIT_SLACK:
+        return f"is {least_gap[level]:.2f} m off the nearest floor"
+    is_free = search.free[level, rows, cols] & (height_gap[level] <= STOP_REACH + LIMIT_SLACK)
+    if not is_free.any():
+        return f"is blocked: nothing is free within {STOP_REACH:g} m"
+    distance = np.where(is_free, np.round(distance, 9), np.inf)
+    row, col = np.unravel_index(int(np.argmin(distance)), distance.shape)
     cell = (int(row) + rows.start) * lattice.width + int(col) + cols.start
     return Stop(level, cell, (x, y, z))
 
@@ -118,32 +154,73 @@ def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     A jump leads over a gap of at least a cell to a floor at about the same height, within a step
     unless the rule has a height. Nothing stands in the way: between them and over both ends, up to
     the agent's height over the higher one. Those side by side are one link, at their middle, whose
-    stops are as far from the edge as an agent of its width needs, see `LinkSearch.stand_back`.
+    stops are as far from the edge as an agent of its width needs, see
+    `LinkSearch.make_stop_off_edge`.
+
+    Args:
+        search: floors, free cells and geometry.
+        rule: a rule for drops or jumps.
     """
     is_drop = rule.auto == "drop"
-    most = LIMIT_SLACK + (rule.height or (DROP if is_drop else search.step))
-
-    def land(rows: Int, cols: Int, z: Float, between: int) -> tuple[Int, Bool, Bool]:
-        rise: Float = np.nan_to_num(search.floors[:, rows, cols] - z, nan=-np.inf)
-        goes_on = np.asarray(~(np.abs(rise) <= search.step).any(axis=0))
-        if is_drop:  # it falls onto the highest
-            rise = np.where(rise < -search.step, rise, -np.inf)
-            level = rise.argmax(axis=0)
-            lands = goes_on & (rise.max(axis=0) >= -most)
-        else:
-            level = np.abs(rise).argmin(axis=0)
-            lands = (np.abs(rise).min(axis=0) <= most) & (between > 0)
-        lands = lands & search.free[level, rows, cols]
-        return level, np.asarray(lands), goes_on
-
-    gap = GAP if rule.gap is None else rule.gap
-    ways = range(len(DIRECTIONS) if is_drop else 2)
-    parts = [search.look_out((n, free), ways, gap, land) for n, free in enumerate(search.free)]
-    found = np.concatenate([np.empty(0, dtype=CROSSING), *parts])
+    max_gap = EDGE_GAP if rule.gap is None else rule.gap
+    # jumps lead both ways: two directions find them all
+    directions = range(len(DIRECTIONS) if is_drop else 2)
+    check_landing = _drop_test(search, rule) if is_drop else _jump_test(search, rule)
+    crossings = [
+        search.find_crossings(level, free, directions, max_gap, check_landing)
+        for level, free in enumerate(search.free)
+    ]
+    candidates = np.concatenate([np.empty(0, dtype=CROSSING), *crossings])
+    is_clear = search.mark_clear(candidates, search.geometry)
     links = []
-    for _, middle, width in search.group(found[search.are_clear(found, search.geometry)]):
-        way, level, cell, other, other_cell, *_ = middle.tolist()
-        start = search.stand_back(level, cell, (way + 2) % len(DIRECTIONS), width)
-        end = search.stand_back(other, other_cell, way, width)
-        links.append(LatticeLink([start, end], {"one_way": is_drop, "width": width}))
+    for group in search.group_crossings(candidates[is_clear]):
+        middle = group.middle
+        direction = int(middle["direction"])
+        start = search.make_stop_off_edge(
+            int(middle["from_level"]),
+            int(middle["from_cell"]),
+            direction=(direction + 2) % len(DIRECTIONS),
+            width=group.width,
+        )
+        end = search.make_stop_off_edge(
+            int(middle["to_level"]), int(middle["to_cell"]), direction, group.width
+        )
+        links.append(LatticeLink([start, end], {"one_way": is_drop, "width": group.width}))
     return links
+
+
+def _rises(search: LinkSearch, rows: Int, cols: Int, from_height: Float) -> Float:
+    """Return how far the floor of each level lies over the starts, -inf for none, (levels, n)."""
+    rise: Float = np.nan_to_num(search.floors[:, rows, cols] - from_height, nan=-np.inf)
+    return rise
+
+
+def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
+    """Return a test whether lines land on the highest floor that is lower by more than a step."""
+    max_drop = LIMIT_SLACK + (rule.height or DROP_HEIGHT)
+
+    def check_landing(rows: Int, cols: Int, from_height: Float, _num_between: int) -> Landings:
+        rise = _rises(search, rows, cols, from_height)
+        is_over_edge = ~(np.abs(rise) <= search.max_step).any(axis=0)
+        rise_of_lower = np.where(rise < -search.max_step, rise, -np.inf)
+        level = rise_of_lower.argmax(axis=0)
+        lands = is_over_edge & (rise_of_lower.max(axis=0) >= -max_drop)
+        lands &= search.free[level, rows, cols]
+        return Landings(level, lands, goes_on=np.asarray(is_over_edge))
+
+    return check_landing
+
+
+def _jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
+    """Return a test whether lines land on the floor nearest in height, beyond a gap."""
+    max_rise = LIMIT_SLACK + (rule.height or search.max_step)
+
+    def check_landing(rows: Int, cols: Int, from_height: Float, num_between: int) -> Landings:
+        rise = _rises(search, rows, cols, from_height)
+        is_over_edge = ~(np.abs(rise) <= search.max_step).any(axis=0)
+        level = np.abs(rise).argmin(axis=0)
+        lands = (np.abs(rise).min(axis=0) <= max_rise) & (num_between > 0)
+        lands &= search.free[level, rows, cols]
+        return Landings(level, lands, goes_on=np.asarray(is_over_edge))
+
+    return check_landing

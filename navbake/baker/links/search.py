@@ -1,10 +1,10 @@
-"""What links are found on: the floors of all levels, where they are free, and straight ways out."""
+"""Where links may lead: the floors of all levels, where they are free, and crossings of gaps."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from navbake.baker.core.components import adjacent_pairs, label_components
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import check_occupancy
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
@@ -22,21 +23,51 @@ from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int, Json
 
 DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""The directions in which links cross gaps, as steps of row and column."""
-ROOM = 0.5  # between a stop and the edge, for agents larger than the bake's [m]
-Crossings = NDArray[np.void]
-"""Straight ways between free cells with `CROSSING`'s fields: candidates for links."""
-NUMBERS = ("way", "level", "cell", "other_level", "other_cell", "between")
-CROSSING = np.dtype([(name, np.int64) for name in NUMBERS] + [("z", "f8"), ("other_z", "f8")])
-"""Index into `DIRECTIONS`, both ends, how many cells lie between, and both floors [m]."""
+"""The directions in which links cross gaps, as steps of row and column; opposite ones: 2 apart."""
+MAX_SETBACK = 0.5  # of a stop from the edge, for agents larger than the bake's [m]
 
-Landing = Callable[[Int, Int, Float, int], tuple[Int, Bool, Bool]]
-"""Of rows, columns, floors at the starts, and how many cells lie between, returns the levels to
-land on, whether one lands, and whether else one goes on."""
+CROSSING = np.dtype(
+    [
+        ("direction", np.int64),  # index into `DIRECTIONS`
+        ("from_level", np.int64),
+        ("from_cell", np.int64),
+        ("to_level", np.int64),
+        ("to_cell", np.int64),
+        ("num_between", np.int64),  # cells between both ends
+        ("from_height", np.float64),  # heights of the floors of both ends [m]
+        ("to_height", np.float64),
+    ]
+)
+Crossings = NDArray[np.void]
+"""Straight lines from free cells over a gap to free cells, an array of `CROSSING`."""
+
+
+class Landings(NamedTuple):
+    """Where lines over a gap end; arrays of shape (n,).
+
+    Attributes:
+        level: the level of the floor that each line may end on, int64.
+        lands: whether it ends there, bool.
+        goes_on: whether it goes on to the next cell if it doesn't end, bool.
+    """
+
+    level: Int
+    lands: Bool
+    goes_on: Bool
+
+
+LandingTest = Callable[[Int, Int, Float, int], Landings]
+"""Takes the rows and columns of cells that lines have come to, (n,), the heights of the floors at
+their starts, (n,) [m], and how many cells lie between."""
 
 
 class LatticeLink(NamedTuple):
-    """A link: its stops, with cells on the whole lattice, and further fields of a `Link`."""
+    """A link with stops on the whole lattice.
+
+    Attributes:
+        stops: its stops, with cells of the whole lattice.
+        fields: further fields of a `Link`.
+    """
 
     stops: list[Stop]
     fields: Json
@@ -50,150 +81,251 @@ class CollisionShapes(NamedTuple):
 
 
 class CollisionGeometry(NamedTuple):
-    """What an agent may collide with, on the whole lattice or on a window of it."""
+    """What an agent on a link may collide with.
 
-    obstacles: Sequence[CollisionShapes]
+    Attributes:
+        parts: the geometry, in parts of which each is checked by itself.
+        footprint: the volume over a cell that has to be free.
+        window: the part of the whole lattice that the geometry is on; None for all of it.
+    """
+
+    parts: Sequence[CollisionShapes]
     footprint: Footprint
     window: Window | None = None
 
     def with_shapes(self, shapes: Shapes, lattice: Lattice) -> CollisionGeometry:
-        """The space with further geometry."""
+        """Return the geometry with further shapes.
+
+        Args:
+            shapes: the further shapes.
+            lattice: the lattice of the other parts.
+        """
         tiled = tile_shapes(shapes, lattice, self.footprint.reach)
-        more = CollisionShapes(cast_columns(tiled), tiled)
-        return self._replace(obstacles=[*self.obstacles, more])
+        further_part = CollisionShapes(cast_columns(tiled), tiled)
+        return self._replace(parts=[*self.parts, further_part])
+
+
+class CrossingGroup(NamedTuple):
+    """Crossings side by side, which become one link.
+
+    Attributes:
+        crossings: all of them.
+        middle: the one in the middle.
+        width: how wide they are together for discs [m].
+    """
+
+    crossings: Crossings
+    middle: np.void
+    width: float
 
 
 class LinkSearch(NamedTuple):
-    """The levels of a bake as finders of links read them."""
+    """What finders of links read of a bake.
+
+    Attributes:
+        scene: the scene.
+        shapes: geometry of all that is no door.
+        lattice: the whole lattice.
+        floors: height of the floor, NaN for none, shape (levels, height, width), float64 [m].
+        free: the cells that nothing blocks, nor any door in any of its states, (levels, height,
+            width), bool.
+        geometry: what an agent on a link may collide with.
+        agent: its radius, height and highest step.
+    """
 
     scene: Scene
-    shapes: Shapes  # of all that is no door
+    shapes: Shapes
     lattice: Lattice
-    floors: Float  # of all levels, shape (levels, height, width) of the whole lattice
-    free: Bool  # the same; not where a door blocks in any of its states
+    floors: Float
+    free: Bool
     geometry: CollisionGeometry
     agent: AgentSettings
 
     @property
-    def step(self) -> float:
+    def max_step(self) -> float:
         """The highest step, with room for rounding [m]."""
         return self.agent.traversable_floor_height + LIMIT_SLACK
 
-    def stop(self, level: int, cell: int) -> Stop:
-        """A stop in the middle of a cell."""
+    def make_stop(self, level: int, cell: int) -> Stop:
+        """Make a stop in the middle of a cell.
+
+        Args:
+            level: number of the level.
+            cell: cell id on the whole lattice.
+        """
         row, col = divmod(cell, self.lattice.width)
         x, y = self.lattice.positions(row, col).tolist()
         z = float(np.float32(self.floors[level, row, col]))
+        # adding 0 turns -0.0 into 0.0
         return Stop(level, cell, (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0))
 
-    def stand_back(self, level: int, cell: int, way: int, width: float) -> Stop:
-        """A stop where any agent that fits through a width is off the edge, at most `ROOM`.
+    def make_stop_off_edge(self, level: int, cell: int, direction: int, width: float) -> Stop:
+        """Make a stop so far from an edge that an agent as wide as the link may stand there.
 
-        It lies straight beyond a cell in a direction, over free cells without a step between;
-        where these end earlier, on the last of them.
+        It lies straight beyond a cell, over free cells without a step between, at most
+        `MAX_SETBACK`; where these end earlier, on the last of them.
+
+        Args:
+            level: number of the level.
+            cell: id of the cell at the edge.
+            direction: index into `DIRECTIONS`, away from the edge.
+            width: of the link [m].
         """
-        down, right = DIRECTIONS[way]
-        rows, cols = self.lattice.shape
-        row, col = divmod(cell, cols)
-        for _ in range(
-            math.ceil(min(width / 2, ROOM) / self.lattice.cell_size - 0.5 - LIMIT_SLACK)
-        ):
-            r = row + down
-            c = col + right
-            floor = self.floors[level]
-            if not (0 <= r < rows and 0 <= c < cols and self.free[level, r, c]):
+        down, right = DIRECTIONS[direction]
+        num_rows, num_cols = self.lattice.shape
+        floor = self.floors[level]
+        free = self.free[level]
+        row, col = divmod(cell, num_cols)
+        setback = min(width / 2, MAX_SETBACK)
+        for _ in range(math.ceil(setback / self.lattice.cell_size - 0.5 - LIMIT_SLACK)):
+            next_row = row + down
+            next_col = col + right
+            is_inside = 0 <= next_row < num_rows and 0 <= next_col < num_cols
+            if not is_inside or not free[next_row, next_col]:
                 break
-            if abs(floor[r, c] - floor[row, col]) > self.step:
+            if abs(floor[next_row, next_col] - floor[row, col]) > self.max_step:
                 break
-            row = r
-            col = c
-        return self.stop(level, row * cols + col)
+            row = next_row
+            col = next_col
+        return self.make_stop(level, row * num_cols + col)
 
-    def look_out(
-        self, starts: tuple[int, Bool], ways: Iterable[int], gap: float, land: Landing
+    def find_crossings(
+        self,
+        level: int,
+        starts: Bool,
+        directions: Iterable[int],
+        max_gap: float,
+        check_landing: LandingTest,
     ) -> Crossings:
-        """Go straight from marked cells of a level over a gap [m] until `land` lands."""
-        level, marked = starts
-        parts = [np.empty(0, dtype=CROSSING)]
-        rows, cols = self.lattice.shape
-        for way in ways:
-            down, right = DIRECTIONS[way]
-            row, col = np.nonzero(marked)
-            z = self.floors[level, row, col]
-            for between in range(math.floor(gap / self.lattice.cell_size + LIMIT_SLACK) + 1):
-                r = row + (between + 1) * down
-                c = col + (between + 1) * right
-                inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
-                row = row[inside]
-                col = col[inside]
-                r = r[inside]
-                c = c[inside]
-                z = z[inside]
-                other, lands, goes_on = land(r, c, z, between)
-                found = np.empty(int(np.count_nonzero(lands)), dtype=CROSSING)
-                found["way"] = way
-                found["level"] = level
-                found["between"] = between
-                found["cell"] = (row * cols + col)[lands]
-                found["z"] = z[lands]
-                found["other_cell"] = (r * cols + c)[lands]
-                found["other_level"] = other[lands]
-                found["other_z"] = self.floors[other, r, c][lands]
-                parts.append(found)
-                goes_on = goes_on & ~lands
+        """Follow lines straight from cells of a level until they land.
+
+        Args:
+            level: number of the level that the lines start on.
+            starts: the cells that they start from, shape (height, width), bool.
+            directions: indices into `DIRECTIONS`.
+            max_gap: the widest gap between both ends [m].
+            check_landing: decides where a line ends.
+        """
+        crossings = [np.empty(0, dtype=CROSSING)]
+        num_rows, num_cols = self.lattice.shape
+        max_between = math.floor(max_gap / self.lattice.cell_size + LIMIT_SLACK)
+        for direction in directions:
+            down, right = DIRECTIONS[direction]
+            # the lines that have not ended yet, by where they start
+            row, col = np.nonzero(starts)
+            from_height = self.floors[level, row, col]
+            for num_between in range(max_between + 1):
+                to_row = row + (num_between + 1) * down
+                to_col = col + (num_between + 1) * right
+                is_inside = (to_row >= 0) & (to_row < num_rows)
+                is_inside &= (to_col >= 0) & (to_col < num_cols)
+                row = row[is_inside]
+                col = col[is_inside]
+                to_row = to_row[is_inside]
+                to_col = to_col[is_inside]
+                from_height = from_height[is_inside]
+                landings = check_landing(to_row, to_col, from_height, num_between)
+                lands = landings.lands
+                landed = np.empty(int(np.count_nonzero(lands)), dtype=CROSSING)
+                landed["direction"] = direction
+                landed["from_level"] = level
+                landed["num_between"] = num_between
+                landed["from_cell"] = (row * num_cols + col)[lands]
+                landed["from_height"] = from_height[lands]
+                landed["to_cell"] = (to_row * num_cols + to_col)[lands]
+                landed["to_level"] = landings.level[lands]
+                landed["to_height"] = self.floors[landings.level, to_row, to_col][lands]
+                crossings.append(landed)
+                goes_on = landings.goes_on & ~lands
                 row = row[goes_on]
                 col = col[goes_on]
-                z = z[goes_on]
-        return np.concatenate(parts)
+                from_height = from_height[goes_on]
+        return np.concatenate(crossings)
 
-    def are_clear(self, found: Crossings, geometry: CollisionGeometry) -> Bool:
-        """Whether nothing stands in the way of each, over its higher end and to its lower one."""
-        count = found["between"] + 1
+    def mark_clear(self, crossings: Crossings, geometry: CollisionGeometry) -> Bool:
+        """Mark the crossings in whose way nothing stands, over the higher end and to the lower one.
+
+        Args:
+            crossings: shape (n,).
+            geometry: what may stand in the way.
+
+        Returns:
+            The mark of each crossing, shape (n,), bool.
+        """
         width = self.lattice.width
-        owner = np.repeat(np.arange(len(found)), count)
-        step = np.array([down * width + right for down, right in DIRECTIONS])[found["way"]]
-        nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 1
-        top = np.maximum(found["z"], found["other_z"])
-        asked: list[tuple[Any, ...]] = [
-            (found["cell"][owner] + nth * step[owner], top[owner], owner),
-            (found["cell"], top, np.arange(len(found))),
-        ]
-        # the fall, in volumes over each other without a gap
-        stride = self.agent.height - self.agent.traversable_floor_height
-        low = found["other_z"] + stride
-        while (falls := np.flatnonzero(low < top)).size:
-            asked.append((found["other_cell"][falls], low[falls], falls))
-            low = low + stride
-        cells, floors, whose = (np.concatenate(arrays) for arrays in zip(*asked, strict=True))
+        top = np.maximum(crossings["from_height"], crossings["to_height"])
+        every_crossing = np.arange(len(crossings))
+
+        # from the cell after the start to the end, at the height of the higher end
+        num_steps = crossings["num_between"] + 1
+        crossing = np.repeat(every_crossing, num_steps)
+        first_step = np.repeat(np.cumsum(num_steps) - num_steps, num_steps)
+        step = np.arange(len(crossing)) - first_step + 1
+        cell_steps = np.array([down * width + right for down, right in DIRECTIONS])
+        cell_step = cell_steps[crossings["direction"]]
+        cells = [crossings["from_cell"][crossing] + step * cell_step[crossing]]
+        heights = [top[crossing]]
+        crossing_of_cell = [crossing]
+
+        # the start
+        cells.append(crossings["from_cell"])
+        heights.append(top)
+        crossing_of_cell.append(every_crossing)
+
+        # the fall at the end, in volumes over each other without a gap
+        volume_height = self.agent.height - self.agent.traversable_floor_height
+        low = crossings["to_height"] + volume_height
+        while True:
+            falling = np.flatnonzero(low < top)
+            if not len(falling):
+                break
+            cells.append(crossings["to_cell"][falling])
+            heights.append(low[falling])
+            crossing_of_cell.append(falling)
+            low = low + volume_height
+
+        checked_cells = np.concatenate(cells)
+        checked_heights = np.concatenate(heights)
+        checked_crossings = np.concatenate(crossing_of_cell)
         if geometry.window is not None:
-            cells = crop_cells(cells, geometry.window, width)[0]
-        clear = np.ones(len(found), dtype=np.bool_)
-        for obstacles in geometry.obstacles:
-            columns = obstacles.columns.covering(np.unique(cells))
-            tiled = obstacles.tiles.near_cells(cells)
-            met = check_occupancy(columns, tiled, geometry.footprint, cells, floors).occupied
-            clear[whose[met]] = False
-        return clear
+            checked_cells, _ = crop_cells(checked_cells, geometry.window, width)
+        is_clear = np.ones(len(crossings), dtype=np.bool_)
+        for part in geometry.parts:
+            occupancy = check_occupancy(
+                part.columns.covering(np.unique(checked_cells)),
+                part.tiles.near_cells(checked_cells),
+                geometry.footprint,
+                checked_cells,
+                checked_heights,
+            )
+            is_clear[checked_crossings[occupancy.occupied]] = False
+        return is_clear
 
-    def group(self, found: Crossings) -> list[tuple[Crossings, np.void, float]]:
-        """Group leaps of one way and pair of levels that start side by side, without a step.
+    def group_crossings(self, crossings: Crossings) -> list[CrossingGroup]:
+        """Group crossings of one direction and pair of levels that start and end side by side.
 
-        Returns each group, its middle one, and how wide it is for discs [m].
+        Between neighbors in a group, both ends rise by no more than a step.
         """
         groups = []
-        cols = self.lattice.width
-        size = self.lattice.cell_size
-        for key in np.unique(found[["level", "other_level", "way"]]):
-            own = found[found[["level", "other_level", "way"]] == key]
-            own = own[np.argsort(own["cell"], kind="stable")]
-            pairs = adjacent_pairs(own["cell"], cols)
-            rises = np.abs([np.diff(own[name][pairs], axis=0)[0] for name in ("z", "other_z")])
-            part = label_components(pairs[:, (rises <= self.step).all(axis=0)], len(own))
-            for number in range(int(part.max(initial=-1)) + 1):
-                some = own[part == number]
-                at = np.stack(np.divmod(some["cell"], cols)).astype(np.float64)
-                off = np.square(at - at.mean(axis=1, keepdims=True)).sum(axis=0)
-                length = math.hypot(*np.ptp(at, axis=1)) * size
-                width = round(length + max(2 * self.agent.radius, size), 6)
-                groups.append((some, some[int(np.argmin(np.round(off, 9)))], width))
+        num_cols = self.lattice.width
+        cell_size = self.lattice.cell_size
+        keys = crossings[["from_level", "to_level", "direction"]]
+        for key in np.unique(keys):
+            alike = crossings[keys == key]
+            alike = alike[np.argsort(alike["from_cell"], kind="stable")]
+            pairs = adjacent_pairs(alike["from_cell"], num_cols)
+            is_step = np.ones(pairs.shape[1], dtype=np.bool_)
+            for heights in (alike["from_height"], alike["to_height"]):
+                rise = np.abs(heights[pairs[1]] - heights[pairs[0]])
+                is_step &= rise <= self.max_step
+            component = label_components(pairs[:, is_step], len(alike))
+            for number in range(int(component.max(initial=-1)) + 1):
+                members = alike[component == number]
+                place = np.stack(np.divmod(members["from_cell"], num_cols)).astype(np.float64)
+                offset = place - place.mean(axis=1, keepdims=True)
+                distance = np.square(offset).sum(axis=0)
+                length = math.hypot(*np.ptp(place, axis=1)) * cell_size
+                width = round(length + max(2 * self.agent.radius, cell_size), 6)
+                middle = members[int(np.argmin(np.round(distance, 9)))]
+                groups.append(CrossingGroup(members, middle, width))
         return groups

@@ -32,10 +32,9 @@ from navbake.baker.doors.doors import (
     ClassifiedLeaf,
     DoorContext,
     closes_same_cells,
-    find_blocked_cells,
     move_leaf,
-    pose_leaves,
 )
+from navbake.baker.doors.posed_leaves import find_blocked_cells, pose_leaves
 from navbake.baker.links.areas import paint_areas
 from navbake.baker.live.tracked_scene import SceneChange, TrackedScene
 from navbake.baker.occupants.lost_floors import find_lost_floors

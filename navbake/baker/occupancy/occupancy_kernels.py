@@ -1,164 +1,175 @@
-"""One walk over the geoms near cells: what occupies the cells, and which geoms stand in each.
+"""One pass over the geoms near cells: which cells are occupied, and which geoms are in each.
 
-Tile by tile, each geom visits the cells near it, as in a rasterizer. A triangle smaller than a cell
-costs one or two tests, and one over no undecided cell costs none: these are the bits of a number.
-Cheap tests come before exact ones: the winding number of the cell's line, then boxes (broad phase),
-then `overlap` (clipping) and `solids` (closed forms, then GJK). The tests of a cell do not depend
-on the order of the cells, so any number of threads gives the same result.
+A query is a cell and the height of a floor in it. It is decided in these steps:
+
+1. `_check_lines`: a query whose own vertical line hits a surface within the agent's volume, or runs
+   inside of a solid there, is occupied.
+2. `_check_geom`: the geoms over a tile of cells, in the order of their ids, each get their flags in
+   the queries near them: first those that the line proves (`find_flags_on_line`), then those of the
+   volumes that one of the geom's shapes meets (`shape_meets_prism`). `volume_kernels` has both.
+3. `_keep_flags`: the flags are added to the query's state, and to the tile's list of occupants. A
+   query is occupied if any geom is BLOCKING.
+4. If no geom is BLOCKING, but one is MAYBE_BLOCKING, the caller has to ask FCL.
+
+Without lists of occupants, cells that steps 1 and 2 have decided are not tested further.
+
+As in a rasterizer, each geom visits the cells near it, tile by tile. The cells of a tile that are
+still to be tested are the bits of one number, so that a triangle smaller than a cell costs one or
+two tests, and one over decided cells costs none. The tests of a cell do not depend on the order of
+the cells: any number of threads gives the same answers.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.arrays import NOT_ROUND, ColumnHits, Facets, HeightRange, Prism
+from navbake.baker.core.arrays import ColumnHits, HeightRange
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import (
     TILE,
     cell_bit,
-    cell_center_at,
     tile_window,
     window_bits,
     window_near_box,
 )
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
-from navbake.baker.geometry.gjk_kernels import Simplex, make_simplex
+from navbake.baker.geometry.gjk_kernels import make_simplex
 from navbake.baker.geometry.overlap_kernels import (
     ANY_GEOM,
-    Polygons,
-    facet_meets_prism,
     is_beside_prism,
     is_line_blocked,
     make_polygons,
     plane_meets_prism,
 )
-from navbake.baker.geometry.solid_kernels import solid_meets_prism
+from navbake.baker.occupancy.volume_kernels import (
+    AT_WALL_HEIGHT,
+    BLOCKING,
+    BLOCKING_SQUARE,
+    MAYBE_BLOCKING,
+    MAYBE_BLOCKING_SQUARE,
+    OCCUPYING,
+    PLANE_KIND,
+    SEARCH_MARGIN,
+    SOLID_KIND,
+    TRIANGLE_KIND,
+    OccupantLists,
+    Queries,
+    Scratch,
+    ShapeArrays,
+    describe_floor,
+    find_flags_on_line,
+    make_envelope,
+    make_volumes,
+    shape_meets_prism,
+)
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Float, Int, Int32
 
-# What a geom does in a cell: it stands there, meets the occupancy's volume, meets the square in the
-# probed band, and meets the square in the band of the occupancy
-OCCUPYING = 1
-BLOCKING = 2
-AT_WALL_HEIGHT = 4
-BLOCKING_SQUARE = 8
-# No proof whether it meets the occupancy's volume, or the square there
-MAYBE_BLOCKING = 16
-MAYBE_BLOCKING_SQUARE = 32
-BLOCKED_BY_LINE = 64  # of a cell: its line alone proves it occupied
-PLANE = np.int64(0)
-SOLIDS = np.int64(1)
-TRIANGLES = np.int64(2)
-NO_GEOM = np.int32(2**31 - 1)
+if TYPE_CHECKING:  # kernels depend on kernels alone
+    from navbake.baker.occupancy.footprint import Footprint
+    from navbake.navgrid.lattice import Lattice
+
+BLOCKED_BY_LINE = 64  # of a query's state: its line alone proves that it is occupied
+NO_GEOM = np.int32(2**31 - 1)  # above all geom ids
+FIRST_ROOM = 1024  # entries that arrays have room for at first
 
 
-class Queries(NamedTuple):
-    """Floors of cells, and what is found over each, arrays of shape (n,).
+class TileEntries(NamedTuple):
+    """The occupants of a tile's queries, in the order of geom ids; arrays of one length.
 
     Attributes:
-        cell: ids, ascending, int64.
-        floor: [m].
-        state: receives the flags of all geoms but OCCUPYING and AT_WALL_HEIGHT, uint8.
-        wanted, flags: scratch: what is tested of a geom, and what it does, uint8.
+        query: int32.
+        geom: geom id, int32.
+        flags: of the geom over the query, uint8.
     """
-
-    cell: Int
-    floor: Float
-    state: NDArray[np.uint8]
-    wanted: NDArray[np.uint8]
-    flags: NDArray[np.uint8]
-
-
-class OccupantLists(NamedTuple):
-    """What is to be listed over the queries; all arrays are empty where nothing is.
-
-    Attributes:
-        ceiling: (n,), at least as high as the agent [m].
-        first: receives where each query's list begins, (n,) int32, see `occupy_tiles`.
-        carrier, gap: receive the geoms of the floors, and the gaps below, see `_describe_floor`.
-        probed: by geom id, bool: whether it is tested in the probed band.
-        low, high: the probed band, over the floor [m].
-        min_up: least z of the normal of what carries a floor.
-    """
-
-    ceiling: Float
-    first: Int32
-    carrier: Int32
-    gap: Float
-    probed: Bool
-    low: float
-    high: float
-    min_up: float
-
-
-class Entries(NamedTuple):
-    """What a tile's geoms do, in their order: the query, the geom and its flags, of each entry."""
 
     query: Int32
     geom: Int32
     flags: NDArray[np.uint8]
 
 
-class Here(NamedTuple):
-    """What is known of a tile's queries, and room for the geoms' tests.
+class TileState(NamedTuple):
+    """The queries of a tile, and which of its cells are still to be tested.
 
     Attributes:
-        run: the queries of each of its rows of cells, first and past the last, (TILE, 2) int64.
-        first, end: the queries of each cell, (TILE, TILE) int64.
-        span: the heights of all volumes that are tested, (2,) float64 [m].
-        open: a bit for each undecided cell; (1,) int64.
-        still, bands: of each volume of a geom, a bit for each cell that it is to be tested in,
-            (4,) int64; and the heights of all these volumes, (4, 2) float64 [m].
-        box: around a geom over the tile, (1, 6) float64 [m].
-        plane: the number of a plane, (1,) int32.
+        row_queries: by row of the tile, the first query and the one past the last, (TILE, 2) int64.
+        first_query: by cell of the tile, (TILE, TILE) int64.
+        end_query: by cell, the query past its last one, (TILE, TILE) int64.
+        heights: lowest and highest height of all volumes that are tested, (2,) float64 [m].
+        open_cells: a bit for each cell that further geoms are tested for, (1,) int64.
+        pending: by flag, a bit for each cell in which the current geom is to be tested for it,
+            (4,) int64.
+        pending_heights: by flag, lowest and highest height of the volumes of these cells,
+            (4, 2) float64 [m].
+        geom_box: box round the current geom over the tile, (1, 6) float64 [m].
+        plane: number of the current plane, (1,) int32.
+        scratch: room for the tests.
     """
 
-    run: Int
-    first: Int
-    end: Int
-    span: Float
-    open: Int
-    still: Int
-    bands: Float
-    box: Float
+    row_queries: Int
+    first_query: Int
+    end_query: Int
+    heights: Float
+    open_cells: Int
+    pending: Int
+    pending_heights: Float
+    geom_box: Float
     plane: Int32
-    simplex: Simplex
-    polygons: Polygons
+    scratch: Scratch
 
 
-class Walk(NamedTuple):
-    """All that a walk reads and writes; `window` is the tile's, see `tile_window`."""
+class TileTask(NamedTuple):
+    """All that the work on one tile reads and writes.
 
-    lattice: Any
+    Attributes:
+        lattice: the cells.
+        window: rows and columns of the tile, see `tile_window`.
+        hits: the columns of the cells.
+        shape_arrays: what is tested.
+        footprint: the volume that has to be free.
+        queries: all queries, of which some are in the tile.
+        lists: of occupants.
+        state: of the tile.
+    """
+
+    lattice: Lattice
     window: tuple[int, int, int, int]
     hits: ColumnHits
-    solids: Any
-    facets: Facets
-    planes: Any
-    footprint: Any
+    shape_arrays: ShapeArrays
+    footprint: Footprint
     queries: Queries
-    listing: OccupantLists
-    here: Here
+    lists: OccupantLists
+    state: TileState
 
 
 @kernel(nogil=True)
-def occupy_tiles(lattice, hits, geometry, tiles, footprint, queries, listing, first, end):
-    """Find what stands near the queries in the rows of tiles ``range(first, end)``.
+def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, first, end):
+    """Decide the queries in rows of tiles ``range(first, end)``, and list their occupants.
 
-    A cell is occupied where its line or a geom meets `footprint` over its floor. A listed geom
-    is OCCUPYING a cell if it meets the cell's square between a hair over the floor and the
-    ceiling; it is AT_WALL_HEIGHT if it also meets the square in the probed band.
+    A query's `state` says whether it is occupied. Its list holds the geoms with any flag, in the
+    order of ids, from `lists.first` to the geom -1. Lists begin at 1; place 0 is the list of all
+    queries without occupants.
 
     Args:
-        geometry: solids, facets and planes.
+        lattice: the cells.
+        hits: the columns of the cells.
+        shape_arrays: the shapes that are tested.
+        tiles: the solids and triangles over each tile.
+        footprint: the volume that has to be free.
+        queries: receives the answers.
+        lists: receives where the lists begin; nothing is listed if its arrays are empty.
+        first: first row of tiles.
+        end: row of tiles past the last.
 
     Returns:
-        Geom ids, int32, and flags, uint8: each query's list, by geom, from its `first` to the geom
-        -1; and how much of them is used. Lists begin at 1; place 0 is that of all empty ones.
+        The geom ids of all lists, int32; their flags, uint8; and how long the used part of both
+        arrays is.
     """
-    here = Here(
+    state = TileState(
         np.zeros((TILE, 2), np.int64),
         np.empty((TILE, TILE), np.int64),
         np.empty((TILE, TILE), np.int64),
@@ -168,472 +179,422 @@ def occupy_tiles(lattice, hits, geometry, tiles, footprint, queries, listing, fi
         np.empty((4, 2)),
         np.empty((1, 6)),
         np.empty(1, np.int32),
-        make_simplex(),
-        make_polygons(),
+        Scratch(make_simplex(), make_polygons()),
     )
-    solids, facets, planes = geometry
-    geom = np.empty(1024, np.int32)
-    flags = np.empty(1024, np.uint8)
-    geom[0] = -1
-    flags[0] = 0
-    used = np.int64(1)  # a plain 1 has a type of its own, and its functions would be compiled twice
-    entries = _make_entries(1024)
+    list_geom = np.empty(FIRST_ROOM, np.int32)
+    list_flags = np.empty(FIRST_ROOM, np.uint8)
+    list_geom[0] = -1
+    list_flags[0] = 0
+    # a plain 1 has a type of its own, and the functions that take it would be compiled twice
+    list_end = np.int64(1)
+    entries = _make_entries(FIRST_ROOM)
     tiles_x = (lattice.width + TILE - 1) // TILE
     for tile in range(first * tiles_x, end * tiles_x):
         window = tile_window(lattice, tile)
-        num = _find_queries(lattice, window, queries.cell, here.run)
-        if num == 0:
+        num_queries = _find_queries(lattice, window, queries.cell, state.row_queries)
+        if num_queries == 0:
             continue
-        walk = Walk(
-            lattice, window, hits, solids, facets, planes, footprint, queries, listing, here
-        )
-        count = np.int64(-1)
-        while count < 0:
-            count = _look_at_tile(walk, tiles, tile, entries)
-            if count < 0:
+        task = TileTask(lattice, window, hits, shape_arrays, footprint, queries, lists, state)
+        num_entries = np.int64(-1)
+        while num_entries < 0:
+            num_entries = _check_tile(task, tiles, tile, entries)
+            if num_entries < 0:
                 entries = _make_entries(4 * entries.geom.shape[0])
-        if listing.ceiling.shape[0] == 0:
+        if lists.ceiling.shape[0] == 0:
             continue
-        if used + count + num > geom.shape[0]:
-            size = 2 * geom.shape[0] + count + num
-            wider = np.empty(size, np.int32)
-            marks = np.empty(size, np.uint8)
-            for i in range(used):  # slices take longer to compile: their errors are text
-                wider[i] = geom[i]
-                marks[i] = flags[i]
-            geom = wider
-            flags = marks
-        used = _write_lists(here.run, entries, count, listing.first, geom, flags, used)
-    return geom, flags, used
+        # each list ends with an entry of its own
+        if list_end + num_entries + num_queries > list_geom.shape[0]:
+            size = 2 * list_geom.shape[0] + num_entries + num_queries
+            larger_geom = np.empty(size, np.int32)
+            larger_flags = np.empty(size, np.uint8)
+            for i in range(list_end):  # slices take longer to compile: their errors are text
+                larger_geom[i] = list_geom[i]
+                larger_flags[i] = list_flags[i]
+            list_geom = larger_geom
+            list_flags = larger_flags
+        list_end = _write_lists(
+            state.row_queries, entries, num_entries, lists.first, list_geom, list_flags, list_end
+        )
+    return list_geom, list_flags, list_end
+
+
+# ---------------------------------------------------------------- the queries of a tile
+
+
+@subkernel(**NO_REFCOUNT)
+def _find_queries(lattice, window, cells, row_queries):
+    """Find the queries in each row of a tile, and return how many there are.
+
+    Tiles have to be visited in order: the queries of a tile follow on those of the tile before.
+    """
+    num_queries = 0
+    for row in range(window[0], window[1]):
+        tile_row = row - window[0]
+        query = row_queries[tile_row, 1]
+        if window[2] == 0:  # of the first tile in its row of tiles, by bisection
+            query = 0
+            end = cells.shape[0]
+            while query < end:
+                middle = (query + end) // 2
+                if cells[middle] < row * lattice.width:
+                    query = middle + 1
+                else:
+                    end = middle
+        row_queries[tile_row, 0] = query
+        while query < cells.shape[0] and cells[query] < row * lattice.width + window[3]:
+            query += 1
+        row_queries[tile_row, 1] = query
+        num_queries += query - row_queries[tile_row, 0]
+    # a tile at the lower edge has fewer rows
+    for tile_row in range(window[1] - window[0], row_queries.shape[0]):
+        row_queries[tile_row, 0] = row_queries[tile_row, 1]
+    return num_queries
+
+
+@subkernel(**NO_REFCOUNT)
+def _check_lines(task):
+    """Decide queries of a tile by their cells' lines, and mark the cells that geoms are tested for.
+
+    Those are the cells with a query that its line does not decide, or all if occupants are listed.
+    """
+    queries = task.queries
+    lists = task.lists
+    state = task.state
+    hits = task.hits
+    footprint = task.footprint
+    is_listing = lists.ceiling.shape[0] > 0
+    state.first_query[:] = 0
+    state.end_query[:] = 0
+    state.open_cells[0] = 0
+    state.heights[0] = math.inf
+    state.heights[1] = -math.inf
+    for tile_row in range(state.row_queries.shape[0]):
+        row = task.window[0] + tile_row
+        for query in range(state.row_queries[tile_row, 0], state.row_queries[tile_row, 1]):
+            cell = queries.cell[query]
+            floor = queries.floor[query]
+            col = cell - row * task.lattice.width
+            tile_col = col - task.window[2]
+            if state.end_query[tile_row, tile_col] == 0:
+                state.first_query[tile_row, tile_col] = query
+            state.end_query[tile_row, tile_col] = query + 1
+            agent_heights = HeightRange(floor + footprint.low, floor + footprint.high)
+            is_blocked = is_line_blocked(hits, cell, agent_heights, ANY_GEOM)
+            queries.state[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
+            if is_listing:
+                lists.first[query] = 0
+                floor_geom, gap_below = describe_floor(hits, cell, floor, lists.min_up)
+                lists.floor_geom[query] = floor_geom
+                lists.gap_below[query] = gap_below
+            if is_listing or not is_blocked:
+                envelope = make_envelope(task.lattice, footprint, queries, lists, query, row, col)
+                state.heights[0] = min(state.heights[0], envelope.low)
+                state.heights[1] = max(state.heights[1], envelope.high)
+                state.open_cells[0] |= cell_bit(tile_row, tile_col)
+
+
+# ---------------------------------------------------------------- the geoms over a tile
+
+
+@subkernel(**NO_REFCOUNT)
+def _check_tile(task, tiles, tile, entries):
+    """Test the geoms over a tile; return the number of entries, or -1 if there is no room for them.
+
+    Planes, solids and triangles are three lists in the order of geom ids: they are merged, so that
+    the occupants of each query are found in the order of ids.
+    """
+    solids = task.shape_arrays.solids
+    facets = task.shape_arrays.facets
+    planes = task.shape_arrays.planes
+    state = task.state
+    geom_box = state.geom_box
+    _check_lines(task)
+    num_entries = np.int64(0)  # see `list_end` above
+    plane_at = 0
+    solid_at = tiles.solid_start[tile]
+    solid_end = tiles.solid_start[tile + 1]
+    triangle_at = tiles.triangle_start[tile]
+    triangle_end = tiles.triangle_start[tile + 1]
+    while num_entries >= 0 and state.open_cells[0] != 0:
+        plane_geom = planes.geom[plane_at] if plane_at < planes.geom.shape[0] else NO_GEOM
+        solid_geom = solids.geom[tiles.solid_item[solid_at]] if solid_at < solid_end else NO_GEOM
+        triangle_geom = (
+            facets.geom[tiles.triangle_item[triangle_at]] if triangle_at < triangle_end else NO_GEOM
+        )
+        geom = min(plane_geom, solid_geom, triangle_geom)
+        if geom == NO_GEOM:
+            break
+        # the geom's shapes over the tile: `items[begin:end]`
+        kind = SOLID_KIND
+        items = tiles.solid_item
+        bounds = solids.bounds
+        begin = solid_at
+        end = solid_at + 1
+        if geom == plane_geom:
+            kind = PLANE_KIND
+            items = state.plane
+            begin = np.int64(0)
+            end = np.int64(1)
+            state.plane[0] = plane_at
+            plane_at += 1
+        elif geom == solid_geom:
+            solid_at += 1
+        else:
+            kind = TRIANGLE_KIND
+            items = tiles.triangle_item
+            bounds = facets.bounds
+            begin = triangle_at
+            while triangle_at < triangle_end and facets.geom[items[triangle_at]] == geom:
+                triangle_at += 1
+            end = triangle_at
+        # one loop for solids and triangles, and one call below: both are compiled where they stand
+        for axis in range(3):
+            geom_box[0, axis] = math.inf
+            geom_box[0, 3 + axis] = -math.inf
+        for shape in items[begin : end if kind != PLANE_KIND else begin]:
+            for axis in range(3):
+                geom_box[0, axis] = min(geom_box[0, axis], bounds[shape, axis])
+                geom_box[0, 3 + axis] = max(geom_box[0, 3 + axis], bounds[shape, 3 + axis])
+        if kind == PLANE_KIND:
+            for axis in range(3):
+                geom_box[0, axis] = -math.inf
+                geom_box[0, 3 + axis] = math.inf
+            is_level_ground = (
+                planes.mat[items[0], 2] == 0.0
+                and planes.mat[items[0], 5] == 0.0
+                and planes.mat[items[0], 8] > 0.0
+            )
+            if is_level_ground:
+                geom_box[0, 5] = planes.pos[items[0], 2]
+        num_entries = _check_geom(task, kind, items[begin:end], geom, entries, num_entries)
+    return num_entries
+
+
+@subkernel(inline="always")
+def _check_geom(task, kind, shapes, geom, entries, num_entries):
+    """Find the flags of a geom for the queries near it, and add them; see `_check_tile`.
+
+    `shapes` are the numbers of its shapes over the tile: one plane, one solid, or triangles.
+    """
+    lattice = task.lattice
+    window = task.window
+    state = task.state
+    queries = task.queries
+    if state.geom_box[0, 2] >= state.heights[1] or state.geom_box[0, 5] <= state.heights[0]:
+        return num_entries
+    footprint = task.footprint
+    facets = task.shape_arrays.facets
+    # how far from a cell's centre its square, and any of its volumes, reach
+    square_reach = lattice.cell_size / 2 + SEARCH_MARGIN
+    reach = max(square_reach, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
+    near_geom = window_near_box(lattice, window, state.geom_box, 0, reach)
+    pending = state.pending
+    pending_heights = state.pending_heights
+    pending[:] = 0
+    pending_heights[:, 0] = math.inf
+    pending_heights[:, 1] = -math.inf
+    # which flags the line of each cell leaves open
+    for row in range(near_geom[0], near_geom[1]):
+        for col in range(near_geom[2], near_geom[3]):
+            tile_row = row - window[0]
+            tile_col = col - window[2]
+            first_query = state.first_query[tile_row, tile_col]
+            for query in range(first_query, state.end_query[tile_row, tile_col]):
+                queries.tested_flags[query] = 0
+                envelope = make_envelope(lattice, footprint, queries, task.lists, query, row, col)
+                if is_beside_prism(state.geom_box, 0, envelope):
+                    continue
+                if kind == PLANE_KIND and not plane_meets_prism(
+                    task.shape_arrays.planes, shapes[0], envelope
+                ):
+                    continue
+                volumes = make_volumes(lattice, footprint, queries, task.lists, query, row, col)
+                _begin_geom(task, kind, geom, query, volumes)
+                open_flags = np.int64(queries.tested_flags[query] & ~queries.geom_flags[query])
+                for k, volume in enumerate(volumes):
+                    if open_flags & (1 << k):
+                        pending[k] |= cell_bit(tile_row, tile_col)
+                        pending_heights[k, 0] = min(pending_heights[k, 0], volume.low)
+                        pending_heights[k, 1] = max(pending_heights[k, 1], volume.high)
+    for shape in shapes:
+        if pending[0] | pending[1] | pending[2] | pending[3] == 0:
+            break
+        # cells near the shape where BLOCKING is open, whose volume may be a disc wider than the
+        # cell, and cells where another flag is, whose volumes are the cell's square
+        disc_cells = np.int64(0)
+        square_cells = np.int64(0)
+        near_shape = near_geom
+        for k in range(4):
+            is_at_height = kind != TRIANGLE_KIND or (
+                facets.bounds[shape, 2] < pending_heights[k, 1]
+                and facets.bounds[shape, 5] > pending_heights[k, 0]
+            )
+            disc_cells |= pending[k] if is_at_height and 1 << k == BLOCKING else 0
+            square_cells |= pending[k] if is_at_height and 1 << k != BLOCKING else 0
+        if kind == TRIANGLE_KIND and disc_cells | square_cells != 0:
+            triangle_reach = reach if disc_cells != 0 else square_reach
+            near_shape = window_near_box(lattice, near_geom, facets.bounds, shape, triangle_reach)
+            disc_cells &= window_bits(window, near_shape)
+            if square_cells != 0:
+                near_square = window_near_box(
+                    lattice, near_shape, facets.bounds, shape, square_reach
+                )
+                square_cells &= window_bits(window, near_square)
+        if disc_cells | square_cells == 0:  # so it is for most triangles of a fine mesh
+            continue
+        for row in range(near_shape[0], near_shape[1]):
+            for col in range(near_shape[2], near_shape[3]):
+                tile_row = row - window[0]
+                tile_col = col - window[2]
+                if (disc_cells | square_cells) & cell_bit(tile_row, tile_col) == 0:
+                    continue
+                open_flags = np.int64(0)
+                first_query = state.first_query[tile_row, tile_col]
+                for query in range(first_query, state.end_query[tile_row, tile_col]):
+                    if queries.tested_flags[query] & ~queries.geom_flags[query]:
+                        volumes = make_volumes(
+                            lattice, footprint, queries, task.lists, query, row, col
+                        )
+                        _check_shape(task, kind, shape, query, volumes)
+                        open_flags |= queries.tested_flags[query] & ~queries.geom_flags[query]
+                for k in range(4):
+                    pending[k] &= -1 if open_flags & (1 << k) else ~cell_bit(tile_row, tile_col)
+    return _keep_flags(task, near_geom, geom, entries, num_entries)
+
+
+@subkernel(inline="always")
+def _begin_geom(task, kind, geom, query, volumes):
+    """Note which flags of a geom are tested over a query, and which of them its line proves."""
+    queries = task.queries
+    lists = task.lists
+    footprint = task.footprint
+    state = np.int64(queries.state[query])
+    tested_flags = 0
+    geom_flags = 0
+    # where the square is a part of the footprint, each geom is tested; else until one meets it
+    if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & BLOCKING_SQUARE):
+        tested_flags = BLOCKING_SQUARE
+    if lists.ceiling.shape[0] > 0:
+        tested_flags |= OCCUPYING | BLOCKING
+        if kind != PLANE_KIND and lists.is_wall_candidate[geom]:  # a plane is no wall
+            tested_flags |= AT_WALL_HEIGHT
+        # the geom's own winding number proves BLOCKING only where that of all geoms does, too
+        provable = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if state & BLOCKED_BY_LINE else 0)
+        on_line = find_flags_on_line(task.hits, queries.cell[query], geom, volumes)
+        geom_flags = on_line & provable & tested_flags
+    elif not state & BLOCKING:
+        tested_flags |= BLOCKING
+    queries.tested_flags[query] = tested_flags
+    queries.geom_flags[query] = geom_flags
+
+
+@subkernel(**NO_REFCOUNT)
+def _check_shape(task, kind, shape, query, volumes):
+    """Test a shape of a geom against the volumes of all flags that are open, and add the flags."""
+    queries = task.queries
+    footprint = task.footprint
+    geom_flags = np.int64(queries.geom_flags[query])
+    open_flags = np.int64(queries.tested_flags[query]) & ~geom_flags
+    for k, volume in enumerate(volumes):
+        flag = 1 << k
+        if not open_flags & flag:
+            continue
+        answer = shape_meets_prism(task.shape_arrays, kind, shape, volume, task.state.scratch)
+        if answer == MEETS:
+            geom_flags |= flag
+        elif answer == APART:
+            # what misses a volume misses BLOCKING_SQUARE's where that is a part of it
+            if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
+                open_flags &= ~BLOCKING_SQUARE
+            if flag == BLOCKING and footprint.square == 0.0:
+                open_flags &= ~BLOCKING_SQUARE
+        elif flag == BLOCKING:
+            geom_flags |= MAYBE_BLOCKING
+        elif flag == BLOCKING_SQUARE:
+            geom_flags |= MAYBE_BLOCKING_SQUARE
+        else:  # lists need no proof: what reaches in by no more than rounding is an occupant
+            geom_flags |= flag
+    queries.geom_flags[query] = geom_flags
+
+
+# ---------------------------------------------------------------- the occupants of a tile
 
 
 @subkernel
 def _make_entries(size):
-    """Room for some entries."""
-    return Entries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
+    """Make room for so many entries."""
+    return TileEntries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
 
 
 @subkernel(**NO_REFCOUNT)
-def _find_queries(lattice, window, cells, run):
-    """Find the queries of each row of a tile's cells; returns how many there are."""
-    count = 0
-    for row in range(window[0], window[1]):
-        r = row - window[0]
-        # queries are sorted by cell, so a tile's follow on those of the tile before
-        n = run[r, 1]
-        if window[2] == 0:
-            n = 0
-            last = cells.shape[0]
-            while n < last:
-                middle = (n + last) // 2
-                if cells[middle] < row * lattice.width:
-                    n = middle + 1
-                else:
-                    last = middle
-        run[r, 0] = n
-        while n < cells.shape[0] and cells[n] < row * lattice.width + window[3]:
-            n += 1
-        run[r, 1] = n
-        count += n - run[r, 0]
-    for r in range(window[1] - window[0], run.shape[0]):
-        run[r, 0] = run[r, 1]
-    return count
+def _keep_flags(task, near, geom, entries, num_entries):
+    """Add a geom's flags to the states of the queries near it, and to the entries.
 
-
-@subkernel(**NO_REFCOUNT)
-def _write_lists(run, entries, count, first, geom, flags, used):
-    """Write a tile's entries as lists behind the `used` part; returns the end of the lists."""
-    for e in range(count):
-        first[entries.query[e]] += 1
-    for r in range(run.shape[0]):  # of a length that the compiler doesn't know, or it unrolls
-        for n in range(run[r, 0], run[r, 1]):
-            if first[n] > 0:
-                used += first[n] + 1
-                first[n] = used - 1  # past its last entry, from which it is filled
-                geom[first[n]] = -1
-                flags[first[n]] = 0
-    for e in range(count - 1, -1, -1):
-        n = entries.query[e]
-        first[n] -= 1
-        geom[first[n]] = entries.geom[e]
-        flags[first[n]] = entries.flags[e]
-    return used
-
-
-@subkernel(inline="always")
-def _column(walk, n, row, col):
-    """The volume around all that is tested of a query; a hair wider, see `facet_meets_prism`."""
-    lattice = walk.lattice
-    footprint = walk.footprint
-    floor = walk.queries.floor[n]
-    x, y = cell_center_at(lattice, row, col)
-    reach = max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH_DEPTH
-    low = floor + footprint.low
-    high = floor + footprint.high
-    if walk.listing.ceiling.shape[0] > 0:
-        low = floor
-        high = walk.listing.ceiling[n]
-    return Prism(x, y, low, high, reach, NOT_ROUND)
-
-
-@subkernel(inline="always")
-def _volumes(walk, n, row, col):
-    """The volumes of the four flags that geoms are tested for, over a query's floor."""
-    footprint = walk.footprint
-    listing = walk.listing
-    floor = walk.queries.floor[n]
-    x, y = cell_center_at(walk.lattice, row, col)
-    low = floor + footprint.low
-    high = floor + footprint.high
-    half = walk.lattice.cell_size / 2 - TOUCH_DEPTH
-    is_round = footprint.radius > 0.0
-    ceiling = listing.ceiling[n] if listing.ceiling.shape[0] > 0 else high
-    return (
-        Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, NOT_ROUND),
-        Prism(x, y, low, high, footprint.radius if is_round else half, is_round),
-        Prism(x, y, floor + listing.low, floor + listing.high, half, NOT_ROUND),
-        Prism(x, y, low, high, half, NOT_ROUND),
-    )
-
-
-@subkernel(**NO_REFCOUNT)
-def _ask_lines(walk):
-    """Test the lines of a tile's cells, and note the cells that these leave undecided."""
-    queries = walk.queries
-    listing = walk.listing
-    here = walk.here
-    hits = walk.hits
-    footprint = walk.footprint
-    lists = listing.ceiling.shape[0] > 0
-    here.first[:] = 0
-    here.end[:] = 0
-    here.open[0] = 0
-    here.span[0] = math.inf
-    here.span[1] = -math.inf
-    for r in range(here.run.shape[0]):
-        row = walk.window[0] + r
-        for n in range(here.run[r, 0], here.run[r, 1]):
-            cell = queries.cell[n]
-            floor = queries.floor[n]
-            col = cell - row * walk.lattice.width
-            c = col - walk.window[2]
-            if here.end[r, c] == 0:
-                here.first[r, c] = n
-            here.end[r, c] = n + 1
-            band = HeightRange(floor + footprint.low, floor + footprint.high)
-            is_blocked = is_line_blocked(hits, cell, band, ANY_GEOM)
-            queries.state[n] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
-            if lists:
-                listing.first[n] = 0
-                carried = _describe_floor(hits, cell, floor, listing.min_up)
-                listing.carrier[n], listing.gap[n] = carried
-            if lists or not is_blocked:
-                column = _column(walk, n, row, col)
-                here.span[0] = min(here.span[0], column.low)
-                here.span[1] = max(here.span[1], column.high)
-                here.open[0] |= cell_bit(r, c)
-
-
-@subkernel(inline="always")
-def _describe_floor(hits, cell, floor, min_up):
-    """The geom that carries a floor, or -1, and the gap to another geom's floor below [m]."""
-    carrier = np.int32(-1)
-    gap = math.inf
-    for i in range(hits.start[cell], hits.start[cell + 1]):
-        if hits.z[i] == floor and hits.normal[i, 2] >= min_up:
-            carrier = hits.geom[i]
-            break
-    for i in range(hits.start[cell], hits.start[cell + 1]):
-        if hits.z[i] > floor:
-            break
-        if hits.normal[i, 2] >= min_up and hits.geom[i] != carrier:
-            gap = floor - hits.z[i]
-    return carrier, gap
-
-
-@subkernel(**NO_REFCOUNT)
-def _look_at_tile(walk, tiles, tile, entries):
-    """Test the geoms over a tile, by geom id; returns the number of entries, -1 for no room."""
-    solids = walk.solids
-    facets = walk.facets
-    planes = walk.planes
-    here = walk.here
-    _ask_lines(walk)
-    # see `used` above
-    p = 0
-    count = np.int64(0)
-    s = tiles.solid_start[tile]
-    last_s = tiles.solid_start[tile + 1]
-    t = tiles.triangle_start[tile]
-    last_t = tiles.triangle_start[tile + 1]
-    while count >= 0 and here.open[0] != 0:
-        plane = planes.geom[p] if p < planes.geom.shape[0] else NO_GEOM
-        solid = solids.geom[tiles.solid_item[s]] if s < last_s else NO_GEOM
-        facet = facets.geom[tiles.triangle_item[t]] if t < last_t else NO_GEOM
-        geom = min(plane, solid, facet)
-        box = here.box
-        if geom == NO_GEOM:
-            break
-        kind = SOLIDS
-        items = tiles.solid_item
-        bounds = solids.bounds
-        begin = s
-        end = s + 1
-        if geom == plane:
-            kind = PLANE
-            items = here.plane
-            begin = np.int64(0)
-            end = np.int64(1)
-            here.plane[0] = p
-            p += 1
-        elif geom == solid:
-            s += 1
-        else:
-            kind = TRIANGLES
-            items = tiles.triangle_item
-            bounds = facets.bounds
-            begin = t
-            while t < last_t and facets.geom[items[t]] == geom:
-                t += 1
-            end = t
-        # one loop for solids and triangles, as what it calls is compiled where it stands
-        for k in range(3):
-            box[0, k] = math.inf
-            box[0, 3 + k] = -math.inf
-        for i in items[begin : end if kind != PLANE else begin]:
-            for k in range(3):
-                box[0, k] = min(box[0, k], bounds[i, k])
-                box[0, 3 + k] = max(box[0, 3 + k], bounds[i, 3 + k])
-        if kind == PLANE:
-            for k in range(3):
-                box[0, k] = -math.inf
-                box[0, 3 + k] = math.inf
-            if (
-                planes.mat[items[0], 2] == 0.0
-                and planes.mat[items[0], 5] == 0.0
-                and planes.mat[items[0], 8] > 0.0
-            ):
-                box[0, 5] = planes.pos[items[0], 2]  # of level ground
-        count = _ask_geom(walk, kind, items[begin:end], geom, entries, count)
-    return count
-
-
-@subkernel(inline="always")
-def _ask_geom(walk, kind, items, geom, entries, count):
-    """Test a plane, a solid or a geom's triangles for the queries near; see `_look_at_tile`.
-
-    A geom's triangles follow one another; the box around them is tested first.
+    Cells that no further geom has to be tested for are closed. Returns the number of entries, or -1
+    if there is no room for them.
     """
-    lattice = walk.lattice
-    window = walk.window
-    here = walk.here
-    queries = walk.queries
-    if here.box[0, 2] >= here.span[1] or here.box[0, 5] <= here.span[0]:
-        return count
-    footprint = walk.footprint
-    facets = walk.facets
-    half = lattice.cell_size / 2 + 2.0 * TOUCH_DEPTH
-    reach = max(half, max(footprint.square, footprint.radius) + 2.0 * TOUCH_DEPTH)
-    all_near = window_near_box(lattice, window, here.box, 0, reach)
-    still = here.still
-    bands = here.bands
-    still[:] = 0
-    bands[:, 0] = math.inf
-    bands[:, 1] = -math.inf
-    for row in range(all_near[0], all_near[1]):
-        for col in range(all_near[2], all_near[3]):
-            r = row - window[0]
-            c = col - window[2]
-            for n in range(here.first[r, c], here.end[r, c]):
-                queries.wanted[n] = 0
-                column = _column(walk, n, row, col)
-                if is_beside_prism(here.box, 0, column):
-                    continue
-                if kind == PLANE and not plane_meets_prism(walk.planes, items[0], column):
-                    continue
-                volumes = _volumes(walk, n, row, col)
-                _begin(walk, kind, geom, n, volumes)
-                left = np.int64(queries.wanted[n] & ~queries.flags[n])
-                for k, volume in enumerate(volumes):
-                    if left & (1 << k):
-                        still[k] |= cell_bit(r, c)
-                        bands[k, 0] = min(bands[k, 0], volume.low)
-                        bands[k, 1] = max(bands[k, 1], volume.high)
-    for i in items:
-        if still[0] | still[1] | still[2] | still[3] == 0:
-            break
-        # the cells that want the disc's flag, or a square's, at the heights of a triangle
-        wide = np.int64(0)
-        narrow = np.int64(0)
-        near = all_near
-        for k in range(4):
-            is_level = kind != TRIANGLES or (
-                facets.bounds[i, 2] < bands[k, 1] and facets.bounds[i, 5] > bands[k, 0]
-            )
-            wide |= still[k] if is_level and 1 << k == BLOCKING else 0
-            narrow |= still[k] if is_level and 1 << k != BLOCKING else 0
-        if kind == TRIANGLES and wide | narrow != 0:
-            near = window_near_box(
-                lattice, all_near, facets.bounds, i, reach if wide != 0 else half
-            )
-            wide &= window_bits(window, near)
-            if narrow != 0:
-                square = window_near_box(lattice, near, facets.bounds, i, half)
-                narrow &= window_bits(window, square)
-        if wide | narrow == 0:  # so it is for most triangles of a fine mesh
-            continue
-        for row in range(near[0], near[1]):
-            for col in range(near[2], near[3]):
-                r = row - window[0]
-                c = col - window[2]
-                if (wide | narrow) & cell_bit(r, c) == 0:
-                    continue
-                left = np.int64(0)
-                for n in range(here.first[r, c], here.end[r, c]):
-                    if queries.wanted[n] & ~queries.flags[n]:
-                        _ask_shape(walk, kind, i, n, _volumes(walk, n, row, col))
-                        left |= queries.wanted[n] & ~queries.flags[n]
-                for k in range(4):
-                    still[k] &= -1 if left & (1 << k) else ~cell_bit(r, c)
-    return _note_entries(walk, all_near, geom, entries, count)
-
-
-@subkernel(inline="always")
-def _begin(walk, kind, geom, n, volumes):
-    """Note what is wanted of a geom over a query, and what the cell's line proves of it."""
-    queries = walk.queries
-    listing = walk.listing
-    footprint = walk.footprint
-    state = np.int64(queries.state[n])
-    wanted = 0
-    flags = 0
-    # a square that is a part of the footprint is tested for each geom, others until one meets it
-    if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & BLOCKING_SQUARE):
-        wanted = BLOCKING_SQUARE
-    if listing.ceiling.shape[0] > 0:
-        wanted |= OCCUPYING | BLOCKING
-        if kind != PLANE and listing.probed[geom]:  # a plane is no wall
-            wanted |= AT_WALL_HEIGHT
-        # where the winding number of all geoms is no proof, that of one is none
-        proves = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if state & BLOCKED_BY_LINE else 0)
-        proved = _ask_line(walk.hits, queries.cell[n], geom, volumes)
-        flags = proved & proves & wanted
-    elif not state & BLOCKING:
-        wanted |= BLOCKING
-    queries.wanted[n] = wanted
-    queries.flags[n] = flags
-
-
-@subkernel(**NO_REFCOUNT)
-def _ask_line(hits, cell, geom, volumes):
-    """The flags that a cell's line proves of a geom: `is_line_blocked` for each volume."""
-    stands, blocks, probed, _ = volumes
-    lowest = min(stands.low, blocks.low, probed.low)
-    flags = 0
-    in_stands = 0
-    in_blocks = 0
-    in_probed = 0
-    for i in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
-        z = hits.z[i]
-        if z <= lowest:
-            break
-        if hits.geom[i] != geom:
-            continue
-        entered = 0
-        if hits.closed[i]:
-            entered = 1 if hits.normal[i, 2] > 0.0 else -1
-        # a hit is within a volume, or counts for the winding number of what is below it
-        if z >= stands.high:
-            in_stands += entered
-        elif z > stands.low:
-            flags |= OCCUPYING
-        if z >= blocks.high:
-            in_blocks += entered
-        elif z > blocks.low:
-            flags |= BLOCKING
-        if z >= probed.high:
-            in_probed += entered
-        elif z > probed.low:
-            flags |= AT_WALL_HEIGHT
-    flags |= OCCUPYING if in_stands > 0 else 0
-    flags |= BLOCKING if in_blocks > 0 else 0
-    return flags | (AT_WALL_HEIGHT if in_probed > 0 else 0)
-
-
-@subkernel(**NO_REFCOUNT)
-def _ask_shape(walk, kind, i, n, volumes):
-    """Add the wanted flags of a plane, a solid or a triangle over a query."""
-    queries = walk.queries
-    footprint = walk.footprint
-    flags = np.int64(queries.flags[n])
-    wanted = np.int64(queries.wanted[n]) & ~flags
-    for k, volume in enumerate(volumes):
-        flag = 1 << k
-        if not wanted & flag:
-            continue
-        if kind == PLANE:
-            answer = MEETS if plane_meets_prism(walk.planes, i, volume) else APART
-        elif kind == TRIANGLES:
-            meets = facet_meets_prism(walk.facets, i, volume, walk.here.polygons)
-            answer = MEETS if meets else APART
-        elif is_beside_prism(walk.solids.bounds, i, volume):
-            answer = APART
-        else:
-            # GJK is exact to a share of the prism's height: no more of it than the solid may meet
-            high = min(volume.high, walk.solids.bounds[i, 5] + 1.0)
-            part_of = Prism(volume.x, volume.y, volume.low, high, volume.half, volume.is_round)
-            answer = solid_meets_prism(walk.solids, i, part_of, walk.here.simplex)
-        if answer == APART:
-            # what misses a volume misses the square that is a part of it
-            if flag == OCCUPYING and footprint.low >= SAME_HEIGHT + TOUCH_DEPTH:
-                wanted &= ~BLOCKING_SQUARE
-            if flag == BLOCKING and footprint.square == 0.0:
-                wanted &= ~BLOCKING_SQUARE
-        elif answer == MEETS or flag in (OCCUPYING, AT_WALL_HEIGHT):
-            flags |= flag
-        else:
-            flags |= MAYBE_BLOCKING if flag == BLOCKING else MAYBE_BLOCKING_SQUARE
-    queries.flags[n] = flags
-
-
-@subkernel(**NO_REFCOUNT)
-def _note_entries(walk, near, geom, entries, count):
-    """Note what a geom does over the queries near; the number of entries, -1 for no room."""
-    here = walk.here
-    queries = walk.queries
-    footprint = walk.footprint
-    lists = walk.listing.ceiling.shape[0] > 0
+    state = task.state
+    queries = task.queries
+    footprint = task.footprint
+    is_listing = task.lists.ceiling.shape[0] > 0
     for row in range(near[0], near[1]):
         for col in range(near[2], near[3]):
-            r = row - walk.window[0]
-            c = col - walk.window[2]
-            is_open = lists
-            for n in range(here.first[r, c], here.end[r, c]):
-                flags = np.int64(queries.flags[n])
-                if queries.wanted[n] and flags:
+            tile_row = row - task.window[0]
+            tile_col = col - task.window[2]
+            is_open = is_listing
+            first_query = state.first_query[tile_row, tile_col]
+            for query in range(first_query, state.end_query[tile_row, tile_col]):
+                flags = np.int64(queries.geom_flags[query])
+                if queries.tested_flags[query] and flags:
+                    # the square is a part of the footprint, or lies in its disc
                     if flags & MAYBE_BLOCKING_SQUARE and footprint.square > 0.0:
                         flags |= MAYBE_BLOCKING
                     if flags & BLOCKING_SQUARE:
                         flags |= BLOCKING
-                    queries.state[n] |= flags & (
+                    queries.state[query] |= flags & (
                         BLOCKING | BLOCKING_SQUARE | MAYBE_BLOCKING | MAYBE_BLOCKING_SQUARE
                     )
-                    flags &= ~(MAYBE_BLOCKING if flags & BLOCKING else 0)
+                    if flags & BLOCKING:
+                        flags &= ~MAYBE_BLOCKING
                     if not flags & OCCUPYING:
                         flags &= ~AT_WALL_HEIGHT
                     flags &= OCCUPYING | BLOCKING | AT_WALL_HEIGHT | MAYBE_BLOCKING
-                    if lists and flags:
-                        if count == entries.geom.shape[0]:
+                    if is_listing and flags:
+                        if num_entries == entries.geom.shape[0]:
                             return -1
-                        entries.query[count] = n
-                        entries.geom[count] = geom
-                        entries.flags[count] = flags
-                        count += 1
-                queries.wanted[n] = 0
-                state = np.int64(queries.state[n])
-                is_open |= not state & BLOCKING or (
-                    footprint.radius > 0.0 and not state & BLOCKING_SQUARE
+                        entries.query[num_entries] = query
+                        entries.geom[num_entries] = geom
+                        entries.flags[num_entries] = flags
+                        num_entries += 1
+                queries.tested_flags[query] = 0
+                query_state = np.int64(queries.state[query])
+                is_open |= not query_state & BLOCKING or (
+                    footprint.radius > 0.0 and not query_state & BLOCKING_SQUARE
                 )
             if not is_open:
-                here.open[0] &= ~cell_bit(r, c)
-    return count
+                state.open_cells[0] &= ~cell_bit(tile_row, tile_col)
+    return num_entries
+
+
+@subkernel(**NO_REFCOUNT)
+def _write_lists(row_queries, entries, num_entries, first, list_geom, list_flags, list_end):
+    """Write a tile's entries as one list for each query, from `list_end` on; return the new end.
+
+    A counting sort: entries are in the order of geoms, lists in the order of queries.
+    """
+    for entry in range(num_entries):
+        first[entries.query[entry]] += 1
+    for tile_row in range(row_queries.shape[0]):  # a constant length would be unrolled
+        for query in range(row_queries[tile_row, 0], row_queries[tile_row, 1]):
+            if first[query] > 0:
+                list_end += first[query] + 1
+                # the place of the end mark; the list is filled from there to its beginning
+                first[query] = list_end - 1
+                list_geom[first[query]] = -1
+                list_flags[first[query]] = 0
+    for entry in range(num_entries - 1, -1, -1):
+        query = entries.query[entry]
+        first[query] -= 1
+        list_geom[first[query]] = entries.geom[entry]
+        list_flags[first[query]] = entries.flags[entry]
+    return list_end

@@ -12,15 +12,16 @@ from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Int
 
-Names = dict[str, list[str]]
+CellNames = dict[str, list[str]]
+"""The user data of a cell: sorted names by key."""
 
-# Bits: how a geom is in a cell, and the keys of user data for them
+# Bits of a geom in a cell, and the keys of user data for them
 OBJECTS = 1
 WALLS = 2
 BLOCKERS = 4
 KEYS = {"objects": OBJECTS, "walls": WALLS}
-NAMED = OBJECTS | WALLS
-ALL_BITS = 8
+OBJECTS_OR_WALLS = OBJECTS | WALLS
+NUM_BITS_VALUES = 8  # bits are below this
 
 
 def name_geoms(scene: Scene) -> list[str]:
@@ -44,14 +45,16 @@ def name_cells(
     names: Sequence[str],
     lattice: Lattice,
     window: Window,
-) -> tuple[Int, Int, list[Names]]:
+) -> tuple[Int, Int, list[CellNames]]:
     """Make the table of names for the cells of a grid.
 
     Args:
-        cell, geom: cells on the lattice, and a geom in each, shape (n,).
+        cell: cell ids on the lattice, shape (n,).
+        geom: a geom in each of them, shape (n,).
         bits: OBJECTS, WALLS and BLOCKERS of each, shape (n,); those with 0 don't count.
         names: by geom id.
-        lattice, window: the cells, and those that the grid holds.
+        lattice: the cells.
+        window: the cells that the grid holds.
 
     Returns:
         The fields of `navbake.navgrid.user_data.Shared`: cell ids on the window, ascending; the
@@ -60,25 +63,27 @@ def name_cells(
     """
     # names are numbered by their first geoms, so that they keep the order of the scene's geoms
     numbers: dict[str, int] = {}
-    number_of = np.array([numbers.setdefault(name, k) for k, name in enumerate(names)], np.int64)
-    cell, name, bits = _merge(cell, number_of[geom], bits, len(names))
-    token = name * ALL_BITS + bits
+    name_of_geom = np.array([numbers.setdefault(name, k) for k, name in enumerate(names)], np.int64)
+    cell, name, bits = _merge(cell, name_of_geom[geom], bits, len(names))
+    token = name * NUM_BITS_VALUES + bits
     if window != (slice(0, lattice.height), slice(0, lattice.width)):
-        cell, inside = crop_cells(cell, window, lattice.width)
-        token = token[inside]
+        cell, is_inside = crop_cells(cell, window, lattice.width)
+        token = token[is_inside]
+    # cells with equal lists of tokens share an entry
     first = np.flatnonzero(np.diff(cell, prepend=-1))
     start = np.append(first, len(cell))
-    number = np.empty(len(first), dtype=np.int64)
-    lists = number_distinct_lists(start, token, number)
-    return cell[first], number, _describe(token, start[lists], start[lists + 1], names)
+    entry_of_cell = np.empty(len(first), dtype=np.int64)
+    lists = number_distinct_lists(start, token, entry_of_cell)
+    entries = _describe(token, start[lists], start[lists + 1], names)
+    return cell[first], entry_of_cell, entries
 
 
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
-    """Unique pairs of cell and name, sorted, with their bits."""
-    kept = bits > 0
-    cell = cell[kept]
-    name = name[kept]
-    bits = bits[kept]
+    """Return the unique pairs of cell and name, sorted, with their bits."""
+    counts = bits > 0
+    cell = cell[counts]
+    name = name[counts]
+    bits = bits[counts]
     pair = cell * num_names + name
     if (np.diff(pair) < 0).any():
         order = np.argsort(pair, kind="stable")
@@ -87,35 +92,40 @@ def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, I
         name = name[order]
         bits = bits[order]
     first = np.flatnonzero(np.diff(pair, prepend=-1))
-    merged = np.bitwise_or.reduceat(bits, first) if len(first) else bits
-    return cell[first], name[first], merged
+    merged_bits = np.bitwise_or.reduceat(bits, first) if len(first) else bits
+    return cell[first], name[first], merged_bits
 
 
-def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[Names]:
-    """The user data of cells that hold the tokens from each begin to its end."""
+def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[CellNames]:
+    """Return the user data of cells, each of which has the tokens from a begin to its end.
+
+    A token is the number of a name and its bits.
+    """
     size = end - begin
-    owner = np.repeat(np.arange(len(size)), size)
-    token = token[np.arange(len(owner)) + (begin - np.cumsum(size) + size)[owner]]
-    name, bits = np.divmod(token, ALL_BITS)
-    order = np.lexsort((_ranks(names)[name], owner))
+    num_entries = len(size)
+    entry = np.repeat(np.arange(num_entries), size)
+    token = token[np.arange(len(entry)) + (begin - np.cumsum(size) + size)[entry]]
+    name, bits = np.divmod(token, NUM_BITS_VALUES)
+    order = np.lexsort((_ranks(names)[name], entry))
     name = name[order]
     bits = bits[order]
-    differs = ((bits & BLOCKERS) > 0) != ((bits & NAMED) > 0)
-    tells_blockers = np.bincount(owner, differs, len(size)) > 0
-    chosen = {key: (bits & bit) > 0 for key, bit in KEYS.items()}
-    chosen["blockers"] = ((bits & BLOCKERS) > 0) & tells_blockers[owner]
-    described: list[Names] = [{} for _ in size]
-    for key, is_chosen in chosen.items():
-        listed = [names[k] for k in name[is_chosen].tolist()]
-        owners, first = np.unique(owner[is_chosen], return_index=True)
-        ends = np.append(first[1:], len(listed))[: len(first)]
-        for k, one, other in np.stack([owners, first, ends], axis=1).tolist():
-            described[k][key] = listed[one:other]
-    return described
+    differs = ((bits & BLOCKERS) > 0) != ((bits & OBJECTS_OR_WALLS) > 0)
+    has_blockers = np.bincount(entry, differs, num_entries) > 0
+    is_under_key = {key: (bits & bit) > 0 for key, bit in KEYS.items()}
+    is_under_key["blockers"] = ((bits & BLOCKERS) > 0) & has_blockers[entry]
+    user_data: list[CellNames] = [{} for _ in range(num_entries)]
+    for key, is_listed in is_under_key.items():
+        key_names = [names[k] for k in name[is_listed].tolist()]
+        entries, first = np.unique(entry[is_listed], return_index=True)
+        end_of_entry = np.append(first[1:], len(key_names))[: len(first)]
+        ranges = np.stack([entries, first, end_of_entry], axis=1).tolist()
+        for number, first_name, end_name in ranges:
+            user_data[number][key] = key_names[first_name:end_name]
+    return user_data
 
 
 def _ranks(names: Sequence[str]) -> Int:
-    """The place of each name among all of them, sorted."""
+    """Return the place of each name among all of them, sorted."""
     ranks = np.empty(len(names), dtype=np.int64)
     ranks[sorted(range(len(names)), key=names.__getitem__)] = np.arange(len(names))
     return ranks

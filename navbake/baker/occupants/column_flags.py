@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.limits import agent_limits
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.occupants import list_kernels as kernels
+from navbake.baker.occupants import column_flag_kernels as kernels
 from navbake.baker.occupants.kinds import WALL_HEIGHTS
 from navbake.config.settings import AgentSettings
 from navbake.threads import LEAST_CELLS, run_in_chunks
@@ -21,11 +21,14 @@ def flag_columns(
     agent: AgentSettings,
     flags: NDArray[np.uint8],
 ) -> None:
-    """Flag the columns of some cells as a level sees them.
+    """Flag the columns of a range of cells, as a level's floor and ground lie in them.
 
     Args:
-        hits: of these cells alone, in their order.
-        flags: by cell of the lattice, receives `COLUMN_FLAGS` of the kernels.
+        hits: columns of these cells alone, in their order.
+        level: the floor of each cell, and the height of the ground.
+        cells: the range of cell ids.
+        agent: its height and highest step.
+        flags: by cell of the whole lattice, uint8; receives `COLUMN_FLAGS`.
     """
     floor = level.floor.ravel()[cells]
     run_in_chunks(
@@ -35,7 +38,7 @@ def flag_columns(
         floor,
         level.ground,
         agent_limits(agent),
-        WALL_HEIGHTS[0],
+        WALL_HEIGHTS.low,
         flags[cells],
         least=LEAST_CELLS,
     )

@@ -1,13 +1,16 @@
 """What geoms are: walls, meshes that hold a whole building, its floors and ceilings, or things."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.components import label_components
 from navbake.baker.core.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
@@ -27,63 +30,125 @@ from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
-HINTED = re.compile("wall|partition")  # in the names of walls, whatever the case
+if TYPE_CHECKING:  # what describes a model doesn't load MuJoCo
+    import mujoco
+
+
+class WallLimits(NamedTuple):
+    """Limits of a wall's shape, seen from above.
+
+    Attributes:
+        max_thickness: the most thickness [m].
+        min_length: the least length [m].
+        min_ratio: the least ratio of length and thickness [1].
+    """
+
+    max_thickness: float
+    min_length: float
+    min_ratio: float
+
+
+WALL_NAME = re.compile("wall|partition")  # in the names of walls, whatever the case
 
 # A wall begins at most this far over a floor (a window over its sill), and is this high [m]
 NEAR_FLOOR = 0.6
-TALL = 1.5
-# Most thickness, least length and least ratio of both, of a thin wall and of a thick one [m, m, 1]
-THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
-# The same of one that is thicker still, and meets another at a corner, with tops this near [m]
-THICK = (1.2, 3.0, 3.0)
-AS_HIGH = 0.1
-# Two walls meet at a corner where they are no nearer to one direction than 45 degrees [1]
-CROSSWISE = 0.5**0.5
-# Least heights of geoms named like a wall, and of those of them that are thin and long [m]
-NAMED_TALL = 1.0
-LOW = 0.5
+MIN_WALL_HEIGHT = 1.5
+# A thin wall, and one that is thicker but long
+THIN_WALLS = (WallLimits(0.25, 0.5, 3.0), WallLimits(0.5, 3.0, 6.0))
+# A wall that is thicker still has to meet another one at a corner, with tops this near [m]
+THICK_WALL = WallLimits(1.2, 3.0, 3.0)
+SAME_TOP = 0.1
+# Two walls meet at a corner if the cosine of their angle is at most that of 45 degrees [1]
+MAX_CORNER_COSINE = 0.5**0.5
+# Least height of a geom named like a wall, and of one that is also thin and long [m]
+MIN_NAMED_HEIGHT = 1.0
+MIN_NAMED_THIN_HEIGHT = 0.5
 # A body is furniture if it is this much deeper than its panel, and at most so deep, so long [m],
 # and of so many geoms
-DEEPER = 0.1
+FURNITURE_OVER_PANEL = 0.1
 FURNITURE_DEPTH = 1.2
 FURNITURE_LENGTH = 3.0
-FURNITURE_PARTS = 200
-# A piece that continues a wall is at most this thicker on a side, and so far from its end [m]
-IN_LINE = 0.03
-TOUCHING = 0.05
-PAIRS = 1_000_000  # of walls and pieces that are compared at once, for the memory they take
-# Least width both ways of a mesh that holds a building [m], and share of it that is filled at most
+FURNITURE_GEOMS = 200
+# A geom that continues a wall is at most this much thicker on a side, and so far from its end [m]
+LINE_SLACK = 0.03
+END_GAP = 0.05
+MAX_PAIRS = 1_000_000  # of geoms that are compared at once, for the memory they take
+# Least width both ways of a mesh that holds a building [m], and share of its box that walls fill at
+# most
 BUILDING_WIDTH = 2.0
-HOLLOW = 0.5
+MAX_FILLED_SHARE = 0.5
 # Its shape in the report of geoms
-TRIANGLES = ("surface", "closed surface", "partly closed", "shell")
+TRIANGLE_SHAPES = ("surface", "closed surface", "partly closed", "shell")
 # Heights over a floor where such a mesh is wall [m]
-WALL_HEIGHTS = (1.5, 1.8)
-# Least share of its cells in which a wall reaches that band
-UPRIGHT = 0.5
+WALL_HEIGHTS = HeightRange(1.5, 1.8)
+# Least share of its cells in which a wall is in `WALL_HEIGHTS`
+MIN_UPRIGHT_SHARE = 0.5
 
-
-# A thing that one can stand on is at most this large, and lies at most this high over a floor
-# unless it is solid down to it [m², m], in at least this share of its cells
+# A thing that one can stand on is at most this large [m²]. In at least this share of its cells it
+# lies on a floor: at most this high over it [m], unless it is solid down to it
 THING_AREA = 4.0
+MIN_ON_FLOOR_SHARE = 0.9
 THING_HEIGHT = 1.0
-MOSTLY = 0.9
 # A lower rise is no step on the way up [m]
 COVERING = 0.03
 # A ceiling is at least this wide both ways [m]
 CEILING_WIDTH = 1.5
 
-Steps = tuple[Int, Int, Float]
-"""Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much [m]."""
+
+class OccupantSizes(NamedTuple):
+    """How geoms stand over floors, by geom id.
+
+    Attributes:
+        base: least height of its bottom over a floor of a cell it occupies, inf for none [m].
+        rise: greatest height of its top over its bottom or such a floor, whichever is higher,
+            -inf for none [m].
+        area: how much of a level it occupies, at most [m²].
+        area_at_wall_height: the same within `WALL_HEIGHTS`; 0 but for wall candidates [m²].
+    """
+
+    base: Float
+    rise: Float
+    area: Float
+    area_at_wall_height: Float
+
+
+class FloorCounts(NamedTuple):
+    """How often the surfaces of geoms are floors, by geom id, shape (ngeom,).
+
+    Attributes:
+        num_cells: in how many cells the geom's surface is the floor.
+        num_on_floors: in how many of these the geom lies on another geom's floor.
+        num_covers: in how many of these it only covers another floor, by up to `COVERING`.
+        stood_on: whether an agent can stand on it anywhere, bool.
+    """
+
+    num_cells: Int
+    num_on_floors: Int
+    num_covers: Int
+    stood_on: Bool
+
+
+class FloorSteps(NamedTuple):
+    """Pairs of geoms whose floors lie side by side, one pair for each pair of cells, shape (n,).
+
+    Attributes:
+        lower: geom of the lower floor.
+        higher: geom of the higher floor.
+        rise: height of the step, >= 0 [m].
+    """
+
+    lower: Int
+    higher: Int
+    rise: Float
 
 
 class FloorGeoms(NamedTuple):
-    """The geoms that carry floors, by geom id, shape (ngeom,), bool.
+    """The geoms whose surfaces are floors, by geom id, shape (ngeom,), bool.
 
     Attributes:
         building: those that belong to the building.
         things: those that only lie on its floors.
-        stood_on: those of both that one can stand on somewhere; others carry floor under things.
+        stood_on: those of both that an agent can stand on somewhere; others are floor under things.
     """
 
     building: Bool
@@ -91,63 +156,106 @@ class FloorGeoms(NamedTuple):
     stood_on: Bool
 
 
-class GeomHeights(NamedTuple):
-    """How geoms stand over floors, by geom id.
+class ClassifiedGeoms(NamedTuple):
+    """Kinds of geoms by geom id, see `StandingOccupants`, and warnings."""
 
-    Attributes:
-        base: least height of its bottom over a floor of a cell it stands in, inf for none [m].
-        rise: greatest height of its top over its bottom or such a floor, whichever is higher,
-            -inf for none [m].
-        area: how much of a storey it stands in, at most [m²].
-        upper_area: the same within `WALL_HEIGHTS`; known for `mark_wall_candidates` only [m²].
+    kinds: NDArray[np.uint8]
+    room_kinds: NDArray[np.uint8]
+    warnings: list[str]
+
+
+def classify_geoms(
+    scene: Scene,
+    extents: Extents,
+    sizes: OccupantSizes,
+    floor_geoms: FloorGeoms,
+    agent: AgentSettings,
+    settings: NameSettings,
+) -> ClassifiedGeoms:
+    """Classify geoms, and warn of patterns of walls that match nothing.
+
+    Args:
+        scene: the scene whose geoms stand.
+        extents: boxes round the geoms.
+        sizes: how the geoms stand over floors.
+        floor_geoms: the geoms that are floors.
+        agent: its height.
+        settings: patterns of the names of walls.
     """
+    buildings = mark_buildings(scene, extents, sizes)
+    ceilings = mark_ceilings(extents, sizes.base, scene.roles == STATIC_STRUCTURE, agent)
+    walls = mark_wall_geoms(scene, extents, sizes, floor_geoms, excluded=buildings)
+    kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
+    kinds[floor_geoms.building | ceilings] = STRUCTURE
+    kinds[walls] = WALL
+    kinds[buildings] = BUILDING
+    room_kinds = kinds.copy()
+    warnings = list[str]()
+    if settings.walls:  # walls of the settings replace those by shape
+        walls_by_name, warnings = match_wall_names(scene, settings.walls)
+        kinds[kinds == WALL] = OBJECT
+        kinds[walls_by_name] = WALL
+        room_kinds[walls_by_name] = WALL
+    room_kinds[mark_panes(extents, sizes, room_kinds == WALL)] = WALL
+    return ClassifiedGeoms(kinds, room_kinds, warnings)
 
-    base: Float
-    rise: Float
-    area: Float
-    upper_area: Float
+
+# ---------------------------------------------------------------- walls
 
 
 def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
-    """Mark the geoms that may be walls, panes or hold a building, by their own shape alone."""
-    tall = extents.high - extents.low >= TALL
-    slender = _is_slender(extents, *THIN, THICK)
-    return tall & slender | _may_hold_building(is_surface(scene), extents)
+    """Mark the geoms that may be walls, panes or hold a building, by their own shape alone.
 
+    Args:
+        scene: the scene whose geoms stand.
+        extents: boxes round the geoms.
 
-def find_buildings(scene: Scene, extents: Extents, over_floors: GeomHeights) -> Bool:
-    """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
-    hollow = over_floors.upper_area < HOLLOW * extents.thin * extents.long
-    return _may_hold_building(is_surface(scene), extents) & hollow
-
-
-def is_surface(scene: Scene) -> Bool:
-    """Mark the geoms made of triangles other than hulls."""
-    return np.array([report.shape in TRIANGLES for report in scene.geoms], dtype=np.bool_)
-
-
-def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
-    """Mark the geoms whose own, mesh's or body's name matches, up to the topmost body.
-
-    Also warns of each pattern that matches nothing.
+    Returns:
+        The mark of each geom, by id, shape (ngeom,), bool.
     """
-    matched = np.zeros(len(scene.geoms), dtype=np.bool_)
+    is_tall = extents.high - extents.low >= MIN_WALL_HEIGHT
+    is_slender = _is_slender(extents, *THIN_WALLS, THICK_WALL)
+    return is_tall & is_slender | _may_hold_building(scene, extents)
+
+
+def mark_buildings(scene: Scene, extents: Extents, sizes: OccupantSizes) -> Bool:
+    """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
+    box_area = extents.thin * extents.long
+    is_hollow = sizes.area_at_wall_height < MAX_FILLED_SHARE * box_area
+    return _may_hold_building(scene, extents) & is_hollow
+
+
+def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
+    """Mark the geoms of triangles, other than hulls, that are as tall and wide as a building."""
+    is_surface = [report.shape in TRIANGLE_SHAPES for report in scene.geoms]
+    is_tall = extents.high - extents.low >= MIN_WALL_HEIGHT
+    is_wide = extents.thin >= BUILDING_WIDTH
+    return np.array(is_surface, dtype=np.bool_) & is_tall & is_wide
+
+
+def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
+    """Mark the geoms that patterns name as walls, and warn of each pattern that matches nothing.
+
+    A pattern may match the name of the geom, of its mesh, or of a body from its own to the topmost.
+    """
+    is_match = np.zeros(len(scene.geoms), dtype=np.bool_)
     warnings: list[str] = []
-    by_geom = []
+    names_by_geom = []
     for geom in range(len(scene.geoms)):
-        above = (body_name(scene.model, body) for body in _bodies_above(scene.model, geom))
-        by_geom.append({*_names(scene, geom), *above})
-    known = sorted(set().union(*by_geom))
+        bodies = _bodies_above(scene.model, geom)
+        body_names = {body_name(scene.model, body) for body in bodies}
+        names_by_geom.append(body_names | set(_names(scene, geom)))
+    scene_names = sorted(set().union(*names_by_geom))
     for pattern in patterns:
-        hits = {name for name in known if fnmatchcase(name, pattern)}
-        matched |= np.array([not hits.isdisjoint(names) for names in by_geom], dtype=np.bool_)
-        if not hits:
-            warnings.append(warn_unmatched("names.walls", pattern, known))
-    return matched, warnings
+        matches = {name for name in scene_names if fnmatchcase(name, pattern)}
+        is_match |= np.array([not matches.isdisjoint(names) for names in names_by_geom], np.bool_)
+        if not matches:
+            warnings.append(warn_unmatched("names.walls", pattern, scene_names))
+    return is_match, warnings
 
 
-def find_walls(
-    scene: Scene, extents: Extents, over_floors: GeomHeights, carriers: FloorGeoms, excluded: Bool
+def mark_wall_geoms(
+    scene: Scene, extents: Extents, sizes: OccupantSizes, floor_geoms: FloorGeoms, excluded: Bool
 ) -> Bool:
     """Mark the walls by their shapes and names; excluded geoms are none.
 
@@ -160,169 +268,194 @@ def find_walls(
     else; and 0.5 m if it is thin and long. Pieces that continue in the line of a wall are walls,
     too (parapets, lintels, stubs, windows), unless they carry floors.
     """
-    named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
-    hinted = np.array([bool(HINTED.search(names)) for names in named_by_geom], dtype=np.bool_)
-    static = (scene.roles == STATIC_STRUCTURE) & ~excluded
-    slender = _is_slender(extents, *THIN)
-    stands = static & (over_floors.base <= NEAR_FLOOR)
-    named = stands & hinted
-    named &= (over_floors.rise >= NAMED_TALL) | (slender & (over_floors.rise >= LOW))
-    upright = stands & (over_floors.rise >= TALL) & ~carriers.stood_on & ~named
-    upright &= over_floors.upper_area >= UPRIGHT * over_floors.area
-    shaped = upright & slender
-    ends = find_subtree_ends(scene.model)
-    for geom in np.flatnonzero(shaped):
-        shaped[geom] = not _is_furniture_panel(scene, extents, int(geom), ends)
-    thick = upright & ~slender & _is_slender(extents, THICK)
-    shaped |= _meets_at_corner(thick, named | shaped, extents)
-    pieces = static & ~carriers.building & ~carriers.things
-    return _in_line(named | shaped, pieces, extents)
+    names = [" ".join(geom_names).lower() for geom_names in all_names(scene.model).geoms]
+    has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
+    is_static = (scene.roles == STATIC_STRUCTURE) & ~excluded
+    is_slender = _is_slender(extents, *THIN_WALLS)
+    is_near_floor = is_static & (sizes.base <= NEAR_FLOOR)
+
+    walls_by_name = is_near_floor & has_wall_name
+    walls_by_name &= (sizes.rise >= MIN_NAMED_HEIGHT) | (
+        is_slender & (sizes.rise >= MIN_NAMED_THIN_HEIGHT)
+    )
+
+    is_upright = is_near_floor & (sizes.rise >= MIN_WALL_HEIGHT)
+    is_upright &= ~floor_geoms.stood_on & ~walls_by_name
+    is_upright &= sizes.area_at_wall_height >= MIN_UPRIGHT_SHARE * sizes.area
+    walls_by_shape = is_upright & is_slender
+    subtree_ends = find_subtree_ends(scene.model)
+    for geom in np.flatnonzero(walls_by_shape):
+        walls_by_shape[geom] = not _is_furniture_panel(scene, extents, int(geom), subtree_ends)
+
+    is_thick = is_upright & ~is_slender & _is_slender(extents, THICK_WALL)
+    walls_by_shape |= _meets_at_corner(is_thick, walls_by_name | walls_by_shape, extents)
+
+    may_continue = is_static & ~floor_geoms.building & ~floor_geoms.things
+    return _continue_walls(walls_by_name | walls_by_shape, may_continue, extents)
 
 
-def find_panes(extents: Extents, over_floors: GeomHeights, walls: Bool) -> Bool:
+def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
     """Mark what closes an opening in a wall: fixed panes, sliding doors, closed leaves.
 
     A pane is as thin, long and tall as a wall, begins near a floor or a sill, and ends on both
     sides at walls or other panes of the opening.
     """
-    thin, long, ratio = THIN[0]
-    panes = _is_slender(extents, (thin, long, ratio)) & (extents.high - extents.low >= TALL)
-    panes &= (over_floors.base <= NEAR_FLOOR) & ~walls
-    while panes.any():
-        asked = np.flatnonzero(panes)
-        beside = np.flatnonzero(panes | walls & (extents.thin <= THICK[0]))
-        held = np.zeros((2, len(panes)), dtype=np.bool_)
-        for one, other in _near_pairs(asked, beside, extents):
+    is_pane = _is_slender(extents, THIN_WALLS[0])
+    is_pane &= extents.high - extents.low >= MIN_WALL_HEIGHT
+    is_pane &= (sizes.base <= NEAR_FLOOR) & ~is_wall
+    # without a pane that ends nowhere, its neighbor may end nowhere, too
+    while is_pane.any():
+        panes = np.flatnonzero(is_pane)
+        neighbors = np.flatnonzero(is_pane | is_wall & (extents.thin <= THICK_WALL.max_thickness))
+        is_held = np.zeros((2, len(is_pane)), dtype=np.bool_)
+        for pane, neighbor in _near_pairs(panes, neighbors, extents):
             for side, half in enumerate((-0.5, 0.5)):
-                end = extents.center[one] + half * extents.long[one, None] * extents.along[one]
-                held[side, one[(one != other) & _is_in(end, other, extents)]] = True
-        kept = panes & held.all(axis=0)
-        if (kept == panes).all():
+                end = _end_of(pane, half, extents)
+                holds = (pane != neighbor) & _is_on(end, neighbor, extents)
+                is_held[side, pane[holds]] = True
+        remains = is_pane & is_held.all(axis=0)
+        if (remains == is_pane).all():
             break
-        panes = kept
-    return panes
+        is_pane = remains
+    return is_pane
 
 
-def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
-    """Mark what is thin and long by any of several limits; see `THIN`."""
-    slender = np.zeros(len(extents.thin), dtype=np.bool_)
-    for thin, long, ratio in limits:
-        is_long = extents.long >= np.maximum(long, ratio * extents.thin)
-        slender |= (extents.thin <= thin) & is_long
-    return slender
+def _is_slender(extents: Extents, *limits: WallLimits) -> Bool:
+    """Mark what is thin and long by any of several limits."""
+    is_slender = np.zeros(len(extents.thin), dtype=np.bool_)
+    for limit in limits:
+        min_length = np.maximum(limit.min_length, limit.min_ratio * extents.thin)
+        is_slender |= (extents.thin <= limit.max_thickness) & (extents.long >= min_length)
+    return is_slender
 
 
-def _meets_at_corner(thick: Bool, walls: Bool, extents: Extents) -> Bool:
+def _meets_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
     """Mark thick geoms that meet a wall, or another thick one, at a corner, as high as it."""
-    meets = np.zeros(len(thick), dtype=np.bool_)
-    if not thick.any():
+    meets = np.zeros(len(is_thick), dtype=np.bool_)
+    if not is_thick.any():
         return meets
-    for one, other in _near_pairs(np.flatnonzero(thick), np.flatnonzero(thick | walls), extents):
-        turn = np.abs((extents.along[one] * extents.along[other]).sum(axis=1))
-        corner = (turn <= CROSSWISE) & (np.abs(extents.high[one] - extents.high[other]) <= AS_HIGH)
-        corner &= _ends_at(one, other, extents) | _ends_at(other, one, extents)
-        meets[one[corner]] = True
+    thick_geoms = np.flatnonzero(is_thick)
+    neighbors = np.flatnonzero(is_thick | is_wall)
+    for geom, neighbor in _near_pairs(thick_geoms, neighbors, extents):
+        cosine = np.abs((extents.along[geom] * extents.along[neighbor]).sum(axis=1))
+        is_as_high = np.abs(extents.high[geom] - extents.high[neighbor]) <= SAME_TOP
+        is_corner = (cosine <= MAX_CORNER_COSINE) & is_as_high
+        is_corner &= _ends_at(geom, neighbor, extents) | _ends_at(neighbor, geom, extents)
+        meets[geom[is_corner]] = True
     return meets
 
 
-def _ends_at(one: Int, other: Int, extents: Extents) -> Bool:
-    """Whether the middle of an end of each geom is on another one, seen from above."""
-    ends = np.zeros(len(one), dtype=np.bool_)
+def _end_of(geoms: Int, half: float, extents: Extents) -> Float:
+    """Return the middle of one end of each geom, seen from above, (n, 2) [m]; `half`: +-0.5."""
+    end: Float = extents.center[geoms] + half * extents.long[geoms, None] * extents.along[geoms]
+    return end
+
+
+def _ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
+    """Mark the geoms that have the middle of an end on their neighbor, seen from above."""
+    ends = np.zeros(len(geoms), dtype=np.bool_)
     for half in (-0.5, 0.5):
-        end = extents.center[one] + half * extents.long[one, None] * extents.along[one]
-        ends |= _is_in(end, other, extents)
+        ends |= _is_on(_end_of(geoms, half, extents), neighbors, extents)
     return ends
 
 
-def _is_in(points: Float, geoms: Int, extents: Extents) -> Bool:
-    """Whether each point, (n, 2) [m], is on its geom, seen from above."""
-    off = points - extents.center[geoms]
-    across = np.abs((off * extents.across[geoms]).sum(axis=1)) - extents.thin[geoms] / 2
-    along = np.abs((off * extents.along[geoms]).sum(axis=1)) - extents.long[geoms] / 2
-    return np.asarray(np.maximum(across, along) <= TOUCHING)
+def _is_on(points: Float, geoms: Int, extents: Extents) -> Bool:
+    """Mark the points, (n, 2) [m], that are on their geom, seen from above."""
+    offset = points - extents.center[geoms]
+    beyond_side = np.abs((offset * extents.across[geoms]).sum(axis=1)) - extents.thin[geoms] / 2
+    beyond_end = np.abs((offset * extents.along[geoms]).sum(axis=1)) - extents.long[geoms] / 2
+    return np.asarray(np.maximum(beyond_side, beyond_end) <= END_GAP)
 
 
-def _may_hold_building(surface: Bool, extents: Extents) -> Bool:
-    tall = extents.high - extents.low >= TALL
-    return surface & tall & (extents.thin >= BUILDING_WIDTH)
-
-
-def _in_line(walls: Bool, candidates: Bool, extents: Extents) -> Bool:
+def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool:
     """Add the pieces that touch a wall's end and continue in its line, no thicker than it is."""
-    walls = walls.copy()
-    thin = extents.thin <= THICK[0]
-    candidates = candidates & thin
-    new = np.flatnonzero(walls & thin)
-    while len(new):
-        thickest = extents.thin[new].max() + 2 * IN_LINE
-        pieces = np.flatnonzero(candidates & ~walls & (extents.thin <= thickest))
-        found = np.zeros(len(walls), dtype=np.bool_)
-        for wall, piece in _near_pairs(new, pieces, extents):
+    is_wall = is_wall.copy()
+    is_thin = extents.thin <= THICK_WALL.max_thickness
+    may_continue = may_continue & is_thin
+    new_walls = np.flatnonzero(is_wall & is_thin)
+    while len(new_walls):
+        max_thickness = extents.thin[new_walls].max() + 2 * LINE_SLACK
+        pieces = np.flatnonzero(may_continue & ~is_wall & (extents.thin <= max_thickness))
+        continues = np.zeros(len(is_wall), dtype=np.bool_)
+        for wall, piece in _near_pairs(new_walls, pieces, extents):
             offset = extents.center[piece] - extents.center[wall]
             across = extents.across[wall]
             along = extents.along[wall]
-            beyond = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
-            gap = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
-            fits = beyond <= extents.thin[wall] / 2 + IN_LINE
-            fits &= gap <= extents.long[wall] / 2 + TOUCHING
-            found[piece[fits]] = True
-        new = np.flatnonzero(found)
-        walls |= found
-    return walls
+            to_side = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
+            to_end = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
+            is_in_line = to_side <= extents.thin[wall] / 2 + LINE_SLACK
+            is_in_line &= to_end <= extents.long[wall] / 2 + END_GAP
+            continues[piece[is_in_line]] = True
+        new_walls = np.flatnonzero(continues)
+        is_wall |= continues
+    return is_wall
 
 
-def _near_pairs(walls: Int, pieces: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
-    """Pairs of walls and pieces whose boxes touch, a block of walls at a time."""
-    geoms = np.arange(len(extents.thin))
+def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
+    """Yield the pairs of geoms and neighbors whose boxes touch, some of the geoms at a time."""
+    every_geom = np.arange(len(extents.thin))
     center = np.column_stack([extents.center, (extents.low + extents.high) / 2])
-    x, y = (extents.half_widths(geoms, axis) for axis in np.eye(2))
-    reach = np.column_stack([x, y, (extents.high - extents.low) / 2])
-    for block in np.array_split(walls, len(walls) * len(pieces) // PAIRS + 1):
-        touch = np.ones((len(block), len(pieces)), dtype=np.bool_)
+    half_size = np.column_stack(
+        [
+            extents.half_widths(every_geom, np.array([1.0, 0.0])),
+            extents.half_widths(every_geom, np.array([0.0, 1.0])),
+            (extents.high - extents.low) / 2,
+        ]
+    )
+    for geom_chunk in np.array_split(geoms, len(geoms) * len(neighbors) // MAX_PAIRS + 1):
+        touches = np.ones((len(geom_chunk), len(neighbors)), dtype=np.bool_)
         for axis in range(3):
-            apart = np.abs(center[block, axis, None] - center[pieces, axis])
-            touch &= apart <= reach[block, axis, None] + reach[pieces, axis] + TOUCHING
-        wall, piece = np.nonzero(touch)
-        yield block[wall], pieces[piece]
+            distance = np.abs(center[geom_chunk, axis, None] - center[neighbors, axis])
+            reach = half_size[geom_chunk, axis, None] + half_size[neighbors, axis] + END_GAP
+            touches &= distance <= reach
+        row, col = np.nonzero(touches)
+        yield geom_chunk[row], neighbors[col]
 
 
-def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) -> bool:
-    """Whether a body that holds the geom is furniture, see `FURNITURE_DEPTH`."""
+def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends: Int) -> bool:
+    """Return whether a body that holds the geom is furniture, see `FURNITURE_DEPTH`."""
     model = scene.model
     for body in _bodies_above(model, geom):
-        inside = geoms_of_bodies(model, body, int(ends[body]))
-        parts = inside[~np.isnan(extents.thin[inside])]
-        if len(parts) > FURNITURE_PARTS:
+        body_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
+        body_geoms = body_geoms[~np.isnan(extents.thin[body_geoms])]
+        if len(body_geoms) > FURNITURE_GEOMS:
             return False
-        sides = []
-        for way in (extents.across[geom], extents.along[geom]):
-            middle = extents.center[parts] @ way
-            half = extents.half_widths(parts, way)
-            sides.append(float((middle + half).max() - (middle - half).min()))
-        is_deeper = extents.thin[geom] + DEEPER <= sides[0] <= FURNITURE_DEPTH
-        if is_deeper and sides[1] <= FURNITURE_LENGTH:
+        depth = _width_along(body_geoms, extents.across[geom], extents)
+        length = _width_along(body_geoms, extents.along[geom], extents)
+        is_deeper = extents.thin[geom] + FURNITURE_OVER_PANEL <= depth <= FURNITURE_DEPTH
+        if is_deeper and length <= FURNITURE_LENGTH:
             return True
     return False
 
 
+def _width_along(geoms: Int, axis: Float, extents: Extents) -> float:
+    """Return the width of some geoms together along a horizontal axis, (2,) [m]."""
+    middle = extents.center[geoms] @ axis
+    half = extents.half_widths(geoms, axis)
+    return float((middle + half).max() - (middle - half).min())
+
+
 def _names(scene: Scene, geom: int) -> list[str]:
-    """The names of a geom, of its body and of its mesh."""
+    """Return the names of a geom, of its body and of its mesh, as far as they have any."""
     names = all_names(scene.model).geoms[geom]
     return [name for name in (names.geom, names.body, names.mesh) if name]
 
 
-def _bodies_above(model: Any, geom: int) -> Iterator[int]:
-    """The bodies from a geom's up to the topmost."""
+def _bodies_above(model: mujoco.MjModel, geom: int) -> Iterator[int]:
+    """Yield the bodies from a geom's own up to the topmost."""
     body = int(model.geom_bodyid[geom])
     while body > 0:
         yield body
         body = int(model.body_parentid[body])
 
 
+# ---------------------------------------------------------------- floors and ceilings
+
+
 def classify_floor_geoms(
-    counts: Int, stood_on: Bool, cell_size: float, step: float, steps: Steps
+    counts: FloorCounts, steps: FloorSteps, cell_size: float, max_step: float
 ) -> FloorGeoms:
-    """Classify geoms that carry floors as parts of the building or things on its floors.
+    """Classify geoms whose surfaces are floors as parts of the building or things on its floors.
 
     A geom is a thing (a rug, a pallet, a low box, a boulder) if all of these hold:
 
@@ -334,82 +467,68 @@ def classify_floor_geoms(
     All else is the building's: floors, stairs, ramps, platforms, terrain.
 
     Args:
-        counts: in how many cells each geom carries the floor, in how many of those it lies on
-            another one (c), and in how many it only covers that (d), (3, ngeom).
-        stood_on: whether one can stand on it anywhere, (ngeom,).
-        step: the highest one [m].
+        counts: how often each geom is a floor, and lies on another one (b, c) or covers it (d).
+        steps: where floors of two geoms lie side by side.
+        cell_size: edge of a cell [m].
+        max_step: the agent's highest step [m].
     """
-    cells, over, near = counts
-    carries = cells > 0
-    is_over = over >= MOSTLY * cells
-    covering = near >= MOSTLY * cells
-    low, high, rise = steps
-    is_level = rise <= SAME_HEIGHT
-    plateau = label_components(np.stack([low[is_level], high[is_level]]), len(cells))
-    area = np.bincount(plateau, cells)[plateau] * cell_size**2
-    things = carries & (area <= THING_AREA + LIMIT_SLACK) & is_over
-    is_step = (rise > SAME_HEIGHT) & (rise <= step + LIMIT_SLACK) & ~covering[low]
-    low = low[is_step]
-    high = high[is_step]
+    num_geoms = len(counts.num_cells)
+    is_floor = counts.num_cells > 0
+    is_on_floor = counts.num_on_floors >= MIN_ON_FLOOR_SHARE * counts.num_cells
+    covers_floor = counts.num_covers >= MIN_ON_FLOOR_SHARE * counts.num_cells
+
+    is_level = steps.rise <= SAME_HEIGHT
+    level_pairs = np.stack([steps.lower[is_level], steps.higher[is_level]])
+    plateau = label_components(level_pairs, num_geoms)  # floors at one height, side by side
+    plateau_area = np.bincount(plateau, counts.num_cells)[plateau] * cell_size**2
+    things = is_floor & is_on_floor & (plateau_area <= THING_AREA + LIMIT_SLACK)
+
+    is_step = (steps.rise > SAME_HEIGHT) & (steps.rise <= max_step + LIMIT_SLACK)
+    is_step &= ~covers_floor[steps.lower]
+    lower = steps.lower[is_step]
+    higher = steps.higher[is_step]
     # a thing that leads to the building is part of it, and may make another one lead there
-    while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
-        things[leads_up] = False
-    return FloorGeoms(carries & ~things, things, stood_on)
+    while True:
+        leads_to_building = np.unique(lower[things[lower] & ~things[higher]])
+        if not len(leads_to_building):
+            break
+        things[leads_to_building] = False
+    return FloorGeoms(building=is_floor & ~things, things=things, stood_on=counts.stood_on)
 
 
-def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
+def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSettings) -> Bool:
     """Mark ceilings and roofs: static, wide both ways, no taller than wide, and above head height.
 
     `base` is the least height of each geom over a floor that it hangs over, inf for none [m].
     """
-    flat = extents.high - extents.low <= extents.thin
-    high = base >= agent.height - LIMIT_SLACK
-    ceilings: Bool = static & (extents.thin >= CEILING_WIDTH) & flat & high
+    is_flat = extents.high - extents.low <= extents.thin
+    is_above_heads = base >= agent.height - LIMIT_SLACK
+    is_wide = extents.thin >= CEILING_WIDTH
+    ceilings: Bool = is_static & is_wide & is_flat & is_above_heads
     return ceilings
 
 
-def find_steps(floors: Floors, carrier: Int32, lattice: Lattice) -> Steps:
-    """Find where the floors of two geoms lie side by side.
+def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorSteps:
+    """Find where the floors of two geoms lie side by side, on one level or on two.
 
-    `carrier` is the geom that carries each floor, shape (levels, cells), -1 for none.
+    Args:
+        floors: the floors of all levels, and the links between levels.
+        floor_geom: the geom whose surface each floor is, -1 for none, shape (levels, cells).
+        lattice: the cells.
     """
+    num_cells = floor_geom.shape[1]
+    # cells of all levels are numbered on: level * num_cells + cell
     floor = np.concatenate([level.floor.ravel() for level in floors.levels])
-    pairs = [floors.links[:, [0, 2]] * carrier.shape[1] + floors.links[:, [1, 3]]]
-    for number, geom in enumerate(carrier.reshape(-1, *lattice.shape)):
-        cells = differing_pairs(geom).T
-        meet = (carrier[number][cells] >= 0).all(axis=1)
-        pairs.append(cells[meet] + number * geom.size)  # cells of all levels are numbered on
-    cells = np.concatenate(pairs)
-    rise = floor[cells[:, 1]] - floor[cells[:, 0]]
-    geoms = carrier.ravel()[cells].astype(np.int64)
-    geoms[rise < 0] = geoms[rise < 0, ::-1]
-    return geoms[:, 0], geoms[:, 1], np.abs(rise)
-
-
-Classified = tuple[NDArray[np.uint8], NDArray[np.uint8], list[str]]
-"""Kinds and partitions by geom id, see `StandingOccupants`, and warnings."""
-
-
-def classify_geoms(
-    scene: Scene,
-    extents: Extents,
-    over_floors: GeomHeights,
-    carriers: FloorGeoms,
-    agent: AgentSettings,
-    settings: NameSettings,
-) -> Classified:
-    """Kinds and partitions of geoms, see `StandingOccupants`, and warnings."""
-    buildings = find_buildings(scene, extents, over_floors)
-    ceilings = find_ceilings(extents, over_floors.base, scene.roles == STATIC_STRUCTURE, agent)
-    kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
-    kinds[carriers.building | ceilings] = STRUCTURE
-    kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
-    kinds[buildings] = BUILDING
-    partitions = kinds.copy()
-    warnings = list[str]()
-    if settings.walls:  # walls of the settings replace those by shape
-        named, warnings = match_walls(scene, settings.walls)
-        kinds[kinds == WALL] = OBJECT
-        kinds[named] = partitions[named] = WALL
-    partitions[find_panes(extents, over_floors, partitions == WALL)] = WALL
-    return kinds, partitions, warnings
+    from_level, from_cell, to_level, to_cell = floors.links.T
+    from_number = from_level * num_cells + from_cell
+    to_number = to_level * num_cells + to_cell
+    pairs = [np.stack([from_number, to_number], axis=1)]
+    for level, geoms in enumerate(floor_geom):
+        cell_pairs = differing_pairs(geoms.reshape(lattice.shape)).T
+        have_floors = (geoms[cell_pairs] >= 0).all(axis=1)
+        pairs.append(cell_pairs[have_floors] + level * num_cells)
+    cell_pairs = np.concatenate(pairs)
+    rise = floor[cell_pairs[:, 1]] - floor[cell_pairs[:, 0]]
+    geom_pairs = floor_geom.ravel()[cell_pairs].astype(np.int64)
+    geom_pairs[rise < 0] = geom_pairs[rise < 0, ::-1]
+    return FloorSteps(lower=geom_pairs[:, 0], higher=geom_pairs[:, 1], rise=np.abs(rise))

@@ -16,12 +16,12 @@ from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int
 
 # The least floor on something that can move that is worth a warning [m²]
-LEAST_FLOOR = 1.0
+MIN_LOST_AREA = 1.0
 
 
 def find_lost_floors(
     shapes: Shapes,
-    chosen: Bool,
+    is_checked: Bool,
     mover_of: Int,
     levels: Sequence[LevelFloor],
     lattice: Lattice,
@@ -31,39 +31,44 @@ def find_lost_floors(
 
     Args:
         shapes: all geometry that counts.
-        chosen: by geom id, whether it can move and is looked at.
+        is_checked: by geom id, whether it can move and is checked, shape (ngeom,), bool.
         mover_of: by geom id, the body that it moves with.
+        levels: the floors of what stands.
+        lattice: the cells.
+        agent: who would stand on the tops.
 
     Returns:
-        The area of each body's top over no floor, `LEAST_FLOOR` or more, by body id [m²].
+        The area of each body's top over no floor, `MIN_LOST_AREA` or more, by body id [m²].
     """
+    min_area = MIN_LOST_AREA - LIMIT_SLACK
+    cell_area = lattice.cell_size**2
     geoms = shapes.boxed_geoms
-    is_chosen = chosen[geoms]
-    # what is endless is looked at on the lattice
-    boxes = clip_boxes(lattice, shapes.boxes[is_chosen], 0.0)
-    movers = mover_of[geoms[is_chosen]]
-    size = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
-    large = np.flatnonzero(np.bincount(movers, size) >= LEAST_FLOOR - LIMIT_SLACK)
+    is_boxed = is_checked[geoms]
+    # an endless geom counts as far as the lattice reaches
+    boxes = clip_boxes(lattice, shapes.boxes[is_boxed], 0.0)
+    movers = mover_of[geoms[is_boxed]]
+    box_area = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
+    large_movers = np.flatnonzero(np.bincount(movers, box_area) >= min_area)
     areas = dict[int, float]()
-    for mover in large.tolist():
-        own = boxes[movers == mover]
-        low = own[:, :3].min(axis=0)
-        high = own[:, 3:].max(axis=0)
+    for mover in large_movers.tolist():
+        mover_boxes = boxes[movers == mover]
+        low = mover_boxes[:, :3].min(axis=0)
+        high = mover_boxes[:, 3:].max(axis=0)
         window = lattice.window(np.stack([low, high]))
         if window is None:
             continue
-        bare = np.ones(lattice.cut(*window).shape, dtype=np.bool_)
+        # first a bound that is quickly found: no floor anywhere below the mover's highest point
+        is_bare = np.ones(lattice.cut(*window).shape, dtype=np.bool_)
         for level in levels:
-            bare &= ~(level.floor[window] <= high[2])
-        if np.count_nonzero(bare) * lattice.cell_size**2 < LEAST_FLOOR - LIMIT_SLACK:
+            is_bare &= ~(level.floor[window] <= high[2])
+        if np.count_nonzero(is_bare) * cell_area < min_area:
             continue
-        top = find_standable_tops(
-            shapes.only(chosen & (mover_of == mover)), lattice.cut(*window), agent
-        )
-        bare = ~np.isnan(top)
+        mover_shapes = shapes.only(is_checked & (mover_of == mover))
+        top = find_standable_tops(mover_shapes, lattice.cut(*window), agent)
+        is_lost = ~np.isnan(top)
         for level in levels:
-            bare &= ~(level.floor[window] <= top)
-        area = np.count_nonzero(bare) * lattice.cell_size**2
-        if area >= LEAST_FLOOR - LIMIT_SLACK:
+            is_lost &= ~(level.floor[window] <= top)
+        area = np.count_nonzero(is_lost) * cell_area
+        if area >= min_area:
             areas[mover] = area
     return areas

@@ -1,7 +1,7 @@
-"""What can move, and leaves that are no doors: which cells they are in, and what they block there.
+"""What can move, and leaves that are no doors: which cells they are in, and which they block.
 
-They are looked at by themselves, over the floors that what stands has: all once, and again near
-what moved. What they block, what stands blocks and what doors block is put together in the grid.
+They are checked by themselves over the floors of what stands: all of them once, and again near what
+moved. The grid's occupancy joins what they block, what stands blocks, and what doors block.
 """
 
 from __future__ import annotations
@@ -26,29 +26,36 @@ from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.baker.core.windows import Window, cells_near_boxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.shapes import Shapes
-from navbake.baker.occupancy.occupancy import Footprint, Occupancy
-from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import Occupancy
+from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells
 from navbake.baker.occupants.standing import (
     StandingOccupants,
     check_level_occupancy,
     entries_of_cells,
-    find_tops,
+    find_level_ceilings,
 )
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, without_garbage_collection
 from navbake.types import Bool, Float, Int, Int32
 
-# Rows of cells whose entries lie together
+# Rows of cells in a row chunk, whose entries lie together
 CHUNK_ROWS = 16
-# Where more than this share of a block's cells are looked at, all of its columns are cast together,
-# which is faster by the column
-MOST_POINTS = 1 / 8
+# If more than this share of the cells of some rows are checked, all columns of these rows are cast
+# together, which is faster by the column
+MAX_POINT_SHARE = 1 / 8
 
 
-class Entries(NamedTuple):
-    """Geoms in cells, by cell and geom; flags as of `LevelOccupants`."""
+class OccupantEntries(NamedTuple):
+    """Geoms in cells, by cell and then geom; arrays of one length.
+
+    Attributes:
+        cell: cell ids, int64.
+        geom: geom ids, int32.
+        flags: of the geom in the cell, see `LevelOccupants`, uint8.
+    """
 
     cell: Int
     geom: Int32
@@ -56,45 +63,45 @@ class Entries(NamedTuple):
 
 
 class LevelMovables(NamedTuple):
-    """What was found over the floors of some cells of a level.
+    """What can move over some cells of a level.
 
     Attributes:
-        entries: the geoms in them.
-        occupied: those of the cells that these occupy.
-        solid: those whose squares they meet.
+        entries: the geoms in the cells.
+        blocked: the cells that these block, ids.
+        blocked_squares: the cells whose squares alone they block, ids.
     """
 
-    entries: Entries
-    occupied: Int
-    solid: Int
+    entries: OccupantEntries
+    blocked: Int
+    blocked_squares: Int
 
 
 class MovableOccupants(NamedTuple):
     """What can move, and leaves that are no doors, over the floors of all levels.
 
     Attributes:
-        entries: the geoms in cells, by level and band of `CHUNK_ROWS` rows.
-        blocked: the cells of each level that they or what stands blocks, (height, width).
-        blocked_squares: the cells whose squares they or what stands blocks; None where these are
-            the same.
+        entries: the geoms in cells, by level and row chunk.
+        blocked: the cells of each level that they or what stands blocks, (height, width), bool.
+        blocked_squares: the cells whose squares alone they or what stands blocks; None where these
+            are the same.
         num_blocked_alone: by body id, how many cells it blocks that nothing which stands blocks.
     """
 
-    entries: list[list[Entries]]
+    entries: list[list[OccupantEntries]]
     blocked: list[Bool]
     blocked_squares: list[Bool] | None
     num_blocked_alone: Int
 
 
 class MovableContext(NamedTuple):
-    """Over which floors one looks for what can move, and for what.
+    """What does not move, and what can move is checked over.
 
     Attributes:
         lattice: the cells.
-        floors: the storeys.
-        standing: the cells that what stands occupies.
-        footprint: the volume over a cell's floor that has to be free.
-        agent: who needs it.
+        floors: the floors of all levels.
+        standing: the cells that are occupied by what stands.
+        footprint: the volume over a floor that has to be free.
+        agent: its height and largest slope.
         mover_of: by geom id, the body that it moves with.
     """
 
@@ -106,7 +113,7 @@ class MovableContext(NamedTuple):
     mover_of: Int
 
 
-NO_ENTRIES = Entries(
+NO_ENTRIES = OccupantEntries(
     cell=np.empty(0, dtype=np.int64),
     geom=np.empty(0, dtype=np.int32),
     flags=np.empty(0, dtype=np.uint8),
@@ -114,172 +121,207 @@ NO_ENTRIES = Entries(
 
 
 def find_movable_occupants(
-    over: MovableContext, shapes: Shapes, in_the_way: Bool
+    context: MovableContext, shapes: Shapes, in_the_way: Bool
 ) -> MovableOccupants:
     """Find what can move over the floors of all cells.
 
     Args:
+        context: the floors, and what stands on them.
         shapes: all geometry that counts.
-        in_the_way: by geom id, whether it is looked for.
+        in_the_way: by geom id, whether it is checked, shape (ngeom,), bool.
     """
-    num_bands = -(-over.lattice.height // CHUNK_ROWS)
+    num_chunks = -(-context.lattice.height // CHUNK_ROWS)
     nothing = MovableOccupants(
-        entries=[[NO_ENTRIES] * num_bands for _ in over.floors.levels],
-        blocked=over.standing.levels,
-        blocked_squares=over.standing.blocked_squares,
-        num_blocked_alone=np.zeros(int(over.mover_of.max(initial=0)) + 1, dtype=np.int64),
+        entries=[[NO_ENTRIES] * num_chunks for _ in context.floors.levels],
+        blocked=context.standing.levels,
+        blocked_squares=context.standing.blocked_squares,
+        num_blocked_alone=np.zeros(int(context.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
     boxes = shapes.boxes[in_the_way[shapes.boxed_geoms]]
-    return update_movable_occupants(nothing, over, shapes, in_the_way, boxes)
+    return update_movable_occupants(nothing, context, shapes, in_the_way, boxes)
 
 
 def update_movable_occupants(
     occupants: MovableOccupants,
-    over: MovableContext,
+    context: MovableContext,
     shapes: Shapes,
     in_the_way: Bool,
     boxes: Float,
 ) -> MovableOccupants:
-    """Find again what can move in the cells near some boxes, (n, 6) [m]."""
-    lattice = over.lattice
-    cells = cells_near_boxes(lattice, boxes, over.footprint.reach + 2 * TOUCH_DEPTH)
+    """Return occupants that are up to date in the cells near some boxes.
+
+    Args:
+        occupants: the former ones; they are not changed.
+        context: the floors, and what stands on them.
+        shapes: all geometry that counts, as it is now.
+        in_the_way: by geom id, whether it is checked, shape (ngeom,), bool.
+        boxes: boxes round what moved, before and now, (n, 6) [m].
+    """
+    lattice = context.lattice
+    footprint = context.footprint
+    cells = cells_near_boxes(lattice, boxes, footprint.reach + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
-    entries = [list(bands) for bands in occupants.entries]
-    occupied = [layer.copy() for layer in occupants.blocked]
-    solid = (
-        None
-        if occupants.blocked_squares is None
-        else [layer.copy() for layer in occupants.blocked_squares]
-    )
-    taken = occupants.num_blocked_alone.copy()
+    entries = [list(row_chunks) for row_chunks in occupants.entries]
+    blocked = [layer.copy() for layer in occupants.blocked]
+    blocked_squares = None
+    if occupants.blocked_squares is not None:
+        blocked_squares = [layer.copy() for layer in occupants.blocked_squares]
+    num_blocked_alone = occupants.num_blocked_alone.copy()
+    num_bodies = len(num_blocked_alone)
     for rows in split_into_row_chunks(lattice):
         first, end = np.searchsorted(cells, rows.cell_range(lattice))
-        some = cells[first:end]
-        if not len(some):
+        row_cells = cells[first:end]
+        if not len(row_cells):
             continue
-        near = in_the_way & _mark_near(shapes, some, lattice, over.footprint.reach)
-        for k, found in enumerate(_look_at_cells(over, shapes.only(near), rows, some)):
-            standing = over.standing.levels[k]
-            removed = _replace_entries(entries[k], some, found.entries, lattice)
-            taken -= _count_taken(removed, standing, over.mover_of, len(taken))
-            taken += _count_taken(found.entries, standing, over.mover_of, len(taken))
-            _replace_cells(occupied[k], standing, some, found.occupied)
-            if solid is not None and over.standing.blocked_squares is not None:
-                _replace_cells(solid[k], over.standing.blocked_squares[k], some, found.solid)
-    return MovableOccupants(entries, occupied, solid, taken)
+        is_near = in_the_way & _mark_geoms_near(shapes, row_cells, lattice, footprint.reach)
+        by_level = _find_over_cells(context, shapes.only(is_near), rows, row_cells)
+        for k, movables in enumerate(by_level):
+            standing = context.standing.levels[k]
+            former = _replace_entries(entries[k], row_cells, movables.entries, lattice)
+            num_blocked_alone -= _count_blocked_alone(
+                former, standing, context.mover_of, num_bodies
+            )
+            num_blocked_alone += _count_blocked_alone(
+                movables.entries, standing, context.mover_of, num_bodies
+            )
+            _write_blocked(blocked[k], standing, row_cells, movables.blocked)
+            if blocked_squares is not None and context.standing.blocked_squares is not None:
+                _write_blocked(
+                    blocked_squares[k],
+                    context.standing.blocked_squares[k],
+                    row_cells,
+                    movables.blocked_squares,
+                )
+    return MovableOccupants(entries, blocked, blocked_squares, num_blocked_alone)
 
 
-def _replace_cells(layer: Bool, standing: Bool, cells: Int, occupied: Int) -> None:
-    """Write into a layer which of some cells are occupied: as what stands has it, and more."""
+def _write_blocked(layer: Bool, standing: Bool, cells: Int, blocked: Int) -> None:
+    """Write some cells of a layer: what stands blocks them as in `standing`, and more `blocked`."""
     flat = layer.ravel()
     flat[cells] = standing.ravel()[cells]
-    flat[occupied] = True
+    flat[blocked] = True
 
 
-def _replace_entries(bands: list[Entries], cells: Int, found: Entries, lattice: Lattice) -> Entries:
-    """Replace the entries of some cells, ascending, in their bands; returns the former ones."""
-    band_cells = CHUNK_ROWS * lattice.width
-    removed = [NO_ENTRIES]
-    band_of = cells // band_cells
-    for band in band_of[np.diff(band_of, prepend=-1) != 0].tolist():
-        low = band * band_cells
-        high = low + band_cells
-        first, end = np.searchsorted(found.cell, [low, high]).tolist()
-        new = Entries(found.cell[first:end], found.geom[first:end], found.flags[first:end])
-        before = bands[band]
+def _replace_entries(
+    row_chunks: list[OccupantEntries], cells: Int, new_entries: OccupantEntries, lattice: Lattice
+) -> OccupantEntries:
+    """Replace the entries of some cells, ascending, in their row chunks; return the former ones."""
+    chunk_size = CHUNK_ROWS * lattice.width
+    former_entries = [NO_ENTRIES]
+    chunk_of_cell = cells // chunk_size
+    for chunk in chunk_of_cell[np.diff(chunk_of_cell, prepend=-1) != 0].tolist():
+        first_cell = chunk * chunk_size
+        end_cell = first_cell + chunk_size
+        first, end = np.searchsorted(new_entries.cell, [first_cell, end_cell]).tolist()
+        entries = OccupantEntries(
+            cell=new_entries.cell[first:end],
+            geom=new_entries.geom[first:end],
+            flags=new_entries.flags[first:end],
+        )
+        before = row_chunks[chunk]
         if len(before.cell):
-            is_asked = np.zeros(band_cells, dtype=np.bool_)
-            first, end = np.searchsorted(cells, [low, high]).tolist()
-            is_asked[cells[first:end] - low] = True
-            is_removed = is_asked[before.cell - low]
-            removed.append(Entries(*(array[is_removed] for array in before)))
-            kept = Entries(*(array[~is_removed] for array in before))
-            both = join_entries([kept, new])
-            order = np.argsort(both.cell, kind="stable")
-            new = Entries(both.cell[order], both.geom[order], both.flags[order])
-        bands[band] = new
-    return join_entries(removed)
+            is_replaced = np.zeros(chunk_size, dtype=np.bool_)
+            first, end = np.searchsorted(cells, [first_cell, end_cell]).tolist()
+            is_replaced[cells[first:end] - first_cell] = True
+            is_former = is_replaced[before.cell - first_cell]
+            former_entries.append(_select_entries(before, is_former))
+            remaining = _select_entries(before, ~is_former)
+            merged = join_entries([remaining, entries])
+            entries = _select_entries(merged, np.argsort(merged.cell, kind="stable"))
+        row_chunks[chunk] = entries
+    return join_entries(former_entries)
 
 
-def join_entries(parts: Sequence[Entries]) -> Entries:
-    """The entries of several parts, one after the other."""
-    return Entries(
+def _select_entries(entries: OccupantEntries, places: Bool | Int) -> OccupantEntries:
+    """Return the entries at places, or under a mask."""
+    return OccupantEntries(entries.cell[places], entries.geom[places], entries.flags[places])
+
+
+def join_entries(parts: Sequence[OccupantEntries]) -> OccupantEntries:
+    """Return the entries of several parts, one after the other."""
+    return OccupantEntries(
         cell=np.concatenate([part.cell for part in parts]),
         geom=np.concatenate([part.geom for part in parts]),
         flags=np.concatenate([part.flags for part in parts]),
     )
 
 
-def _count_taken(entries: Entries, standing: Bool, mover_of: Int, num_bodies: int) -> Int:
-    """How many cells each body blocks that nothing which stands blocks."""
+def _count_blocked_alone(
+    entries: OccupantEntries, standing: Bool, mover_of: Int, num_bodies: int
+) -> Int:
+    """Count the cells that each body blocks and nothing which stands does."""
     blocks_alone = (entries.flags & BLOCKING) > 0
     blocks_alone &= ~standing.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
     bodies = mover_of[entries.geom[blocks_alone]]
-    pair = entries.cell[blocks_alone] * num_bodies + bodies
-    is_first = np.diff(pair, prepend=-1) != 0
-    return np.bincount(pair[is_first] % num_bodies, minlength=num_bodies)
+    cell_and_body = entries.cell[blocks_alone] * num_bodies + bodies
+    is_first = np.diff(cell_and_body, prepend=-1) != 0
+    return np.bincount(cell_and_body[is_first] % num_bodies, minlength=num_bodies)
 
 
-def _look_at_cells(
-    over: MovableContext, shapes: Shapes, rows: RowChunk, cells: Int
+def _find_over_cells(
+    context: MovableContext, shapes: Shapes, rows: RowChunk, cells: Int
 ) -> list[LevelMovables]:
-    """Find what can move over some cells, ascending, of a block of rows, by level."""
-    lattice = over.lattice
-    tiled = tile_shapes(shapes, lattice, over.footprint.reach)
+    """Find what can move over some cells, ascending, of a range of rows, by level."""
+    lattice = context.lattice
+    tiled = tile_shapes(shapes, lattice, context.footprint.reach)
     first, end = rows.cell_range(lattice)
-    if len(cells) > MOST_POINTS * (end - first):
+    if len(cells) > MAX_POINT_SHARE * (end - first):
         columns = cast_columns(tiled, rows)
     else:
         centers = lattice.positions(*np.divmod(cells, lattice.width))
         columns = index_by_cell(lattice, cells, cast_points(tiled, cells, centers))
-    probed = np.zeros(len(shapes.endless), dtype=np.bool_)
-    found = []
-    for level, top in zip(over.floors.levels, find_tops(over.floors), strict=True):
-        look = check_level_occupancy(
+    no_wall_candidates = np.zeros(len(shapes.endless), dtype=np.bool_)
+    by_level = []
+    level_ceilings = find_level_ceilings(context.floors)
+    for level, level_ceiling in zip(context.floors.levels, level_ceilings, strict=True):
+        checked = check_level_occupancy(
             columns,
             tiled,
-            footprint=over.footprint,
+            footprint=context.footprint,
             cells=cells,
             level=level,
-            top=top,
-            agent=over.agent,
-            probed=probed,
+            level_ceiling=level_ceiling,
+            agent=context.agent,
+            wall_candidates=no_wall_candidates,
         )
+        occupancy = checked.occupancy
         place, geom, flags = entries_of_cells(
-            look.listing.first,
-            look.found.geom,
-            look.found.flags,
-            np.arange(len(look.cells)),
+            checked.lists.first,
+            occupancy.geom,
+            occupancy.flags,
+            np.arange(len(checked.cells)),
         )
-        found.append(
+        by_level.append(
             LevelMovables(
-                entries=Entries(look.cells[place], geom, flags),
-                occupied=look.cells[look.found.occupied],
-                solid=look.cells[look.found.solid],
+                entries=OccupantEntries(checked.cells[place], geom, flags),
+                blocked=checked.cells[occupancy.occupied],
+                blocked_squares=checked.cells[occupancy.square_occupied],
             )
         )
-    return found
+    return by_level
 
 
-def _mark_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bool:
+def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float) -> Bool:
     """Mark the geoms whose boxes are near the rectangle round some cells, ascending."""
     row, col = np.divmod(cells, lattice.width)
-    far = reach + lattice.cell_size
-    x, y = lattice.positions(row[[0, -1]], np.array([col.min(), col.max()])).T
+    margin = reach + lattice.cell_size
+    corners = lattice.positions(row[[0, -1]], np.array([col.min(), col.max()]))
+    x_min, y_max = corners[0]  # rows go from north to south
+    x_max, y_min = corners[1]
     boxes = shapes.boxes
-    is_near = (boxes[:, 0] <= x[1] + far) & (boxes[:, 3] >= x[0] - far)
-    is_near &= (boxes[:, 1] <= y[0] + far) & (boxes[:, 4] >= y[1] - far)
+    is_near = (boxes[:, 0] <= x_max + margin) & (boxes[:, 3] >= x_min - margin)
+    is_near &= (boxes[:, 1] <= y_max + margin) & (boxes[:, 4] >= y_min - margin)
     marked = np.zeros(len(shapes.endless), dtype=np.bool_)
     marked[shapes.boxed_geoms[is_near]] = True
     return marked
 
 
 def name_occupants(
-    contents: StandingOccupants, occupants: MovableOccupants, level: int, window: Window
+    standing: StandingOccupants, movable: MovableOccupants, level: int, window: Window
 ) -> UserData:
-    """Name what is in a storey's cells, as the original client does.
+    """Name what is in a level's cells, as the original client does.
 
     `objects` are all things but walls and the building's own floors, ceilings and stairs, also
     those that one stands on (rugs, pallets); `walls` the walls. Both stand, hang or lie between
@@ -287,41 +329,55 @@ def name_occupants(
     band, where these are not the same names. `navbake.navgrid.door_states.with_door_names` adds
     the doors.
 
-    The data is by cell id on the window: sorted names under each key that has any.
+    Args:
+        standing: what stands in the cells.
+        movable: what can move in them.
+        level: number of the level.
+        window: the cells that the grid holds.
+
+    Returns:
+        Sorted names under each key that has any, by cell id on the window; made on first use.
     """
     # deferred: planning and plotting don't need it
-    return UserData(partial(_name_cells, contents, occupants.entries[level], level, window))
+    return UserData(partial(_name_cells, standing, movable.entries[level], level, window))
 
 
 def _name_cells(
-    contents: StandingOccupants, bands: Sequence[Entries], level: int, window: Window
+    standing: StandingOccupants, row_chunks: Sequence[OccupantEntries], level: int, window: Window
 ) -> Shared:
-    moving = join_entries(bands)
-    listed = contents.levels[level]
-    cells = np.arange(len(listed.first))
-    cell, geom, flags = entries_of_cells(listed.first, listed.geom, listed.flags, cells)
-    kind = contents.kinds[geom]
-    stands = (flags & OCCUPYING) > 0
+    """Name what is in a level's cells, see `name_occupants`."""
+    occupants = standing.levels[level]
+    every_cell = np.arange(len(occupants.first))
+    cell, geom, flags = entries_of_cells(
+        occupants.first, occupants.geom, occupants.flags, every_cell
+    )
+    kind = standing.kinds[geom]
+    is_occupying = (flags & OCCUPYING) > 0
     is_wall = (kind == WALL) | ((kind == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
     bits = np.where(flags & BLOCKING, BLOCKERS, 0)
-    bits |= np.where(stands & is_wall, WALLS, 0)
-    bits |= np.where(stands & (kind == OBJECT), OBJECTS, 0)
-    carrier = listed.carrier
-    below = np.flatnonzero(carrier >= 0)
-    below = below[contents.kinds[carrier[below]] == OBJECT]
-    # walls are what the settings call so
-    standing_as = np.where(contents.kinds[moving.geom] == WALL, WALLS, OBJECTS)
-    moving_bits = np.where(moving.flags & BLOCKING, BLOCKERS, 0)
-    moving_bits |= np.where(moving.flags & OCCUPYING, standing_as, 0)
-    carried = np.full(len(below), OBJECTS)
+    bits |= np.where(is_occupying & is_wall, WALLS, 0)
+    bits |= np.where(is_occupying & (kind == OBJECT), OBJECTS, 0)
+
+    # things that are the floor of a cell
+    floor_cells = np.flatnonzero(occupants.floor_geom >= 0)
+    floor_geom = occupants.floor_geom[floor_cells]
+    is_thing = standing.kinds[floor_geom] == OBJECT
+    floor_cells = floor_cells[is_thing]
+    floor_geom = floor_geom[is_thing]
+    floor_bits = np.full(len(floor_cells), OBJECTS)
+
+    movable = join_entries(row_chunks)
+    # of what can move, only what the settings name is a wall
+    key_bit = np.where(standing.kinds[movable.geom] == WALL, WALLS, OBJECTS)
+    movable_bits = np.where(movable.flags & BLOCKING, BLOCKERS, 0)
+    movable_bits |= np.where(movable.flags & OCCUPYING, key_bit, 0)
     with without_garbage_collection():
-        return Shared(
-            *name_cells(
-                np.concatenate([cell, below, moving.cell]),
-                np.concatenate([geom, carrier[below], moving.geom]),
-                np.concatenate([bits, carried, moving_bits]),
-                contents.names,
-                listed.lattice,
-                window,
-            )
+        cells, number, entries = name_cells(
+            np.concatenate([cell, floor_cells, movable.cell]),
+            np.concatenate([geom, floor_geom, movable.geom]),
+            np.concatenate([bits, floor_bits, movable_bits]),
+            names=standing.names,
+            lattice=occupants.lattice,
+            window=window,
         )
+        return Shared(cells, number, entries)

@@ -1,7 +1,7 @@
 """What stands in each cell: whether it is occupied, by which geoms, what they are, their names.
 
-What stands is looked at once, block by block; what can move is looked at by itself, see
-`navbake.baker.occupants.movable`.
+Cells of all levels are checked once, block by block, against what stands. What can move is checked
+by itself, see `navbake.baker.occupants.movable`.
 """
 
 from __future__ import annotations
@@ -21,66 +21,62 @@ from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.geometry.extents import Extents
-from navbake.baker.occupancy.occupancy import (
-    NO_LISTING,
-    CellOccupancy,
-    Footprint,
-    Occupancy,
-    check_occupancy,
-)
-from navbake.baker.occupancy.occupancy_kernels import OccupantLists
-from navbake.baker.occupants import list_kernels as kernels
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import NO_LISTS, CellOccupancy, Occupancy, check_occupancy
+from navbake.baker.occupancy.volume_kernels import OccupantLists
+from navbake.baker.occupants import occupant_kernels as kernels
 from navbake.baker.occupants.cell_names import name_geoms
 from navbake.baker.occupants.column_flags import flag_columns
 from navbake.baker.occupants.kinds import (
     COVERING,
     THING_HEIGHT,
     WALL_HEIGHTS,
-    GeomHeights,
+    FloorCounts,
+    OccupantSizes,
     classify_floor_geoms,
     classify_geoms,
     find_steps,
 )
-from navbake.baker.occupants.list_kernels import LevelOccupants
+from navbake.baker.occupants.occupant_kernels import FloorLayers, GeomHeights, LevelOccupants
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Int, Int32
 
-# Lists get so many times the room that they are expected to need
-SPARE = 1.1
-# How far above its floors the last storey ends, whatever moves at the scene's top [m]
+# Arrays that are too small get so many times the room that all cells are expected to need
+SPARE_ROOM = 1.1
+# How far above its floors the last level ends, whatever moves at the scene's top [m]
 OPEN_ABOVE = 100.0
-# Empty columns of `measure_blocks`
-NO_MEASURES = np.empty((0, 7), dtype=np.int64), np.empty((0, 2))
+# Rows of `measure_blocks` for no block
+NO_ROWS = (np.empty((0, 7), dtype=np.int64), np.empty((0, 2)))
 
 
 class LevelOccupancy(NamedTuple):
-    """What was found over the floors of some cells of a level.
+    """The occupancy of some cells of a level.
 
     Attributes:
         cells: those of the cells that have a floor, shape (n,).
-        found: the answers for these.
-        listing: the lists of what stands in them; empty if none are asked for.
+        occupancy: of these.
+        lists: where the lists of their occupants begin; empty if none are wanted.
     """
 
     cells: Int
-    found: CellOccupancy
-    listing: OccupantLists
+    occupancy: CellOccupancy
+    lists: OccupantLists
 
 
 class StandingCells(NamedTuple):
-    """What stands in the cells of all storeys.
+    """What one pass over the columns finds in the cells of all levels.
 
     Attributes:
-        occupancy: the cells that it occupies.
-        levels: the geoms in each cell, by level; empty if they are not asked for.
+        occupancy: the cells that are occupied by what stands.
+        occupants: the geoms in each cell, by level; empty if they are not wanted.
         column_flags: flags of each cell's column, by level, see `flag_columns`.
     """
 
     occupancy: Occupancy
-    levels: list[LevelOccupants]
+    occupants: list[LevelOccupants]
     column_flags: list[NDArray[np.uint8]]
 
 
@@ -89,43 +85,47 @@ class StandingOccupants:
     """What stands in all cells with a floor.
 
     Attributes:
-        levels: the storeys' cells, lowest first.
+        levels: the geoms in each cell, by level, lowest first.
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
-        partitions: the same for rooms, which walls by shape and panes part whatever their names.
+        room_kinds: the same for the segmentation of rooms: what has a wall's shape, and panes,
+            are WALL whatever their names.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
     """
 
     levels: list[LevelOccupants]
     kinds: NDArray[np.uint8]
-    partitions: NDArray[np.uint8]
+    room_kinds: NDArray[np.uint8]
     names: list[str]
     warnings: list[str]
 
     def mark_walls(self, level: int) -> tuple[Bool, Bool]:
-        """Mark the cells that a wall stands in and blocks.
+        """Mark the cells of a level that a wall occupies and blocks.
 
-        Also returns those that a building's mesh blocks only below `WALL_HEIGHTS`.
+        Returns:
+            The cells with a wall; and those that a building's mesh blocks only below
+            `WALL_HEIGHTS`; both (height, width), bool.
         """
-        listed = self.levels[level]
-        cells = np.arange(len(listed.first))
-        walls = np.empty(len(cells), dtype=np.bool_)
-        lows = np.empty(len(cells), dtype=np.bool_)
+        occupants = self.levels[level]
+        cells = np.arange(len(occupants.first))
+        is_wall = np.empty(len(cells), dtype=np.bool_)
+        is_low_wall = np.empty(len(cells), dtype=np.bool_)
         run_in_chunks(
             kernels.mark_walls,
             len(cells),
-            listed,
-            self.partitions,
+            occupants,
+            self.room_kinds,
             cells,
-            walls,
-            lows,
+            is_wall,
+            is_low_wall,
             least=LEAST_CELLS,
         )
-        return walls.reshape(listed.lattice.shape), lows.reshape(listed.lattice.shape)
+        shape = occupants.lattice.shape
+        return is_wall.reshape(shape), is_low_wall.reshape(shape)
 
 
-def find_tops(floors: Floors) -> list[float]:
-    """The height at which each storey ends: the next one's ground; inf for the last [m]."""
+def find_level_ceilings(floors: Floors) -> list[float]:
+    """Return the height at which each level ends: the next one's ground; inf for the last [m]."""
     return [*(level.ground for level in floors.levels[1:]), np.inf]
 
 
@@ -135,36 +135,41 @@ def check_level_occupancy(
     footprint: Footprint,
     cells: Int,
     level: LevelFloor,
-    top: float,
+    level_ceiling: float,
     agent: AgentSettings,
-    probed: Bool | None,
+    wall_candidates: Bool | None,
 ) -> LevelOccupancy:
-    """Look at what is over the floors of some cells of a level, ascending.
+    """Check which cells of a level are occupied, and list the occupants.
 
     Args:
-        columns, tiled: the geometry that is looked for, near these cells.
-        top: where the storey ends [m].
-        probed: by geom id, whether it is tested in the walls' band; None to list nothing.
+        columns: the columns of the cells.
+        tiled: the geoms near the cells.
+        footprint: the volume over a floor that has to be free.
+        cells: cell ids, ascending.
+        level: the floors.
+        level_ceiling: where the level ends, see `find_level_ceilings` [m].
+        agent: its height and largest slope.
+        wall_candidates: by geom id, whether AT_WALL_HEIGHT is tested, bool; None to list nothing.
     """
     floor = level.floor.ravel()[cells]
     has_floor = ~np.isnan(floor)
-    here = cells[has_floor]
+    floor_cells = cells[has_floor]
     heights = floor[has_floor]
-    listing = NO_LISTING
-    if probed is not None:
-        ceiling = np.minimum(top, heights + OPEN_ABOVE)
-        listing = OccupantLists(
+    lists = NO_LISTS
+    if wall_candidates is not None:
+        ceiling = np.minimum(level_ceiling, heights + OPEN_ABOVE)
+        lists = OccupantLists(
             ceiling=np.maximum(ceiling, heights + agent.height) - TOUCH_DEPTH,
-            first=np.empty(len(here), dtype=np.int32),
-            carrier=np.empty(len(here), dtype=np.int32),
-            gap=np.empty(len(here)),
-            probed=probed,
-            low=WALL_HEIGHTS[0] + TOUCH_DEPTH,
-            high=WALL_HEIGHTS[1] - TOUCH_DEPTH,
+            first=np.empty(len(floor_cells), dtype=np.int32),
+            floor_geom=np.empty(len(floor_cells), dtype=np.int32),
+            gap_below=np.empty(len(floor_cells)),
+            is_wall_candidate=wall_candidates,
+            wall_low=WALL_HEIGHTS.low + TOUCH_DEPTH,
+            wall_high=WALL_HEIGHTS.high - TOUCH_DEPTH,
             min_up=agent_limits(agent).min_up,
         )
-    found = check_occupancy(columns, tiled, footprint, here, heights, listing)
-    return LevelOccupancy(here, found, listing)
+    occupancy = check_occupancy(columns, tiled, footprint, floor_cells, heights, lists)
+    return LevelOccupancy(floor_cells, occupancy, lists)
 
 
 def find_standing_cells(
@@ -173,84 +178,104 @@ def find_standing_cells(
     floors: Floors,
     footprint: Footprint,
     agent: AgentSettings,
-    probed: Bool | None,
+    wall_candidates: Bool | None,
     clock: StageClock,
 ) -> StandingCells:
     """Find what stands in all cells, and flag their columns for rooms, in one pass over the blocks.
 
     Args:
-        columns: of what stands.
+        columns: columns of what stands.
         tiles: what stands, by tiles of the same lattice.
-        probed: see `check_level_occupancy`.
+        floors: the floors of all levels.
+        footprint: the volume over a floor that has to be free.
+        agent: its height, highest step and largest slope.
+        wall_candidates: see `check_level_occupancy`.
         clock: times the flags as a part of rooms.
     """
     lattice = columns.lattice
     num_cells = lattice.width * lattice.height
-    tops = find_tops(floors)
-    taken = [np.isnan(level.floor) for level in floors.levels]
-    solid = [mask.copy() for mask in taken] if footprint.radius > 0.0 else None
-    flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
-    lists = [GrowingLists(lattice) for _ in floors.levels if probed is not None]
+    level_ceilings = find_level_ceilings(floors)
+    occupied = [np.isnan(level.floor) for level in floors.levels]
+    blocked_squares = None
+    if footprint.radius > 0.0:
+        blocked_squares = [mask.copy() for mask in occupied]
+    column_flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
+    builders = list[OccupantsBuilder]()
+    if wall_candidates is not None:
+        builders = [OccupantsBuilder(lattice) for _ in floors.levels]
     for block in columns.row_chunks():
         tiled = block.nearby_shapes or tiles.near_rows(block.valid_rows)
         first, end = block.valid_rows.cell_range(lattice)
         cells = np.arange(first, end)
         for k, level in enumerate(floors.levels):
-            look = check_level_occupancy(
+            checked = check_level_occupancy(
                 block,
                 tiled,
                 footprint=footprint,
                 cells=cells,
                 level=level,
-                top=tops[k],
+                level_ceiling=level_ceilings[k],
                 agent=agent,
-                probed=probed,
+                wall_candidates=wall_candidates,
             )
-            taken[k].reshape(-1)[look.cells] = look.found.occupied
-            if solid is not None:
-                solid[k].reshape(-1)[look.cells] = look.found.solid
-            if probed is not None:
-                lists[k].append(look, end / num_cells)
+            occupied[k].reshape(-1)[checked.cells] = checked.occupancy.occupied
+            if blocked_squares is not None:
+                squares = blocked_squares[k].reshape(-1)
+                squares[checked.cells] = checked.occupancy.square_occupied
+            if builders:
+                builders[k].append(checked, end / num_cells)
         with clock.part("rooms"):
             hits = block.hits._replace(start=block.start[first : end + 1])
             for k, level in enumerate(floors.levels):
-                flag_columns(hits, level, slice(first, end), agent, flags[k])
-    levels = [growing.listed for growing in lists]
-    return StandingCells(Occupancy(taken, solid), levels, flags)
+                flag_columns(hits, level, slice(first, end), agent, column_flags[k])
+    return StandingCells(
+        occupancy=Occupancy(occupied, blocked_squares),
+        occupants=[builder.occupants for builder in builders],
+        column_flags=column_flags,
+    )
 
 
-class GrowingLists:
-    """The lists of a level's cells, while blocks are added; `listed` has what was added."""
+class OccupantsBuilder:
+    """Collects the occupants of a level while cells are checked block by block.
+
+    Attributes:
+        occupants: of the cells that were appended; the other cells have none.
+    """
 
     def __init__(self, lattice: Lattice) -> None:
-        num = lattice.width * lattice.height
-        self._used = 0
-        self.listed = LevelOccupants(
+        num_cells = lattice.width * lattice.height
+        self._num_entries = 0
+        self.occupants = LevelOccupants(
             lattice=lattice,
-            first=np.zeros(num, dtype=np.int32),
+            first=np.zeros(num_cells, dtype=np.int32),
             geom=np.empty(0, dtype=np.int32),
             flags=np.empty(0, dtype=np.uint8),
-            carrier=np.full(num, -1, dtype=np.int32),
-            gap=np.full(num, np.inf),
+            floor_geom=np.full(num_cells, -1, dtype=np.int32),
+            gap_below=np.full(num_cells, np.inf),
         )
 
-    def append(self, look: LevelOccupancy, share: float) -> None:
-        """Add the lists of some cells; `share` of all cells are known with these."""
-        used = self._used
-        needed = used + len(look.found.geom)
-        if needed > len(self.listed.geom):
-            size = int(needed * SPARE / share) if share < 1.0 else needed
-            geom = np.empty(size, dtype=np.int32)
-            flags = np.empty(size, dtype=np.uint8)
-            geom[:used] = self.listed.geom[:used]
-            flags[:used] = self.listed.flags[:used]
-            self.listed = self.listed._replace(geom=geom, flags=flags)
-        self.listed.geom[used:needed] = look.found.geom
-        self.listed.flags[used:needed] = look.found.flags
-        self.listed.first[look.cells] = look.listing.first + np.int32(used)
-        self.listed.carrier[look.cells] = look.listing.carrier
-        self.listed.gap[look.cells] = look.listing.gap
-        self._used = needed
+    def append(self, checked: LevelOccupancy, share: float) -> None:
+        """Append the occupants of some cells.
+
+        Args:
+            checked: the cells and their lists.
+            share: share of all cells that are appended once these are, in (0, 1].
+        """
+        begin = self._num_entries
+        end = begin + len(checked.occupancy.geom)
+        if end > len(self.occupants.geom):
+            room = int(end * SPARE_ROOM / share) if share < 1.0 else end
+            geom = np.empty(room, dtype=np.int32)
+            flags = np.empty(room, dtype=np.uint8)
+            geom[:begin] = self.occupants.geom[:begin]
+            flags[:begin] = self.occupants.flags[:begin]
+            self.occupants = self.occupants._replace(geom=geom, flags=flags)
+        self.occupants.geom[begin:end] = checked.occupancy.geom
+        self.occupants.flags[begin:end] = checked.occupancy.flags
+        self.occupants.first[checked.cells] = checked.lists.first + np.int32(begin)
+        self.occupants.floor_geom[checked.cells] = checked.lists.floor_geom
+        self.occupants.gap_below[checked.cells] = checked.lists.gap_below
+        self._num_entries = end
 
 
 def classify_occupants(
@@ -264,70 +289,102 @@ def classify_occupants(
     """Classify what stands in the cells: walls, buildings, their floors and ceilings, or things.
 
     Args:
-        levels: the geoms in each cell.
-        extents: of all that stands.
+        scene: the scene whose geoms stand.
+        levels: the geoms in each cell, by level.
+        floors: the floors of all levels.
+        extents: boxes round all that stands.
+        agent: its height and highest step.
+        settings: patterns of the names of walls.
     """
-    over_floors, counts, stood_on = _measure_levels(levels, floors, extents)
-    carrier = np.stack([listed.carrier for listed in levels])
+    sizes, floor_counts = _measure_levels(levels, floors, extents)
     lattice = levels[0].lattice
-    carriers = classify_floor_geoms(
-        counts=counts,
-        stood_on=stood_on,
+    floor_geom = np.stack([occupants.floor_geom for occupants in levels])
+    floor_geoms = classify_floor_geoms(
+        floor_counts,
+        steps=find_steps(floors, floor_geom, lattice),
         cell_size=lattice.cell_size,
-        step=agent.traversable_floor_height,
-        steps=find_steps(floors, carrier, lattice),
+        max_step=agent.traversable_floor_height,
     )
-    kinds, partitions, warnings = classify_geoms(
+    classified = classify_geoms(
         scene,
         extents,
-        over_floors=over_floors,
-        carriers=carriers,
+        sizes=sizes,
+        floor_geoms=floor_geoms,
         agent=agent,
         settings=settings,
     )
-    return StandingOccupants(list(levels), kinds, partitions, name_geoms(scene), warnings)
+    return StandingOccupants(
+        levels=list(levels),
+        kinds=classified.kinds,
+        room_kinds=classified.room_kinds,
+        names=name_geoms(scene),
+        warnings=classified.warnings,
+    )
 
 
 def _measure_levels(
     levels: Sequence[LevelOccupants], floors: Floors, extents: Extents
-) -> tuple[GeomHeights, Int, Bool]:
-    """How geoms stand over floors, and the arguments of `classify_floor_geoms`."""
-    num = len(extents.low)
-    heights = (extents.low, extents.high)
-    base = np.full(num, np.inf)
-    rise = np.full(num, -np.inf)
-    stood_on = np.zeros(num, dtype=np.bool_)
-    on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + LIMIT_SLACK
-    limits = (on_floor, COVERING + LIMIT_SLACK)
-    blocks = np.arange(Blocks(levels[0].lattice).num)
-    counts = np.zeros((len(levels), 5, num), dtype=np.int64)
-    for k, (listed, level) in enumerate(zip(levels, floors.levels, strict=True)):
-        layers = (level.floor.ravel(), level.standable.ravel())
-        _, (rows, over) = list_rows(
-            kernels.measure_blocks, blocks, NO_MEASURES, listed, layers, heights, limits
+) -> tuple[OccupantSizes, FloorCounts]:
+    """Measure how geoms stand over the floors of all levels, and how often they are floors."""
+    lattice = levels[0].lattice
+    num_geoms = len(extents.low)
+    heights = GeomHeights(
+        low=extents.low,
+        high=extents.high,
+        on_floor_gap=(np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + LIMIT_SLACK),
+        cover_gap=COVERING + LIMIT_SLACK,
+    )
+    base = np.full(num_geoms, np.inf)
+    rise = np.full(num_geoms, -np.inf)
+    stood_on = np.zeros(num_geoms, dtype=np.bool_)
+    blocks = np.arange(Blocks(lattice).num)
+    counts = np.zeros((len(levels), kernels.NUM_COUNTS, num_geoms), dtype=np.int64)
+    for k, (occupants, level) in enumerate(zip(levels, floors.levels, strict=True)):
+        layers = FloorLayers(level.floor.ravel(), level.standable.ravel())
+        _, (block_counts, block_heights) = list_rows(
+            kernels.measure_blocks, blocks, NO_ROWS, occupants, layers, heights
         )
-        geom = rows[:, 0]
-        np.add.at(counts[k].T, geom, rows[:, 1:6])
-        stood_on[geom[rows[:, 6] > 0]] = True
-        np.minimum.at(base, geom, over[:, 0])
-        np.maximum.at(rise, geom, over[:, 1])
-    area, upper_area = counts[:, :2].max(axis=0) * levels[0].lattice.cell_size ** 2
-    over_floors = GeomHeights(base, rise, area, upper_area)
-    return over_floors, counts[:, 2:].sum(axis=0), stood_on
+        geom = block_counts[:, kernels.GEOM]
+        np.add.at(counts[k].T, geom, block_counts[:, : kernels.NUM_COUNTS])
+        stood_on[geom[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
+        np.minimum.at(base, geom, block_heights[:, kernels.BASE])
+        np.maximum.at(rise, geom, block_heights[:, kernels.RISE])
+    cell_area = lattice.cell_size**2
+    sizes = OccupantSizes(
+        base=base,
+        rise=rise,
+        area=counts[:, kernels.NUM_CELLS].max(axis=0) * cell_area,
+        area_at_wall_height=counts[:, kernels.NUM_AT_WALL_HEIGHT].max(axis=0) * cell_area,
+    )
+    floor_counts = FloorCounts(
+        num_cells=counts[:, kernels.NUM_FLOORS].sum(axis=0),
+        num_on_floors=counts[:, kernels.NUM_ON_FLOORS].sum(axis=0),
+        num_covers=counts[:, kernels.NUM_COVERS].sum(axis=0),
+        stood_on=stood_on,
+    )
+    return sizes, floor_counts
 
 
 def entries_of_cells(
     first: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
 ) -> tuple[Int, Int32, NDArray[np.uint8]]:
-    """What lists say of some cells, by cell and then geom: places in `cells`, geoms and flags.
+    """Return the entries that lists have for some cells, by cell and then geom.
 
-    The list of cell i begins at `first[i]` and ends before the geom -1.
+    Args:
+        first: by cell, where its list begins; it ends before the geom -1.
+        geom: geom ids of all lists.
+        flags: flags of these geoms.
+        cells: cell ids, shape (n,).
+
+    Returns:
+        Of each entry the place of its cell in `cells`, its geom, and its flags.
     """
     begin = first[cells]
     counts = np.zeros(len(cells), dtype=np.int64)
-    left = np.flatnonzero(geom[begin] >= 0)
-    while len(left):  # cells whose lists go on
-        counts[left] += 1
-        left = left[geom[begin[left] + counts[left]] >= 0]
-    cell, place = expand_ranges(begin, begin + counts)
-    return cell, geom[place], flags[place]
+    unfinished = np.flatnonzero(geom[begin] >= 0)
+    while len(unfinished):  # cells whose lists go on
+        counts[unfinished] += 1
+        next_geom = geom[begin[unfinished] + counts[unfinished]]
+        unfinished = unfinished[next_geom >= 0]
+    cell_place, entry = expand_ranges(begin, begin + counts)
+    return cell_place, geom[entry], flags[entry]

@@ -24,7 +24,7 @@ from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.geometry.shapes import Shapes, solid_bounds
-from navbake.baker.occupants.list_kernels import BANK, EMPTY, HOLE, SKY, TALL
+from navbake.baker.occupants.column_flag_kernels import BANK, EMPTY, HOLE, SKY, TALL
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
 from navbake.baker.rooms.walls import find_windows
@@ -190,7 +190,7 @@ def gather_flags(
         )
     is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
     if standing_occupants is not None:
-        is_wall = np.isin(standing_occupants.partitions, (WALL, BUILDING))
+        is_wall = np.isin(standing_occupants.room_kinds, (WALL, BUILDING))
     return RoomFlags(
         lattice=lattice,
         levels=levels,

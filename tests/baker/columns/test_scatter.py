@@ -21,8 +21,9 @@ from navbake.baker.core.constants import MEETS, UNDECIDED
 from navbake.baker.core.tiles import TILE, window_bits, window_near_box
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
 from navbake.baker.geometry.extents import measure_extents
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
-from navbake.baker.occupancy.occupancy_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import check_occupancy
+from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
 from navbake.baker.occupants.kinds import WALL_HEIGHTS, mark_wall_candidates
 from navbake.baker.occupants.standing import OPEN_ABOVE, entries_of_cells
 from navbake.navgrid.lattice import Lattice

@@ -18,7 +18,8 @@ from navbake.baker.floors.outline import (
     look_at_site,
 )
 from navbake.baker.floors.regions import find_large_regions
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import check_occupancy
 from standable import regions_of
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'

@@ -11,7 +11,13 @@ from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import Stages
 from navbake.baker.core.constants import OBJECT, WALL
-from navbake.baker.occupants.cell_names import BLOCKERS, NAMED, OBJECTS, WALLS, name_cells
+from navbake.baker.occupants.cell_names import (
+    BLOCKERS,
+    OBJECTS,
+    OBJECTS_OR_WALLS,
+    WALLS,
+    name_cells,
+)
 from navbake.baker.occupants.movable import name_occupants
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
@@ -238,7 +244,7 @@ def test_entries_are_those_of_one_cell_after_another(seed):
             key: sorted(name for name, b in here.items() if b & bit)
             for key, bit in (("objects", OBJECTS), ("walls", WALLS), ("blockers", BLOCKERS))
         }
-        if listed["blockers"] == sorted(name for name, b in here.items() if b & NAMED):
+        if listed["blockers"] == sorted(name for name, b in here.items() if b & OBJECTS_OR_WALLS):
             listed["blockers"] = []
         if here:
             expected[at] = [(key, found) for key, found in listed.items() if found]

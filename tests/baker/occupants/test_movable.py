@@ -12,7 +12,7 @@ import pytest
 import navbake
 from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.bake.stages import Stages, bake_stages, mark_in_the_way
-from navbake.baker.occupancy.occupancy_kernels import BLOCKING
+from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import CHUNK_ROWS, find_movable_occupants
 from random_scenes import make_scene
 
@@ -130,13 +130,13 @@ def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
         in_the_way = mark_in_the_way(stages.scene, stages.doors, stages.config)
         found = []
         for most in (0.0, 2.0):
-            monkeypatch.setattr("navbake.baker.occupants.movable.MOST_POINTS", most)
+            monkeypatch.setattr("navbake.baker.occupants.movable.MAX_POINT_SHARE", most)
             found.append(
                 find_movable_occupants(stages.movable_context, stages.scene.shapes, in_the_way)
             )
         one, other = found
         for number in range(len(stages.floors.levels)):
-            np.testing.assert_array_equal(one.occupied[number], other.occupied[number])
+            np.testing.assert_array_equal(one.blocked[number], other.blocked[number])
             for left, right in zip(one.entries[number], other.entries[number], strict=True):
                 assert all(map(np.array_equal, left, right))
-        np.testing.assert_array_equal(one.taken, other.taken)
+        np.testing.assert_array_equal(one.num_blocked_alone, other.num_blocked_alone)

@@ -11,7 +11,7 @@ import pytest
 
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
 from navbake.baker.bake.pipeline import run_bake
-from navbake.baker.doors.poses import pose_doors
+from navbake.baker.doors.posed_leaves import pose_shapes
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.leaves import DoorCandidate, find_door_candidates
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
@@ -208,7 +208,7 @@ def test_leaves_and_what_stands_are_what_is_collected_of_them(name):
     standing = [geom for geom in np.flatnonzero(welded).tolist() if geom not in of_leaves]
     for found, geoms in (
         (scene.structure, standing),
-        (pose_doors(scene, leaves, "modelled"), sorted(of_leaves)),
+        (pose_shapes(scene, leaves, "modelled"), sorted(of_leaves)),
     ):
         expected, *_ = collect_shapes(
             scene.model, scene.data, scene.selections, scene.exact_meshes, geoms
@@ -221,7 +221,7 @@ def test_each_door_is_posed_as_if_it_moved_alone(load):
     scene = load(ROOMS, LEAF, CUPBOARD)
     assert len(scene.leaves) == 2
     for state in ("open", "closed"):
-        together = pose_doors(scene, scene.leaves, state)
+        together = pose_shapes(scene, scene.leaves, state)
         for door in scene.leaves:
             mask = np.zeros(scene.model.ngeom, dtype=bool)
             mask[door.geoms] = True

@@ -1,0 +1,311 @@
+"""Leaves of doors in each of their states: their geometry, and the cells that they block.
+
+A leaf is posed in each state whether or not it turns out to be a door. The cells that it blocks are
+those over the floors that are found without leaves, whatever else stands there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.columns.columns import Columns, TiledShapes, cast_columns, tile_shapes
+from navbake.baker.core.constants import HINGE
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.core.windows import Window
+from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.geometry.extents import Extents, measure_extents
+from navbake.baker.geometry.shapes import Shapes
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import check_occupancy
+from navbake.baker.rooms.leaves import ClosedLeaf, LeafLines
+from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.leaves import DoorCandidate, find_largest_side, mark_candidate_geoms
+from navbake.baker.scene.pose import data_with_joints
+from navbake.baker.scene.scene import Scene
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.rooms import STATES
+from navbake.threads import limit_threads
+from navbake.types import Float, Int
+
+# The length of lines of sight from each side of a closed leaf; they reach at least so many cells
+# beyond those that it blocks [m, cells]
+SIGHT_LENGTH = 0.6
+SIGHT_CELLS = 2.0
+# How far beyond a leaf's ends a frame is looked for, if it is no wall [m]
+FRAME_LENGTH = 0.5
+# Where lines of sight begin along the leaf, as shares of its width from its middle, off the frame
+SIGHT_OFFSETS = (-0.3, -0.15, 0.0, 0.15, 0.3)
+# The least floor on a door that is worth a warning [m²]
+MIN_CARRIED_AREA = 0.5
+
+CellsByState = Mapping[str, Sequence[Int]]
+"""By a door's state and level, the ids of cells on the whole lattice, ascending."""
+
+
+class LeafWindow(NamedTuple):
+    """The window of the lattice near a leaf in one state.
+
+    Attributes:
+        window: rows and columns of the whole lattice.
+        tiled: the leaf's geometry, on the window.
+        columns: the leaf's columns, on the window.
+    """
+
+    window: Window
+    tiled: TiledShapes
+    columns: Columns
+
+
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """The geometry of a door candidate in each of its states.
+
+    Attributes:
+        candidate: whose leaf it is.
+        windows: by state, the window near it, None for no cells; states at one position of the
+            joint share one.
+        lines: the cells along lines from the closed leaf; None for no geometry that is finite.
+        tops: its geometry by state, where its top is large enough to walk on.
+        travel: by how much its joint opens it, with the unit; empty without a joint.
+    """
+
+    candidate: DoorCandidate
+    windows: dict[str, LeafWindow | None]
+    lines: LeafLines | None
+    tops: dict[str, Shapes]
+    travel: str
+
+
+@dataclass(frozen=True, eq=False)
+class LeafCells:
+    """The cells that a leaf blocks, whatever else stands there.
+
+    Attributes:
+        leaf: the leaf.
+        blocked: the cells over whose floor it meets the agent's footprint.
+        blocked_squares: the cells whose squares alone it blocks; empty where the footprint is the
+            square.
+    """
+
+    leaf: Leaf
+    blocked: CellsByState
+    blocked_squares: CellsByState
+
+    @property
+    def closed(self) -> ClosedLeaf:
+        """The closed leaf, which may part rooms."""
+        return ClosedLeaf(self.blocked["closed"], self.leaf.lines)
+
+
+# ---------------------------------------------------------------- geometry
+
+
+def pose_shapes(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
+    """Return the geometry of door candidates in a state.
+
+    Candidates without that state stay as modelled.
+
+    Args:
+        scene: the scene of the candidates.
+        doors: the candidates.
+        state: one of `STATES` but removed.
+    """
+    is_door_geom = mark_candidate_geoms(scene.model.ngeom, doors)
+    joint_positions: dict[int, float] = {}
+    for door in doors:
+        position = door.position(state)
+        if position is not None and position != door.positions["modelled"]:
+            joint_positions[door.joint_id] = float(position)
+    if not joint_positions:
+        return scene.shapes.only(is_door_geom)
+    data = data_with_joints(scene.model, scene.data, joint_positions)
+    shapes, *_ = collect_shapes(
+        scene.model,
+        data,
+        selections=scene.selections,
+        exact_meshes=scene.exact_meshes,
+        only=np.flatnonzero(is_door_geom).tolist(),
+        meshes=scene.meshes,
+    )
+    return shapes
+
+
+def pose_leaves(
+    scene: Scene, candidates: Sequence[DoorCandidate], lattice: Lattice, reach: float
+) -> list[Leaf]:
+    """Pose candidates in each state, and cast the columns near their geometry.
+
+    Args:
+        scene: the scene of the candidates.
+        candidates: whose leaves are posed.
+        lattice: the cells.
+        reach: how far from the geometry columns are cast [m].
+    """
+    if not candidates:
+        return []
+    shapes_by_state = {
+        state: pose_shapes(scene, candidates, state) for state in STATES if state != "removed"
+    }
+    extents_by_state = {
+        state: measure_extents(shapes, scene.model.ngeom)
+        for state, shapes in shapes_by_state.items()
+    }
+    with limit_threads(1):  # a door is too small to be worth more
+        return [
+            _pose_leaf(
+                candidate,
+                scene,
+                shapes_by_state=shapes_by_state,
+                extents_by_state=extents_by_state,
+                lattice=lattice,
+                reach=reach,
+            )
+            for candidate in candidates
+        ]
+
+
+def _pose_leaf(
+    candidate: DoorCandidate,
+    scene: Scene,
+    shapes_by_state: Mapping[str, Shapes],
+    extents_by_state: Mapping[str, Extents],
+    lattice: Lattice,
+    reach: float,
+) -> Leaf:
+    """Make the leaf of a candidate; the shapes and extents are those of all candidates."""
+    leaf_shapes = {state: candidate.only(shapes) for state, shapes in shapes_by_state.items()}
+    windows = dict[str, LeafWindow | None]()
+    # states at one position of the joint share what the first of them finds
+    state_at_position = dict[float | None, str]()
+    for state, shapes in leaf_shapes.items():
+        first_state = state_at_position.setdefault(candidate.position(state), state)
+        if first_state == state:
+            windows[state] = _cast_near(shapes, lattice, reach)
+        else:
+            windows[state] = windows[first_state]
+    # seen from above, most doors are too small to walk on, which is quickly found
+    tops = dict[str, Shapes]()
+    for state, extents in extents_by_state.items():
+        area = np.nansum((extents.thin * extents.long)[candidate.geoms])
+        if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
+            tops[state] = leaf_shapes[state]
+    travel = ""
+    if candidate.positions:
+        opened_by = abs(candidate.positions["open"] - candidate.positions["closed"])
+        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+        travel = f"{np.degrees(opened_by):.3g}°" if is_hinge else f"{opened_by:.3g} m"
+    return Leaf(
+        candidate=candidate,
+        windows=windows,
+        lines=_draw_lines(extents_by_state["closed"], candidate.geoms, lattice, reach),
+        tops=tops,
+        travel=travel,
+    )
+
+
+def _cast_near(shapes: Shapes, lattice: Lattice, reach: float) -> LeafWindow | None:
+    """Cast the columns within `reach` [m] of some shapes; None where no cell is that near."""
+    bounds = shapes.bounds
+    window = None if bounds is None else lattice.window(bounds, reach)
+    if window is None:
+        return None
+    tiled = tile_shapes(shapes, lattice.cut(*window), reach)
+    return LeafWindow(window, tiled, cast_columns(tiled))
+
+
+def _draw_lines(extents: Extents, geoms: Int, lattice: Lattice, reach: float) -> LeafLines | None:
+    """Return the cells along lines from a closed leaf, which blocks those within `reach` [m]."""
+    panel = find_largest_side(extents, geoms)
+    center = extents.center[panel]
+    if not np.isfinite(center).all():
+        return None
+    across = extents.across[panel]
+    along = np.array([-across[1], across[0]])
+    step = lattice.cell_size / 2
+    both_sides = np.array([-1.0, 1.0])
+
+    # lines of sight away from both sides: points of shape (sides, lines, steps, 2) [m]
+    length = max(SIGHT_LENGTH, reach + SIGHT_CELLS * lattice.cell_size)
+    distance = extents.thin[panel] / 2 + np.arange(0.0, length, step)
+    start = center + along * np.array(SIGHT_OFFSETS)[:, None] * extents.long[panel]
+    direction = across * both_sides[:, None, None, None]
+    sight = start[:, None] + direction * distance[:, None]
+
+    # lines on from both ends: points of shape (ends, steps, 2) [m]
+    distance = extents.long[panel] / 2 + np.arange(0.0, FRAME_LENGTH + step, step)
+    direction = along * both_sides[:, None, None]
+    ends = center + direction * distance[:, None]
+    return LeafLines(_cells_at(sight, lattice), _cells_at(ends, lattice))
+
+
+def _cells_at(points: Float, lattice: Lattice) -> Int:
+    """Return the ids of the cells that points are in, shape (…), -1 beside the lattice."""
+    rows, cols = lattice.rows_cols(points)
+    inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+    return np.where(inside, rows * lattice.width + cols, -1)
+
+
+# ---------------------------------------------------------------- blocked cells
+
+
+def find_blocked_cells(
+    leaves: Sequence[Leaf], floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+) -> list[LeafCells]:
+    """Find the cells that each leaf blocks in each state, over the floors of each level.
+
+    Args:
+        leaves: the posed leaves.
+        floors: the floors of each level, on the whole lattice.
+        footprint: the volume over a floor that has to be free.
+        lattice: the whole lattice.
+    """
+    with limit_threads(1):  # a door is too small to be worth more
+        return [_block_cells(leaf, floors, footprint, lattice) for leaf in leaves]
+
+
+def _block_cells(
+    leaf: Leaf, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+) -> LeafCells:
+    """Find the cells that a leaf blocks, once for all states that share a window."""
+    no_cells: list[Int] = [np.empty(0, dtype=np.int64)] * len(floors)
+    blocked = dict[str, list[Int]]()
+    squares = dict[str, list[Int]]()
+    for state, near in leaf.windows.items():
+        former_states = [former for former in blocked if leaf.windows[former] is near]
+        if near is None:
+            blocked[state] = no_cells
+            squares[state] = no_cells
+        elif former_states:
+            blocked[state] = blocked[former_states[0]]
+            squares[state] = squares[former_states[0]]
+        else:
+            blocked[state], squares[state] = _find_blocked(near, floors, footprint, lattice)
+    # one that can't move is closed as it is modelled, and blocks nothing when it is open
+    if not leaf.candidate.positions:
+        blocked["open"] = no_cells
+        squares["open"] = no_cells
+    return LeafCells(leaf, blocked, squares if footprint.radius > 0.0 else {})
+
+
+def _find_blocked(
+    near: LeafWindow, floors: Sequence[LevelFloor], footprint: Footprint, lattice: Lattice
+) -> tuple[list[Int], list[Int]]:
+    """Return by level the cells that a leaf blocks, and those whose squares alone it blocks."""
+    rows, cols = near.window
+    blocked = list[Int]()
+    squares = list[Int]()
+    for level in floors:
+        floor = level.floor[rows, cols].ravel()
+        window_cells: Int = np.flatnonzero(~np.isnan(floor))
+        occupancy = check_occupancy(
+            near.columns, near.tiled, footprint, window_cells, floor[window_cells]
+        )
+        row, col = np.divmod(window_cells, cols.stop - cols.start)
+        cells = (row + rows.start) * lattice.width + col + cols.start
+        blocked.append(cells[occupancy.occupied])
+        squares.append(cells[occupancy.square_occupied])
+    return blocked, squares

@@ -1,0 +1,53 @@
+"""The volume over a cell's floor that has to be free for an agent to stand there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.core.arrays import HeightRange
+from navbake.baker.core.tolerances import TOUCH_DEPTH
+from navbake.config.settings import AgentSettings
+
+
+class Footprint(NamedTuple):
+    """The volume over a cell's floor: its square joined with the agent's disc, between two heights.
+
+    Attributes:
+        square: half of the square's edge less TOUCH_DEPTH, 0 where the disc covers the square [m].
+        radius: the disc's radius less TOUCH_DEPTH, 0 where the square covers the disc [m].
+        low: height of the volume's bottom over the floor: the highest step, plus TOUCH_DEPTH [m].
+        high: height of its top over the floor: the agent's height, less TOUCH_DEPTH [m].
+    """
+
+    square: float
+    radius: float
+    low: float
+    high: float
+
+    @property
+    def reach(self) -> float:
+        """How far the footprint reaches from the cell's centre along an axis [m]."""
+        return max(self.square, self.radius) + TOUCH_DEPTH
+
+    @classmethod
+    def of(cls, agent: AgentSettings, cell_size: float) -> Footprint:
+        """Return the footprint of an agent.
+
+        Args:
+            agent: its radius, height and highest step.
+            cell_size: edge of a cell [m].
+        """
+        half = cell_size / 2
+        radius = agent.radius
+        return cls(
+            square=half - TOUCH_DEPTH if radius < half * np.sqrt(2.0) else 0.0,
+            radius=radius - TOUCH_DEPTH if radius > half else 0.0,
+            low=agent.traversable_floor_height + TOUCH_DEPTH,
+            high=agent.height - TOUCH_DEPTH,
+        )
+
+    def between(self, heights: HeightRange) -> Footprint:
+        """Return the same footprint between two other heights over the floor [m]."""
+        return self._replace(low=heights.low + TOUCH_DEPTH, high=heights.high - TOUCH_DEPTH)

@@ -1,0 +1,241 @@
+"""The volumes over a floor, and whether a geom meets one of them.
+
+Over the floor of a cell stand four upright prisms. A geom has a flag in the cell if it meets the
+flag's prism:
+
+    OCCUPYING        the cell's square, from just above the floor to the ceiling
+    BLOCKING         the agent's disc, or the cell's square if that is wider, from the highest step
+                     to the agent's height
+    AT_WALL_HEIGHT   the cell's square, at the heights where only walls are
+    BLOCKING_SQUARE  the cell's square, from the highest step to the agent's height
+
+The geom meets a prism if the vertical line through the cell's centre runs inside of the geom there
+(`find_flags_on_line`), or if one of its shapes meets the prism (`shape_meets_prism`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.core.arrays import NOT_ROUND, Facets, Planes, Prism, Solids
+from navbake.baker.core.constants import APART, MEETS
+from navbake.baker.core.tiles import cell_center_at
+from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
+from navbake.baker.geometry.gjk_kernels import Simplex
+from navbake.baker.geometry.overlap_kernels import (
+    Polygons,
+    facet_meets_prism,
+    is_beside_prism,
+    plane_meets_prism,
+)
+from navbake.baker.geometry.solid_kernels import solid_meets_prism
+from navbake.compiled import NO_REFCOUNT, subkernel
+from navbake.types import Bool, Float, Int, Int32
+
+# Flags of a geom in a cell: the bit of each of `Volumes`, in their order
+OCCUPYING = 1
+BLOCKING = 2
+AT_WALL_HEIGHT = 4
+BLOCKING_SQUARE = 8
+# Rounding leaves no proof whether the geom meets the volume of BLOCKING, or of BLOCKING_SQUARE
+MAYBE_BLOCKING = 16
+MAYBE_BLOCKING_SQUARE = 32
+
+# Kinds of shapes; plain integers would compile what takes them once for each
+PLANE_KIND = np.int64(0)
+SOLID_KIND = np.int64(1)
+TRIANGLE_KIND = np.int64(2)
+
+# How far beyond a prism shapes are searched for: surfaces that enclose nothing are tested against a
+# prism that is a little wider, see `facet_meets_prism` [m]
+SEARCH_MARGIN = 2.0 * TOUCH_DEPTH
+
+
+class ShapeArrays(NamedTuple):
+    """The shapes of all geoms, each kind in the order of geom ids."""
+
+    solids: Solids
+    facets: Facets
+    planes: Planes
+
+
+class Queries(NamedTuple):
+    """Cells with a floor, and what is known over each; arrays of shape (n,).
+
+    Attributes:
+        cell: cell ids, ascending, int64.
+        floor: height of the floor, float64 [m].
+        state: receives BLOCKING, BLOCKING_SQUARE, MAYBE_BLOCKING and MAYBE_BLOCKING_SQUARE if any
+            geom has them, and BLOCKED_BY_LINE, uint8.
+        tested_flags: scratch: the flags that the current geom is tested for, uint8.
+        geom_flags: scratch: the flags that the current geom has, uint8.
+    """
+
+    cell: Int
+    floor: Float
+    state: NDArray[np.uint8]
+    tested_flags: NDArray[np.uint8]
+    geom_flags: NDArray[np.uint8]
+
+
+class OccupantLists(NamedTuple):
+    """The settings of the lists of occupants, and arrays that receive where the lists begin.
+
+    All arrays are empty where only occupancy is wanted.
+
+    Attributes:
+        ceiling: by query, up to where geoms are occupants, at least the agent's height over the
+            floor, (n,) float64 [m].
+        first: receives, by query, where its list begins, (n,) int32; see `check_tiles`.
+        floor_geom: receives the geom whose surface the floor is, -1 for none, (n,) int32.
+        gap_below: receives how far another geom's floor lies below it, inf for none, (n,) float64
+            [m].
+        is_wall_candidate: by geom id, whether AT_WALL_HEIGHT is tested, (ngeom,) bool.
+        wall_low: lower end of the volume of AT_WALL_HEIGHT over the floor [m].
+        wall_high: its upper end over the floor [m].
+        min_up: least z of the normal of a surface that is a floor, in [0, 1].
+    """
+
+    ceiling: Float
+    first: Int32
+    floor_geom: Int32
+    gap_below: Float
+    is_wall_candidate: Bool
+    wall_low: float
+    wall_high: float
+    min_up: float
+
+
+class Volumes(NamedTuple):
+    """The prisms over a floor, in the order of their flags' bits."""
+
+    occupying: Prism
+    blocking: Prism
+    at_wall_height: Prism
+    blocking_square: Prism
+
+
+class Scratch(NamedTuple):
+    """Room in which shapes are tested against prisms."""
+
+    simplex: Simplex
+    polygons: Polygons
+
+
+@subkernel(inline="always")
+def make_volumes(lattice, footprint, queries, lists, query, row, col):
+    """Make the four volumes over the floor of a query, whose cell is at a row and column."""
+    floor = queries.floor[query]
+    x, y = cell_center_at(lattice, row, col)
+    low = floor + footprint.low
+    high = floor + footprint.high
+    half = lattice.cell_size / 2 - TOUCH_DEPTH
+    is_round = footprint.radius > 0.0
+    ceiling = lists.ceiling[query] if lists.ceiling.shape[0] > 0 else high
+    return Volumes(
+        Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, NOT_ROUND),
+        Prism(x, y, low, high, footprint.radius if is_round else half, is_round),
+        Prism(x, y, floor + lists.wall_low, floor + lists.wall_high, half, NOT_ROUND),
+        Prism(x, y, low, high, half, NOT_ROUND),
+    )
+
+
+@subkernel(inline="always")
+def make_envelope(lattice, footprint, queries, lists, query, row, col):
+    """Make a prism that holds all tested volumes over the floor of a query, see `make_volumes`."""
+    floor = queries.floor[query]
+    x, y = cell_center_at(lattice, row, col)
+    half = max(lattice.cell_size / 2, footprint.square, footprint.radius) + SEARCH_MARGIN
+    low = floor + footprint.low
+    high = floor + footprint.high
+    if lists.ceiling.shape[0] > 0:
+        low = floor
+        high = lists.ceiling[query]
+    return Prism(x, y, low, high, half, NOT_ROUND)
+
+
+@subkernel(inline="always")
+def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
+    """Does a shape of a geom meet a prism? APART, MEETS, or UNDECIDED if rounding hides it.
+
+    `shape` is the number of a plane, solid or triangle, by `kind`. Only solids may be UNDECIDED:
+    planes and triangles are tested without an iteration.
+    """
+    if kind == PLANE_KIND:
+        return MEETS if plane_meets_prism(shape_arrays.planes, shape, prism) else APART
+    if kind == TRIANGLE_KIND:
+        meets = facet_meets_prism(shape_arrays.facets, shape, prism, scratch.polygons)
+        return MEETS if meets else APART
+    solids = shape_arrays.solids
+    if is_beside_prism(solids.bounds, shape, prism):
+        return APART
+    # GJK's error grows with the prism's height: a tall prism is cut above the solid
+    high = min(prism.high, solids.bounds[shape, 5] + 1.0)
+    low_prism = Prism(prism.x, prism.y, prism.low, high, prism.half, prism.is_round)
+    return solid_meets_prism(solids, shape, low_prism, scratch.simplex)
+
+
+@subkernel(**NO_REFCOUNT)
+def find_flags_on_line(hits, cell, geom, volumes):
+    """Return the flags of a geom that the vertical line through a cell's centre proves.
+
+    The line proves that the geom meets a volume where it hits the geom between the volume's
+    heights, or runs inside of it there: where the winding number, counted from above, is positive.
+    It is `is_line_blocked` for three volumes in one pass over the hits; for BLOCKING_SQUARE it
+    proves nothing.
+    """
+    occupying = volumes.occupying
+    blocking = volumes.blocking
+    at_wall_height = volumes.at_wall_height
+    lowest = min(occupying.low, blocking.low, at_wall_height.low)
+    flags = 0
+    # winding numbers at the upper ends of the volumes, while the hits above them are counted
+    winding_occupying = 0
+    winding_blocking = 0
+    winding_at_wall = 0
+    for i in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
+        z = hits.z[i]
+        if z <= lowest:
+            break
+        if hits.geom[i] != geom:
+            continue
+        winding = 0
+        if hits.closed[i]:
+            winding = 1 if hits.normal[i, 2] > 0.0 else -1
+        if z >= occupying.high:
+            winding_occupying += winding
+        elif z > occupying.low:
+            flags |= OCCUPYING
+        if z >= blocking.high:
+            winding_blocking += winding
+        elif z > blocking.low:
+            flags |= BLOCKING
+        if z >= at_wall_height.high:
+            winding_at_wall += winding
+        elif z > at_wall_height.low:
+            flags |= AT_WALL_HEIGHT
+    flags |= OCCUPYING if winding_occupying > 0 else 0
+    flags |= BLOCKING if winding_blocking > 0 else 0
+    return flags | (AT_WALL_HEIGHT if winding_at_wall > 0 else 0)
+
+
+@subkernel(inline="always")
+def describe_floor(hits, cell, floor, min_up):
+    """Return the geom whose surface a floor is, -1 for none, and the gap to the floor below.
+
+    The gap is the distance to the highest surface of another geom that is as flat as a floor, inf
+    for none [m].
+    """
+    floor_geom = np.int32(-1)
+    gap_below = np.inf
+    for i in range(hits.start[cell], hits.start[cell + 1]):
+        if hits.z[i] == floor and hits.normal[i, 2] >= min_up:
+            floor_geom = hits.geom[i]
+            break
+    for i in range(hits.start[cell], hits.start[cell + 1]):
+        if hits.z[i] > floor:
+            break
+        if hits.normal[i, 2] >= min_up and hits.geom[i] != floor_geom:
+            gap_below = floor - hits.z[i]
+    return floor_geom, gap_below

@@ -1,0 +1,59 @@
+"""Flags of the cells' columns: nothing there, a hole, a bank, the sky, something tall."""
+
+import numpy as np
+
+from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
+from navbake.compiled import kernel
+
+EMPTY = 1  # nothing is in the column
+HOLE = 2  # no floor, and nothing at the heights of an agent's body
+BANK = 4  # no floor, and ground too steep to stand on under the sky
+SKY = 8  # a floor under the sky
+TALL = 16  # a floor on which something stands that reaches above heads
+COLUMN_FLAGS = (EMPTY, HOLE, BANK, SKY, TALL)
+
+
+@kernel(nogil=True)
+def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
+    """Find the `COLUMN_FLAGS` of cells ``[begin, end)`` of a level.
+
+    A cell without a floor is a HOLE if the next surface more than a step over the ground is higher
+    than the agent, unless it faces up: then something solid is below it.
+
+    Args:
+        hits: the columns, numbered as the cells are.
+        floor: height of each cell's floor, float64, NaN for none [m].
+        ground: height of the level's ground [m].
+        limits: the agent's.
+        above_heads: how high over a floor something that stands there is TALL [m].
+        flags: receives the flags of each cell, uint8.
+        begin: first cell.
+        end: cell past the last.
+    """
+    start = hits.start
+    z = hits.z
+    normal = hits.normal
+    min_up = np.float32(limits.min_up)
+    for cell in range(begin, end):
+        hit = start[cell]
+        end_hit = start[cell + 1]
+        has_floor = not np.isnan(floor[cell])
+        cell_flags = 0 if hit < end_hit else EMPTY
+        top = z[end_hit - 1] if hit < end_hit else np.inf
+        top_up = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
+        # the first surface that is neither the floor nor within a step of the ground
+        lowest = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.step
+        while hit < end_hit and z[hit] <= lowest:
+            hit += 1
+        faces_up = hit < end_hit and normal[hit, 2] > 0.0
+        if has_floor:
+            if top <= floor[cell] + limits.headroom + LIMIT_SLACK:
+                cell_flags |= SKY
+            if faces_up and z[hit] > floor[cell] + above_heads:
+                cell_flags |= TALL
+        else:
+            if top_up > 0.0 and top_up < min_up:
+                cell_flags |= BANK
+            if not faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
+                cell_flags |= HOLE
+        flags[cell] = cell_flags

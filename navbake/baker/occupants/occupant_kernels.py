@@ -1,0 +1,203 @@
+"""Lists of the geoms in each cell of a level: measure them over the floors, and mark walls."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.core.constants import BUILDING, WALL
+from navbake.baker.core.tiles import block_window
+from navbake.baker.occupancy.volume_kernels import AT_WALL_HEIGHT, BLOCKING, OCCUPYING
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
+from navbake.types import Bool, Float, Int32
+
+if TYPE_CHECKING:  # kernels depend on kernels alone
+    from navbake.navgrid.lattice import Lattice
+
+# Columns of the rows of `measure_blocks`, int64. In how many cells of the block a geom ...
+NUM_CELLS = 0  # is an occupant
+NUM_AT_WALL_HEIGHT = 1  # is an occupant that is AT_WALL_HEIGHT
+NUM_FLOORS = 2  # is the surface of the floor
+NUM_ON_FLOORS = 3  # is so, and lies on another geom's floor
+NUM_COVERS = 4  # is so, and only covers another geom's floor
+NUM_COUNTS = 5
+IS_STANDABLE = 5  # 1 if an agent can stand on it anywhere, else 0
+GEOM = 6  # its id
+# Their columns of heights, float64 [m]
+BASE = 0  # the least height of its lower end over a floor
+RISE = 1  # the greatest height of its upper end over its lower end, or over the floor if higher
+
+
+class LevelOccupants(NamedTuple):
+    """The geoms in a level's cells; the list of cell i is from `first[i]` to the geom -1.
+
+    Arrays that were written are never written over, so that these occupants stay as they are.
+
+    Attributes:
+        lattice: the whole lattice.
+        first: shape (cells,), int32.
+        geom: MuJoCo's geom ids, ascending in a cell, int32.
+        flags: of the same length, uint8: OCCUPYING if the geom meets the cell's square between
+            floor and ceiling; BLOCKING if it meets the agent's footprint; AT_WALL_HEIGHT if it is
+            OCCUPYING and meets the square in `WALL_HEIGHTS`, of wall candidates alone.
+        floor_geom: the geom whose surface each cell's floor is, -1 for none, (cells,), int32.
+        gap_below: how far the next geom's floor lies below the floor, inf for none, (cells,),
+            float64 [m].
+    """
+
+    lattice: Lattice
+    first: Int32
+    geom: Int32
+    flags: NDArray[np.uint8]
+    floor_geom: Int32
+    gap_below: Float
+
+
+class FloorLayers(NamedTuple):
+    """The floors of a level; arrays of shape (cells,).
+
+    Attributes:
+        height: float64, NaN for none [m].
+        standable: whether an agent can stand there, bool.
+    """
+
+    height: Float
+    standable: Bool
+
+
+class GeomHeights(NamedTuple):
+    """Heights of all geoms, by geom id.
+
+    Attributes:
+        low: of the lower end, float64, NaN for an endless plane [m].
+        high: of the upper end, float64 [m].
+        on_floor_gap: up to which gap a geom lies on the floor below its surface, float64 [m].
+        cover_gap: up to which gap any geom only covers the floor below its surface [m].
+    """
+
+    low: Float
+    high: Float
+    on_floor_gap: Float
+    cover_gap: float
+
+
+@subkernel(**NO_REFCOUNT)
+def _get_row(rows, row_of_geom, first_row, num_rows, geom):
+    """Return the row of a geom in the block whose rows begin at `first_row`; -1 for no room.
+
+    A geom that has no row yet gets the next one.
+    """
+    counts, heights = rows
+    row = row_of_geom[geom]
+    if row < first_row:
+        if num_rows == counts.shape[0]:
+            return np.int64(-1)
+        row = num_rows
+        row_of_geom[geom] = num_rows
+        counts[row, :GEOM] = 0
+        counts[row, GEOM] = geom
+        heights[row, BASE] = math.inf
+        heights[row, RISE] = -math.inf
+    return row
+
+
+@kernel(nogil=True)
+def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, end):
+    """Measure how geoms stand over the floors of blocks, and how they are floors; see `list_rows`.
+
+    Each block gets a row for each geom in it.
+
+    Args:
+        occupants: of the level.
+        floors: of the level.
+        geoms: heights of all geoms.
+        blocks: the blocks that are measured.
+        num_in_block: receives the number of rows of each block.
+        rows: receives the rows: ``NUM_CELLS`` to ``GEOM``, (room, 7) int64, and ``BASE`` and
+            ``RISE``, (room, 2) float64.
+        begin: first of the blocks that this call measures.
+        end: past the last of them.
+
+    Returns:
+        The place in `blocks` of the first one that there was no room for, or `end`.
+    """
+    counts, heights = rows
+    num_rows = np.int64(0)
+    row_of_geom = np.full(geoms.low.shape[0], np.int64(-1))
+    for k in range(begin, end):
+        first_row = num_rows
+        row0, row1, col0, col1 = block_window(occupants.lattice, blocks[k])
+        for lattice_row in range(row0, row1):
+            first_cell = lattice_row * occupants.lattice.width
+            for cell in range(first_cell + col0, first_cell + col1):
+                i = occupants.first[cell]
+                while occupants.geom[i] >= 0:
+                    geom = occupants.geom[i]
+                    flags = np.int64(occupants.flags[i])
+                    i += 1
+                    if not flags & OCCUPYING:
+                        continue
+                    row = _get_row(rows, row_of_geom, first_row, num_rows, geom)
+                    if row < 0:
+                        return k
+                    num_rows = max(num_rows, row + 1)
+                    counts[row, NUM_CELLS] += 1
+                    counts[row, NUM_AT_WALL_HEIGHT] += 1 if flags & AT_WALL_HEIGHT else 0
+                    floor = floors.height[cell]
+                    low = geoms.low[geom]
+                    high = geoms.high[geom]
+                    # no comparison holds for an endless plane, whose heights are NaN
+                    if low - floor < heights[row, BASE]:
+                        heights[row, BASE] = low - floor
+                    if high - max(low, floor) > heights[row, RISE]:
+                        heights[row, RISE] = high - max(low, floor)
+                floor_geom = occupants.floor_geom[cell]
+                gap = occupants.gap_below[cell]
+                if floor_geom >= 0:
+                    row = _get_row(rows, row_of_geom, first_row, num_rows, floor_geom)
+                    if row < 0:
+                        return k
+                    num_rows = max(num_rows, row + 1)
+                    counts[row, NUM_FLOORS] += 1
+                    counts[row, NUM_ON_FLOORS] += 1 if gap <= geoms.on_floor_gap[floor_geom] else 0
+                    counts[row, NUM_COVERS] += 1 if gap <= geoms.cover_gap else 0
+                    counts[row, IS_STANDABLE] |= 1 if floors.standable[cell] else 0
+        num_in_block[k] = num_rows - first_row
+    return end
+
+
+@kernel(nogil=True, **NO_REFCOUNT)
+def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, begin, end):
+    """Mark which of ``cells[begin:end]`` a wall occupies and blocks, and which only a low one.
+
+    A low wall is a building's mesh that occupies and blocks the cell, but isn't AT_WALL_HEIGHT.
+
+    Args:
+        occupants: of the level.
+        kinds: by geom id, see `StandingOccupants`, uint8.
+        cells: cell ids.
+        is_wall: receives the mark of each of the cells, bool.
+        is_low_wall: receives the other mark, bool.
+        begin: first of the cells that this call marks.
+        end: past the last of them.
+    """
+    for n in range(begin, end):
+        i = occupants.first[cells[n]]
+        is_wall[n] = False
+        is_low_wall[n] = False
+        is_high = False
+        while occupants.geom[i] >= 0:
+            kind = kinds[occupants.geom[i]]
+            flags = np.int64(occupants.flags[i])
+            i += 1
+            if not flags & OCCUPYING:
+                continue
+            if kind == BUILDING and flags & AT_WALL_HEIGHT:
+                is_high = True
+            if flags & BLOCKING:
+                is_wall[n] |= kind == WALL or (kind == BUILDING and flags & AT_WALL_HEIGHT != 0)
+                is_low_wall[n] |= kind == BUILDING
+        is_low_wall[n] &= not is_high
