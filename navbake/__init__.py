@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from navbake.baker.live.update import Baker
     from navbake.baker.voxels.voxelize import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
+    from navbake.formats.grscenes import read_grscenes as from_grscenes
     from navbake.formats.nav2 import read_nav2 as from_nav2
     from navbake.formats.navgrid import read_navgrid as load
     from navbake.formats.npz import read_grid_npz as from_npz
-    from navbake.formats.simulators import read_grscenes as from_grscenes
-    from navbake.formats.simulators import read_omnigibson as from_omnigibson
-    from navbake.formats.simulators import read_procthor as from_procthor
+    from navbake.formats.omnigibson import read_omnigibson as from_omnigibson
+    from navbake.formats.procthor import read_procthor as from_procthor
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.navgrid.links import Agent
@@ -95,11 +95,11 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxels.voxelize:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxels.voxelize:create_voxel_grid",
-    "from_grscenes": "navbake.formats.simulators:read_grscenes",
+    "from_grscenes": "navbake.formats.grscenes:read_grscenes",
     "from_nav2": "navbake.formats.nav2:read_nav2",
     "from_npz": "navbake.formats.npz:read_grid_npz",
-    "from_omnigibson": "navbake.formats.simulators:read_omnigibson",
-    "from_procthor": "navbake.formats.simulators:read_procthor",
+    "from_omnigibson": "navbake.formats.omnigibson:read_omnigibson",
+    "from_procthor": "navbake.formats.procthor:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "report": "navbake.views.report:write_report",

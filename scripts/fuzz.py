@@ -44,14 +44,16 @@ from navbake.config.settings import BakeConfig, SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.convert import ROUTE_FORMATS
+from navbake.formats.grscenes import encode_grscenes
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.formats.npz import encode_grid_npz, encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap
+from navbake.formats.omnigibson import encode_omnigibson
+from navbake.formats.procthor import encode_procthor
 from navbake.formats.route_files import encode_routes, read_routes
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.simulators import encode_grscenes, encode_omnigibson, encode_procthor
 from navbake.formats.voxels import encode_binvox, read_voxels
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import Lane, Node, RouteGraph

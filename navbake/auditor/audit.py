@@ -26,7 +26,7 @@ from navbake.auditor.facts import (
 )
 from navbake.errors import FormatError, count_of
 from navbake.formats.navgrid import read_navgrid
-from navbake.formats.source import shown_type
+from navbake.formats.source import describe_type
 from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.rooms import Door
 from navbake.types import Bool, Float, Int, Vector3
@@ -503,7 +503,7 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
     elif isinstance(grid, str | PathLike):
         content = read_navgrid(grid)
     else:
-        raise FormatError(f"expected a grid or the path of its file, got {shown_type(grid)}")
+        raise FormatError(f"expected a grid or the path of its file, got {describe_type(grid)}")
     facts = Facts(content)
     remarks = []
     for name, check in CHECKS.values():

@@ -34,7 +34,7 @@ from navbake.config.settings import (
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import read_navgrid, write_navgrid
-from navbake.formats.scene_files import find_inputs, suffix_of
+from navbake.formats.scene_files import find_inputs, scene_suffix
 from navbake.formats.source import write_bytes
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
@@ -115,7 +115,7 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
                 for path in find_inputs(
                     config.inputs[0], mirror, looks=True, folders=config.scene.model_path
                 ):
-                    mirror.bring(path)
+                    mirror.ensure_local(path)
             yield scene
         except (NavbakeError, OSError) as error:
             told = mirror.told(str(error))
@@ -145,7 +145,7 @@ def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
         **common,
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
         # parts of a mesh scene may be named after its file
-        "scene": name if suffix_of(name) in MESH_SUFFIXES else suffix_of(name),
+        "scene": name if scene_suffix(name) in MESH_SUFFIXES else scene_suffix(name),
         "files": sorted(["" if file[0] == name else file[0], *file[1:]] for file in files),
     }
     stated = {**common, "products": list(plan.products)}

@@ -19,7 +19,7 @@ from navbake.episodes.files import write_episodes
 from navbake.episodes.formats import decode
 from navbake.episodes.sampler import make_episodes, make_rules, make_task
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
-from navbake.formats.convert import OCTREES, VOXELS
+from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.voxels import write_voxels
 from navbake.lazy import lazy
@@ -102,8 +102,8 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
         raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
     if ending and metres[0] == 0:
         raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
-    if ending and f".{ending[0]}" not in VOXELS:
-        known = ", ".join(suffix[1:] for suffix in VOXELS)
+    if ending and f".{ending[0]}" not in VOXEL_SUFFIXES:
+        known = ", ".join(suffix[1:] for suffix in VOXEL_SUFFIXES)
         raise ConfigError(f"expected an ending of {known}, got {text!r} to make")
     return [*(f"{number:.12g}" for number in metres), *ending]
 
@@ -120,7 +120,9 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
         grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
     elif kind == "voxels":
         edge, ending = values
-        made = voxelizer.Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
+        made = voxelizer.Voxelizer(config).create(
+            res=float(edge), align=f".{ending}" in OCTREE_SUFFIXES
+        )
         write_voxels(made, folder / f"voxels-{edge}.{ending}")
     elif kind == "picture":
         plot.plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)

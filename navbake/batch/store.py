@@ -309,7 +309,7 @@ class Mirror(ExitStack):
     def has(self, path: Path) -> bool:
         return self._find(path) is not None
 
-    def bring(self, path: Path) -> None:
+    def ensure_local(self, path: Path) -> None:
         """Copy a file if it isn't yet."""
         url = self.url_of(path)
         if url is not None and not path.exists():
@@ -322,7 +322,7 @@ class Mirror(ExitStack):
             return Path(name)
         check_host(name, self._named)
         path = self.place(name)
-        self.bring(path)
+        self.ensure_local(path)
         return path
 
     def describe(self, path: Path) -> Json:
@@ -331,7 +331,7 @@ class Mirror(ExitStack):
         facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
         tag = next((f"{key}:{facts[key]}" for key in TAGS if key in facts), None)
         if tag is None or facts.get("size") is None:
-            self.bring(path)
+            self.ensure_local(path)
             return describe_file(path)
         return {"size": facts["size"], "tag": tag}
 

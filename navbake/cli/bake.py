@@ -25,7 +25,7 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import print_error, print_json, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
-from navbake.formats.convert import OCTREES, VOXELS
+from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.views.tables import level_table, make_table
 
 if TYPE_CHECKING:
@@ -135,10 +135,10 @@ def voxelize(
     if options.STDOUT in outputs:
         raise BadParameter("expected a name: its ending says which format", param_hint="-o")
     for output in outputs:
-        options.check_output(output, *VOXELS, inputs=[config])
+        options.check_output(output, *VOXEL_SUFFIXES, inputs=[config])
     endings = [output.suffix.lower() for output in outputs]
     has_binvox = ".binvox" in endings
-    is_octree = [ending in OCTREES for ending in endings]
+    is_octree = [ending in OCTREE_SUFFIXES for ending in endings]
     has_ids = bool(segments) and has_binvox
     options.refuse_unused(
         ("--compact", compact, has_ids, ".binvox with --segment"),
@@ -149,7 +149,7 @@ def voxelize(
     if segments and all(is_octree):
         raise BadParameter("octrees hold no IDs: write a .npz, too", param_hint="--segment")
     from navbake.config.settings import load_config  # loads numpy
-    from navbake.formats.voxels import names_path, write_voxels
+    from navbake.formats.voxels import id_table_path, write_voxels
 
     settings = load_config(config, overrides or [])
     options.say_if_sample(config)
@@ -173,8 +173,8 @@ def voxelize(
         mapping: Any = "compact" if compact and ending == ".binvox" else None
         write_voxels(grid, output, free=free, layout=form, mapping=mapping)
         say_unless_quiet(output)
-        if grid.is_segmented and ending not in OCTREES:
-            say_unless_quiet(names_path(output))
+        if grid.is_segmented and ending not in OCTREE_SUFFIXES:
+            say_unless_quiet(id_table_path(output))
         if twin and grid.is_segmented and ending == ".binvox":
             beside = output.with_suffix(".occupied.binvox")
             write_voxels(grid.without_ids(), beside, layout=form)

@@ -18,7 +18,7 @@ from navbake.views.tables import make_table
 
 # Functions import what reads grids when they run: --help stays quick.
 
-SETS = (".jsonl", ".jsonl.gz", ".parquet")
+EPISODE_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet")
 SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", "molmospaces")
 """Formats of other programs that hold sets."""
 
@@ -52,7 +52,7 @@ def episodes(
     """
     if total is not None and per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
-    options.check_output(output, *SETS, inputs=grids)
+    options.check_output(output, *EPISODE_SUFFIXES, inputs=grids)
     from msgspec import DecodeError, yaml  # --help does without it
 
     from navbake import episodes as sets  # loads numpy

@@ -15,9 +15,9 @@ from navbake.cli.options import GRIDS, LEVEL, OUTPUT, STDOUT, AsJson, GridFile, 
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import (
-    FORMATS,
+    GRID_FORMATS,
     ROUTE_FORMATS,
-    Format,
+    FileFormat,
     encode_as,
     find_format,
     list_files,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import Path as Route
 
-ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
+EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -101,7 +101,11 @@ def convert(
         if value not in (None, []) and value is not False
     }
     names = source.name.lower(), output.name.lower()
-    if to in SET_FORMATS or names[0].endswith(".csv") or any(n.endswith(ONLY_SETS) for n in names):
+    if (
+        to in SET_FORMATS
+        or names[0].endswith(".csv")
+        or any(n.endswith(EPISODE_ONLY_SUFFIXES) for n in names)
+    ):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given))
         convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
@@ -110,8 +114,8 @@ def convert(
     writer = _find(output, to, ("--to", "OUT"), writing=True)
     read_options = {key: given.pop(key) for key in reader.read_options if key in given}
     for key in given.keys() - {*writer.write_options}:
-        takers = [f"{form.name} as OUT" for form in FORMATS if key in form.write_options]
-        takers += [f"{form.name} as IN" for form in FORMATS if key in form.read_options]
+        takers = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
+        takers += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
     inputs = [source, *(value for value in given.values() if isinstance(value, Path))]
@@ -162,7 +166,7 @@ convert.__doc__ = "\n\n".join(
             f"{form.name} ({', '.join(form.endings)}; "
             f"{', '.join(filter(None, (form.read and 'in', form.encode and 'out')))}): "
             f"{form.meaning}."
-            for form in FORMATS
+            for form in GRID_FORMATS
         ),
         f"Sets of episodes (.jsonl, .parquet, .json.gz, .csv.bz2; {', '.join(SET_FORMATS)}): IN is "
         "read by its ending and content.",
@@ -170,7 +174,7 @@ convert.__doc__ = "\n\n".join(
 )
 
 
-def _find(path: Path, name: str | None, hints: tuple[str, str], **table: Any) -> Format:
+def _find(path: Path, name: str | None, hints: tuple[str, str], **table: Any) -> FileFormat:
     """Find a file's format; an error is of the option that names it, or else of the file's."""
     try:
         return find_format(path, name, **table)

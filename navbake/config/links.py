@@ -32,7 +32,7 @@ from navbake.config.field_types import (
     refuse_if,
     setting,
 )
-from navbake.formats.shapes import read_entries
+from navbake.formats.shapes import read_links_or_areas
 from navbake.known_names import suggest
 from navbake.navgrid.links import MAX_AREAS
 
@@ -169,10 +169,10 @@ Areas = Annotated[
     list[AreaSettings],
     Field(max_length=MAX_AREAS),
     AfterValidator(_check_names),
-    BeforeValidator(read_if_file("areas", lambda path: read_entries(path, "areas"))),
+    BeforeValidator(read_if_file("areas", lambda path: read_links_or_areas(path, "areas"))),
 ]
 Links = Annotated[
     list[LinkSettings],
     AfterValidator(_check_names),
-    BeforeValidator(read_if_file("links", lambda path: read_entries(path, "links"))),
+    BeforeValidator(read_if_file("links", lambda path: read_links_or_areas(path, "links"))),
 ]

@@ -54,7 +54,7 @@ from navbake.config.field_types import (
 from navbake.config.links import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.errors import ConfigError
 from navbake.files import readable_stem
-from navbake.formats.scene_files import BUILDING_SUFFIXES, suffix_of
+from navbake.formats.scene_files import BUILDING_SUFFIXES, scene_suffix
 from navbake.formats.shapes import read_room_outlines
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides, read_yaml
@@ -78,7 +78,7 @@ def stem_of(path: str | PathLike[str]) -> str:
     if is_memory_path(path):
         return str(path)[1:-1]
     stem = readable_stem(path)
-    return stem.removesuffix(".building") if suffix_of(path) in BUILDING_SUFFIXES else stem
+    return stem.removesuffix(".building") if scene_suffix(path) in BUILDING_SUFFIXES else stem
 
 
 Folder = Annotated[FilePath, AfterValidator(resolve)]
@@ -425,13 +425,13 @@ def find_source(path: str | PathLike[str]) -> Path:
 
 def is_settings(path: str | PathLike[str]) -> bool:
     """Whether a file is settings by its name, and no scene."""
-    return suffix_of(path) in YAML_SUFFIXES
+    return scene_suffix(path) in YAML_SUFFIXES
 
 
 def defaults_of(scene: Path) -> dict[str, Any]:
     """The settings of a scene that comes without: lifts of a building are links."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
-    if suffix_of(scene) in BUILDING_SUFFIXES and scene.is_file():
+    if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
         settings["links"] = [{"auto": "lift"}] if LIFTS.search(scene.read_bytes()) else []
     return settings
 

@@ -18,10 +18,10 @@ from functools import partial
 import msgspec
 
 from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet, Header
-from navbake.episodes.formats import FOREIGN, Fields, SetFormat, decode
+from navbake.episodes.formats import SIMULATOR_FORMATS, Fields, SetFormat, decode
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
-from navbake.formats.source import import_extra, path_name, read_bytes, unpack, write_bytes
+from navbake.formats.source import format_path, import_extra, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
 NAME = b"navbake"  # of the header in a Parquet file's metadata
@@ -50,14 +50,16 @@ def read_episodes(
     text = unpack(packed, name)
     ending, _ = _endings(path)
     is_list = ending == ".json" and text.lstrip()[:1] == b"["
-    fitting = [one for one in FORMATS.values() if one.ending == ending] or [FORMATS["jsonl"]]
-    chosen = FORMATS["molmospaces"] if is_list else fitting[0]
+    fitting = [one for one in EPISODE_FORMATS.values() if one.ending == ending] or [
+        EPISODE_FORMATS["jsonl"]
+    ]
+    chosen = EPISODE_FORMATS["molmospaces"] if is_list else fitting[0]
     try:
         header, episodes = chosen.read(text, name)
         content = EpisodeSet(header, msgspec.convert(episodes, tuple[Episode, ...]))
     except (msgspec.ValidationError, csv.Error, ValueError, TypeError) as error:
         raise FormatError(f"{error} in {name}") from error
-    there = {} if chosen in OWN.values() else scenes or {}
+    there = {} if chosen in NAVBAKE_FORMATS.values() else scenes or {}
     return _rename(content, {name: here for here, name in there.items()})
 
 
@@ -72,7 +74,7 @@ def write_episodes(
     Args:
         content: the set.
         path: of the file; ``.gz`` and ``.bz2`` pack it.
-        form: one of `FORMATS`; the first that fits the ending and the tasks unless given.
+        form: one of `EPISODE_FORMATS`; the first that fits the ending and the tasks unless given.
         scenes: what another program calls scenes, by their ids here.
 
     Returns:
@@ -81,23 +83,25 @@ def write_episodes(
     Raises:
         FormatError: no format has such an ending, or it can't hold the set.
     """
-    if form is not None and form not in FORMATS:
-        raise FormatError(f"no format {form!r}: {suggest(form, FORMATS)}")
-    known = [form] if form else list(FORMATS)
+    if form is not None and form not in EPISODE_FORMATS:
+        raise FormatError(f"no format {form!r}: {suggest(form, EPISODE_FORMATS)}")
+    known = [form] if form else list(EPISODE_FORMATS)
     ending, packing = _endings(path)
-    fitting = [name for name in known if FORMATS[name].ending == ending]
+    fitting = [name for name in known if EPISODE_FORMATS[name].ending == ending]
     if not fitting:
-        endings = ", ".join(dict.fromkeys(FORMATS[name].ending for name in known))
-        raise FormatError(f"expected a name that ends in {endings}, got {path_name(path)}")
+        endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in known))
+        raise FormatError(f"expected a name that ends in {endings}, got {format_path(path)}")
     tasks = {e.task: e.id for e in reversed(content.episodes)}
-    chosen = next((name for name in fitting if tasks.keys() <= {*FORMATS[name].tasks}), None)
+    chosen = next(
+        (name for name in fitting if tasks.keys() <= {*EPISODE_FORMATS[name].tasks}), None
+    )
     if chosen is None:
-        task = next(task for task in tasks if task not in FORMATS[fitting[0]].tasks)
+        task = next(task for task in tasks if task not in EPISODE_FORMATS[fitting[0]].tasks)
         names = " or ".join(fitting)
         raise FormatError(f"no task {task!r} in {names}, as of episode {tasks[task]!r}")
-    written = content if chosen in OWN else _rename(content, scenes or {})
-    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written, chosen)), path)
-    if chosen in OWN:
+    written = content if chosen in NAVBAKE_FORMATS else _rename(content, scenes or {})
+    write_bytes(PACKERS.get(packing, bytes)(EPISODE_FORMATS[chosen].encode(written, chosen)), path)
+    if chosen in NAVBAKE_FORMATS:
         return []
     again = read_episodes(path, scenes)
     lost = {"agent"} if content.header.agent and not again.header.agent else set()
@@ -169,9 +173,9 @@ def read_parquet(data: bytes, name: str) -> Fields:
     return decode(header, Header, name), episodes
 
 
-OWN = {
+NAVBAKE_FORMATS = {
     "jsonl": SetFormat(".jsonl", TASKS, encode_lines, read_lines),
     "parquet": SetFormat(".parquet", TASKS, encode_parquet, read_parquet),
 }
-FORMATS = OWN | FOREIGN
+EPISODE_FORMATS = NAVBAKE_FORMATS | SIMULATOR_FORMATS
 """Formats of sets by their names; other programs' after navbake's own."""

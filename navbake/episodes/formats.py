@@ -369,7 +369,7 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
     return Header(), episodes
 
 
-FOREIGN = {
+SIMULATOR_FORMATS = {
     "habitat-pointnav": SetFormat(".json", ("point",), encode_habitat, read_habitat),
     "habitat-objectnav": SetFormat(".json", ("object",), encode_habitat, read_habitat),
     "habitat-vln": SetFormat(".json", ("point",), encode_habitat, read_habitat),

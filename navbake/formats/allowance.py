@@ -43,7 +43,7 @@ JSON = (str, int, float, dict, list, tuple)
 MISSING: Any = object()  # stands for a missing field
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """Format a value for an error message: short, on one line."""
     if value is MISSING:
         return "nothing"
@@ -74,7 +74,7 @@ class JsonPath:
         elif key.isidentifier():
             step = f".{key}" if self.path else key
         else:
-            step = f"[{shown(key)}]"
+            step = f"[{format_value(key)}]"
         return JsonPath(self.file, self.path + step)
 
     def fail(
@@ -102,10 +102,12 @@ class JsonPath:
     def refuse(self, expected: str, value: object) -> NoReturn:
         """Raise a FormatError with the expected and the actual value."""
         actual = None if value is MISSING else value
-        self.fail(f"expected {expected}, got {shown(value)}", expected=expected, value=actual)
+        self.fail(
+            f"expected {expected}, got {format_value(value)}", expected=expected, value=actual
+        )
 
 
-def whole_number(value: object, place: JsonPath, minimum: int) -> int:
+def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
     """Read an integer; 59.0 is valid, true is not."""
     integral = type(value) is int or (isinstance(value, float) and value.is_integer())
     if not integral or int(value) < minimum:  # type: ignore[call-overload]
@@ -113,7 +115,7 @@ def whole_number(value: object, place: JsonPath, minimum: int) -> int:
     return int(value)  # type: ignore[call-overload,no-any-return]
 
 
-def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
+def check_number(value: object, place: JsonPath, *, positive: bool = False) -> float:
     """Check a finite number; whole ones become int, so that JSON has no .0."""
     try:
         is_number = isinstance(value, Real) and not isinstance(value, bool)
@@ -125,27 +127,27 @@ def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
     return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked
 
 
-def vector(value: object, place: JsonPath) -> Vector3:
+def check_vector(value: object, place: JsonPath) -> Vector3:
     """Check three finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         place.refuse("three numbers", value)
-    x, y, z = (float(number(entry, place[i])) for i, entry in enumerate(value))
+    x, y, z = (float(check_number(entry, place[i])) for i, entry in enumerate(value))
     return x, y, z
 
 
-def json_object(value: object, place: JsonPath) -> Json:
+def check_object(value: object, place: JsonPath) -> Json:
     if not isinstance(value, dict):
         place.refuse("an object", value)
     return value
 
 
-def optional_object(content: Json, key: str, place: JsonPath) -> Json:
+def check_optional_object(content: Json, key: str, place: JsonPath) -> Json:
     """Read an object that may be missing or null."""
     value = content.get(key)
-    return {} if value is None else json_object(plain(value, place[key]), place[key])
+    return {} if value is None else check_object(check_json(value, place[key]), place[key])
 
 
-def plain(value: Any, place: JsonPath) -> Any:
+def check_json(value: Any, place: JsonPath) -> Any:
     """Check that a value is JSON and not nested too deep; layer by layer, which is fast."""
     layer = [value]
     for _ in range(MAX_DEPTH):
@@ -206,7 +208,7 @@ class Allowance:
         """Count the cells, voxels or pixels of a shape; raises a FormatError for too many."""
         if math.prod(shape) > self._cells:
             unit = self._keyword.removeprefix("max_") or "pixels"
-            counts = " × ".join(shown(int(n)) for n in shape)
+            counts = " × ".join(format_value(int(n)) for n in shape)
             what = f"too many {unit} ({counts}, expected {self._cells:,} at most)"
             place.fail(what, self._remedy)
         self._cells -= math.prod(shape)

@@ -13,7 +13,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.formats.allowance import MISSING, Allowance, JsonPath, whole_number
+from navbake.formats.allowance import MISSING, Allowance, JsonPath, check_whole_number
 from navbake.navgrid.metadata import datatype_name
 from navbake.types import Float, Int
 
@@ -52,7 +52,7 @@ def decode_array(
     dtype = np.dtype(name)
     num_cells = math.prod(shape)
     if value.get("length") is not None:
-        length = whole_number(value["length"], place["length"], 0)
+        length = check_whole_number(value["length"], place["length"], 0)
         if length != num_cells:
             place["length"].refuse(f"{num_cells}, which is width × height", length)
     allowance.take_array(shape, dtype.itemsize, place)

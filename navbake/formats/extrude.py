@@ -26,7 +26,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.convert import chosen_levels
+from navbake.formats.convert import select_levels
 from navbake.formats.floor_mesh import cover_quads
 from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -73,7 +73,7 @@ def encode_mjcf(
         FormatError: there is no such level or no free cell, the walls are too low, levels don't
             lie over each other, or more than 200,000 boxes are needed.
     """
-    levels = [grid.levels[k] for k in chosen_levels(grid, path, level, (".xml",))]
+    levels = [grid.levels[k] for k in select_levels(grid, path, level, (".xml",))]
     least = grid.agent_height
     height = max(WALL_HEIGHT, least + 1.0) if height is None else height
     if not least < height <= HIGHEST:

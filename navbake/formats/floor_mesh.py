@@ -160,7 +160,7 @@ def cover_quads(
     from navbake.compiled import ensure_compiled  # numba loads slowly
     from navbake.formats.plane_kernels import cover_planes  # as above
 
-    ensure_compiled("formats.kernels.planes.")
+    ensure_compiled("formats.plane_kernels.")
     bounds, planes = cover_planes(labels, heights, tolerance, steepest)
     row0, col0, row1, col1 = bounds.T
     rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * margin
@@ -172,7 +172,7 @@ def cover_quads(
     return bounds[:, :2], rows, cols, z
 
 
-def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
+def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
     """Colours of `LevelMesh.rooms`, sRGB, shape (n, 3), by level; neighbours' differ."""
     found = []
     for number, level in enumerate(mesh.levels):
@@ -185,7 +185,7 @@ def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
 # ---------------------------------------------------------------- files
 
 
-class Buffer:
+class GlbBuffer:
     """The one buffer of a GLB, and its views and accessors."""
 
     def __init__(self) -> None:
@@ -248,10 +248,10 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
     name, in its colour of the pictures.
     """
     mesh = make_floor_mesh(grid, tolerance)
-    buffer = Buffer()
+    buffer = GlbBuffer()
     scenes = [{"nodes": list(range(len(mesh.levels)))}]
     document: Json = {"scenes": scenes, "nodes": [], "meshes": [], "materials": []}
-    for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
+    for level, colors in zip(mesh.levels, find_room_colors(grid, mesh), strict=True):
         x, y, z = level.origin
         node: Json = {"name": level.name, "translation": [x, z, 0.0 - y]}
         document["nodes"].append(node)
@@ -292,7 +292,7 @@ def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: s
     done = 0
     levels = set[str]()
     groups = set[str]()
-    for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
+    for level, colors in zip(mesh.levels, find_room_colors(grid, mesh), strict=True):
         lines.append(f"o {_own_name(level.name, levels)}\n")
         x, y, z = level.vertices.T
         z = np.round(z, 6)  # drops the noise of float32

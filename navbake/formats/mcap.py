@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.convert import chosen_levels
-from navbake.formats.occupancy import values_of
+from navbake.formats.convert import select_levels
+from navbake.formats.occupancy import compute_occupancy_values
 from navbake.formats.source import Files, import_extra
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
@@ -79,7 +79,7 @@ def encode_mcap(
         MissingDependencyError: mcap-ros2-support is not installed.
     """
     writing: Any = import_extra("mcap_ros2.writer", "mcap", "MCAP")
-    chosen = chosen_levels(grid, path, level, (".mcap",))
+    chosen = select_levels(grid, path, level, (".mcap",))
     if any(found is None for found in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
     file = io.BytesIO()
@@ -89,7 +89,7 @@ def encode_mcap(
         def write(topic: str, kind: str, message: Json) -> None:
             if kind not in schemas:
                 name = kind.replace("/", "/msg/")
-                schemas[kind] = writer.register_msgdef(name, define(kind))
+                schemas[kind] = writer.register_msgdef(name, define_message(kind))
             writer.write_message(topic, schemas[kind], message, log_time=0, publish_time=0)
 
         for number in chosen:
@@ -98,7 +98,9 @@ def encode_mcap(
             origin = {"position": _point([x, y, own.ground]), "orientation": UPRIGHT}
             info = {"resolution": own.lattice.cell_size, "origin": origin}
             info |= {"width": own.width, "height": own.height}
-            values = values_of(grid, number)[::-1].ravel().tolist()  # row 0 at the bottom
+            values = (
+                compute_occupancy_values(grid, number)[::-1].ravel().tolist()
+            )  # row 0 at the bottom
             topic = "/map" if len(chosen) == 1 else f"/map_{number}"
             map_of_level = {"header": FRAME, "info": info, "data": values}
             write(topic, "nav_msgs/OccupancyGrid", map_of_level)
@@ -133,7 +135,7 @@ def _point(place: Any) -> Json:
     return dict(zip("xyz", map(float, place), strict=True))
 
 
-def define(kind: str) -> str:
+def define_message(kind: str) -> str:
     """The definition of a message of ROS 2, with those of its parts."""
     parts: dict[str, str] = {}
 

@@ -4,8 +4,8 @@ A map has its origin at the lower left corner of the image's lower left pixel, a
 the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, and, from the
 bottom, in the row of the same formula of y.
 
-Source: ``map_io.cpp`` of ``nav2_map_server``, whose rules for pixels `read_values` follows: the
-three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The rules are
+Source: ``map_io.cpp`` of ``nav2_map_server``, whose rules for pixels `read_pixel_values` follows:
+the three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The rules are
 those of a version:
 
 - ``humble``, to Jazzy: a grey is the mean of its channels, a value on a threshold is neither free
@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
-from navbake.formats.allowance import MISSING, JsonPath, number, vector
-from navbake.formats.convert import level_paths
-from navbake.formats.navgrid import checked_grid
+from navbake.formats.allowance import MISSING, JsonPath, check_number, check_vector
+from navbake.formats.convert import list_level_paths
+from navbake.formats.navgrid import check_grid
 from navbake.formats.source import (
     Files,
     Pixels,
@@ -49,7 +49,7 @@ from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 
 MODES = ("trinary", "scale", "raw")
-RULES = ("humble", "main")
+PIXEL_RULES = ("humble", "main")
 IMAGES = ("pgm", "png")
 YAMLS = (".yaml", ".yml")
 # of map_saver; 0.25 takes 205 for free
@@ -62,7 +62,7 @@ UNKNOWN_GREY = 205
 FREE_GREY = 254
 
 
-class MapRules(NamedTuple):
+class MapYaml(NamedTuple):
     """The content of a map's YAML."""
 
     image: Path
@@ -119,12 +119,12 @@ def encode_nav2(
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}
-    for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
+    for k, yaml_path in list_level_paths(grid, path, level, YAMLS).items():
         if inflation is None:
-            values = occupancy.values_of(grid, k)
+            values = occupancy.compute_occupancy_values(grid, k)
         else:
             robot = grid.agent_radius if radius is None else radius
-            values = occupancy.inflated_values(grid, k, robot, inflation, scaling)
+            values = occupancy.compute_costmap_values(grid, k, robot, inflation, scaling)
         files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 
@@ -186,19 +186,19 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
     content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
     metadata = {"sceneId": readable_stem(path), "nav2": content}
     level = occupancy.level_from_values(values, lattice, stated.ground, metadata)
-    checked_grid(level, JsonPath(check_path(path)))
+    check_grid(level, JsonPath(check_path(path)))
     return level
 
 
 def read_map(
     path: str | PathLike[str], rules: str = "humble"
-) -> tuple[occupancy.Values, Lattice, MapRules]:
+) -> tuple[occupancy.Values, Lattice, MapYaml]:
     """Read a map's values on cells along the axes, the lattice of these, and its YAML.
 
     See `read_nav2` for the arguments and errors.
     """
-    check_choice(rules, RULES, "rules")
-    stated = read_rules(path)
+    check_choice(rules, PIXEL_RULES, "rules")
+    stated = read_map_yaml(path)
     if not os.path.exists(stated.image):  # Path.exists raises for names that are too long
         raise FormatError(f"the image that `image` in {path} names isn't there: {stated.image}")
     try:
@@ -206,16 +206,16 @@ def read_map(
     except OSError as error:
         message = f"cannot read the image that `image` in {path} names: {error.strerror}"
         raise FormatError(f"{message} at {stated.image}") from error
-    values = read_values(read_pixels(stated.image), stated, rules)
-    return *occupancy.lay_along_axes(values, stated.origin, stated.resolution), stated
+    values = read_pixel_values(read_pixels(stated.image), stated, rules)
+    return *occupancy.align_with_axes(values, stated.origin, stated.resolution), stated
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:
-    """The image files that `read_nav2` reads for a YAML; raises as `read_rules` does."""
-    return [read_rules(path).image]
+    """The image files that `read_nav2` reads for a YAML; raises as `read_map_yaml` does."""
+    return [read_map_yaml(path).image]
 
 
-def read_rules(path: str | PathLike[str]) -> MapRules:
+def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
     """Read a map's YAML; raises a FormatError if nav2's keys are missing."""
     place = JsonPath(check_path(path))
     entries, _ = read_yaml(path, expected="the YAML of a map")
@@ -225,7 +225,7 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     if not isinstance(image, str) or not image:
         place["image"].refuse("the name of an image", image)
     stated = {
-        key: float(number(entries.get(key, MISSING), place[key]))
+        key: float(check_number(entries.get(key, MISSING), place[key]))
         for key in ("resolution", "occupied_thresh", "free_thresh")
     }
     if not LEAST_EDGE <= stated["resolution"] <= FARTHEST:
@@ -246,17 +246,17 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     if not isinstance(negate, int):
         place["negate"].refuse("0 or 1", negate)
     own = entries.get("navbake")
-    origin = vector(entries.get("origin", MISSING), place["origin"])
+    origin = check_vector(entries.get("origin", MISSING), place["origin"])
     ground = own.get("ground", 0.0) if isinstance(own, dict) else 0.0
-    ground = float(number(ground, place["navbake"]["ground"]))
+    ground = float(check_number(ground, place["navbake"]["ground"]))
     if not all(abs(value) <= FARTHEST for value in (*origin[:2], ground)):
         place["origin"].fail(f"expected a map within {FARTHEST:g} m of the origin")
     place_of_image = Path(path).parent / image
     resolution = stated["resolution"]
-    return MapRules(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
+    return MapYaml(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
 
 
-def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> occupancy.Values:
+def read_pixel_values(pixels: Pixels, stated: MapYaml, rules: str = "humble") -> occupancy.Values:
     """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
     light = pixels.light
     steps = 3 * pixels.white

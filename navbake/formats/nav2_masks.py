@@ -25,10 +25,10 @@ import yaml
 
 from navbake.errors import FormatError
 from navbake.files import readable_stem
-from navbake.formats.allowance import JsonPath, json_object, number
-from navbake.formats.convert import check_level, level_paths
+from navbake.formats.allowance import JsonPath, check_number, check_object
+from navbake.formats.convert import check_level, list_level_paths
 from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_map
-from navbake.formats.navgrid import checked_grid
+from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_from_values
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, read_yaml
@@ -106,7 +106,7 @@ def encode_mask(
         marked = _mark_zones(grid, zone, zones, has_limits)
         scale = Scale(PERCENT if has_limits else KEEPOUT)
     files: Files = {}
-    for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
+    for k, yaml_path in list_level_paths(grid, path, level, YAMLS).items():
         files |= encode_map(grid.levels[k], marked[k], yaml_path, "raw", image)
         kind = "speed" if has_limits else "keepout"
         topic = f"{kind}_filter_mask"
@@ -264,7 +264,7 @@ def read_mask(
         level = 0
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
         grid = level_from_values(empty, lattice, stated.ground, metadata)
-        checked_grid(grid, JsonPath(check_path(path)))
+        check_grid(grid, JsonPath(check_path(path)))
     check_level(grid, level)
     target = grid.levels[level].lattice
     rows, cols = lattice.rows_cols(target.positions(*np.indices(target.shape)))
@@ -338,10 +338,12 @@ def _read_info(path: Path) -> Scale:
         return Scale(PERCENT)
     content, name = read_yaml(info, expected="the parameters of a filter")
     place = JsonPath(name)
-    for node, entry in json_object(content, place).items():
-        own = json_object(json_object(entry, place).get("ros__parameters"), place[str(node)])
+    for node, entry in check_object(content, place).items():
+        own = check_object(check_object(entry, place).get("ros__parameters"), place[str(node)])
         if "multiplier" in own and "type" in own:
-            numbers = [float(number(own.get(key), place[str(node)][key])) for key in Scale._fields]
+            numbers = [
+                float(check_number(own.get(key), place[str(node)][key])) for key in Scale._fields
+            ]
             if numbers[0] not in (PERCENT, ABSOLUTE):
                 place[str(node)]["type"].refuse("1 (percent) or 2 (m/s)", own["type"])
             return Scale(int(numbers[0]), *numbers[1:])

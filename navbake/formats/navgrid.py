@@ -28,22 +28,22 @@ from navbake.formats.allowance import (
     MISSING,
     Allowance,
     JsonPath,
-    json_object,
-    number,
-    optional_object,
-    plain,
-    shown,
-    vector,
-    whole_number,
+    check_json,
+    check_number,
+    check_object,
+    check_optional_object,
+    check_vector,
+    check_whole_number,
+    format_value,
 )
 from navbake.formats.arrays import decode_array, encode_array
-from navbake.formats.convert import FORMATS
+from navbake.formats.convert import GRID_FORMATS
 from navbake.formats.source import (
     Files,
     Source,
     check_path,
     parse_json,
-    read_json_text,
+    read_navgrid_text,
     write_files,
 )
 from navbake.lazy import lazy
@@ -92,15 +92,15 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     Raises:
         FormatError: the file can't be read or does not follow the format.
     """
-    text, num_bytes, top = read_json_text(source)
+    text, num_bytes, top = read_navgrid_text(source)
     content = _parse(text, top)
     allowance = Allowance(num_bytes, "max_cells", max_cells)
     kind = content.get("type", MISSING)
     if kind == "MultiLevelGrid":
-        return warned_of_newer(read_levels(content, top, allowance), top)
+        return warn_of_newer(read_multi_level_grid(content, top, allowance), top)
     if kind != "SceneGrid2D":
         top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
-    return warned_of_newer(checked_grid(read_level(content, top, allowance), top), top)
+    return warn_of_newer(check_grid(read_level(content, top, allowance), top), top)
 
 
 def _parse(content: bytes, top: JsonPath) -> Json:
@@ -114,7 +114,7 @@ def _parse(content: bytes, top: JsonPath) -> Json:
             levels = msgspec.json.decode(fields["grids"], type=list[dict[str, msgspec.Raw]])
             house = {key: key == "grids" or orjson.loads(memoryview(fields[key])) for key in fields}
             return {**house, "grids": [_parse_level(level) for level in levels]}
-    return json_object(parse_json(content, top), top)  # names the line of the fault
+    return check_object(parse_json(content, top), top)  # names the line of the fault
 
 
 def _parse_level(fields: Json) -> Json:
@@ -122,7 +122,7 @@ def _parse_level(fields: Json) -> Json:
     return {key: view if key == "userData" else orjson.loads(view) for key, view in views.items()}
 
 
-def read_levels(
+def read_multi_level_grid(
     content: Json, top: JsonPath, allowance: Allowance, key: str = "grids"
 ) -> MultiLevelGrid:
     """Read a grid of several levels; `key` is the file's name for its ``grids``."""
@@ -131,11 +131,11 @@ def read_levels(
         top[key].refuse("a list of at least one level", grids)
     whole = {name: content[name] for name in ("cellSize", "unit") if content.get(name) is not None}
     for name in whole:
-        number(whole[name], top[name], positive=True)
+        check_number(whole[name], top[name], positive=True)
     metadata = read_metadata(content, top)
     levels = []
     for i, value in enumerate(grids):
-        level = json_object(value, top[key][i])
+        level = check_object(value, top[key][i])
         if level.get("type", "SceneGrid2D") != "SceneGrid2D":
             top[key][i]["type"].refuse("'SceneGrid2D'", level["type"])
         levels.append(read_level(level, top[key][i], allowance, {**whole, "metadata": metadata}))
@@ -144,10 +144,10 @@ def read_levels(
         cell_size=float(whole.get("cellSize", levels[0].cell_size)),
         unit=float(whole.get("unit", 1)),
         metadata=metadata,
-        timings=optional_object(content, "timings", top),
+        timings=check_optional_object(content, "timings", top),
         extra=_unknown(content, MULTI_FIELDS, top),
     )
-    checked_grid(house, top, key)
+    check_grid(house, top, key)
     return house
 
 
@@ -160,10 +160,10 @@ def read_level(
     """
     metadata = read_metadata(content, place) or (whole or {}).get("metadata", {})
     stated = {"unit": 1, **(whole or {}), **{k: v for k, v in content.items() if v is not None}}
-    size = float(number(stated.get("cellSize", MISSING), place["cellSize"], positive=True))
-    unit = float(number(stated.get("unit", MISSING), place["unit"], positive=True))
-    width = whole_number(content.get("width", MISSING), place["width"], 1)
-    height = whole_number(content.get("height", MISSING), place["height"], 1)
+    size = float(check_number(stated.get("cellSize", MISSING), place["cellSize"], positive=True))
+    unit = float(check_number(stated.get("unit", MISSING), place["unit"], positive=True))
+    width = check_whole_number(content.get("width", MISSING), place["width"], 1)
+    height = check_whole_number(content.get("height", MISSING), place["height"], 1)
     allowance.take_cells((width, height), place)
 
     def layer(value: Any, at: JsonPath, **given: Any) -> NDArray[Any]:
@@ -177,7 +177,7 @@ def read_level(
     at = place["tileAttributes"]
     attributes = {
         name: layer(value, at[name], default=types.get(name))
-        for name, value in json_object(stored, at).items()
+        for name, value in check_object(stored, at).items()
     }
     if "weights" in stated:
         weights = layer(stated["weights"], place["weights"], null=math.inf)
@@ -192,53 +192,54 @@ def read_level(
     bbox = content.get("bbox")
     at = place["bbox"]
     if bbox is not None:
-        low = json_object(bbox, at).get("min", MISSING)
-        high = json_object(bbox, at).get("max", MISSING)
-        bbox = vector(low, at["min"]), vector(high, at["max"])
+        low = check_object(bbox, at).get("min", MISSING)
+        high = check_object(bbox, at).get("max", MISSING)
+        bbox = check_vector(low, at["min"]), check_vector(high, at["max"])
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=size,
-        min_yup=vector(content.get("min", MISSING), place["min"]),
+        min_yup=check_vector(content.get("min", MISSING), place["min"]),
         bbox_yup=bbox,
         unit=unit,
         weights=weights,
         attributes=attributes,
         user_data=_read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=metadata,
-        timings=optional_object(content, "timings", place),
+        timings=check_optional_object(content, "timings", place),
         extra=_unknown(content, SCENE_FIELDS, place),
     )
 
 
 def read_metadata(content: Json, place: JsonPath) -> Json:
     """Read the metadata of a grid or level, and check the parts that readers rely on."""
-    metadata = optional_object(content, "metadata", place)
-    optional_object(metadata, "navbake", place["metadata"])
+    metadata = check_optional_object(content, "metadata", place)
+    check_optional_object(metadata, "navbake", place["metadata"])
     entries = metadata.get("cellAttributes")
     place = place["metadata"]["cellAttributes"]
     if not isinstance(entries, list | None):
         place.refuse("a list", entries)
     for i, entry in enumerate(entries or []):
-        name = json_object(entry, place[i]).get("name", MISSING)
+        name = check_object(entry, place[i]).get("name", MISSING)
         if not isinstance(name, str):
             place[i]["name"].refuse("a string", name)
     return metadata
 
 
 def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
-    return {key: plain(content[key], place[key]) for key in content if key not in known}
+    return {key: check_json(content[key], place[key]) for key in content if key not in known}
 
 
 def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
     """Check user data: at once, or if still text, on first use."""
 
     def check(value: Any) -> dict[int, Json]:
-        stored: Json = {} if value is None else json_object(plain(value, place), place)
+        stored: Json = {} if value is None else check_object(check_json(value, place), place)
         ids = [int(key) if key.isdecimal() and len(key) <= 15 else -1 for key in stored]
         for key, cell_id in zip(stored, ids, strict=True):
             if not 0 <= cell_id < num_cells or str(cell_id) != key:
-                what = f"expected a cell's id from 0 to {num_cells - 1} as key, got {shown(key)}"
+                expected = f"a cell's id from 0 to {num_cells - 1} as key"
+                what = f"expected {expected}, got {format_value(key)}"
                 place.fail(what)
         if not set(map(type, stored.values())) <= {dict}:
             key, odd = next((k, v) for k, v in stored.items() if not isinstance(v, dict))
@@ -250,7 +251,7 @@ def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
     return UserData(check(value))
 
 
-def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
+def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     """Check a file's cell size, and the tables of a whole grid."""
     for k, level in enumerate(grid.levels):
         place = top[key][k] if key else top
@@ -270,7 +271,7 @@ def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     return grid
 
 
-def warned_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
+def warn_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
     """Return the grid; log a warning if its metadata, or its format, are of a newer navbake."""
 
     def numbers(version: str) -> list[int]:
@@ -279,7 +280,7 @@ def warned_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> Nav
     stated = grid.navbake.get("version")
     is_stated = isinstance(stated, str) and numbers(stated) > numbers(__version__)
     if is_newer or is_stated:
-        by = f"navbake {shown(stated)[1:-1]}" if is_stated else "a newer navbake"
+        by = f"navbake {format_value(stated)[1:-1]}" if is_stated else "a newer navbake"
         LOG.warning("%s is by %s, this is %s: parts of it may be unknown here",
                     printable(top.file), by, __version__)  # fmt: skip
     return grid
@@ -295,7 +296,7 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     or the path can't be written.
     """
     name = check_path(path)
-    others = [form.name for form in FORMATS[1:] if name.lower().endswith(form.endings)]
+    others = [form.name for form in GRID_FORMATS[1:] if name.lower().endswith(form.endings)]
     ways = [f"grid.convert(path) writes {others[0]}"] if others else []
     ways += ["grid.plot(path) draws a picture"] if name.lower().endswith((".png", ".svg")) else []
     if ways:
@@ -339,10 +340,10 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         fields = {
             "type": "MultiLevelGrid",
             "metadata": _metadata(grid, top),
-            "cellSize": number(grid.cell_size, top["cellSize"], positive=True),
-            "unit": number(grid.unit, top["unit"], positive=True),
+            "cellSize": check_number(grid.cell_size, top["cellSize"], positive=True),
+            "unit": check_number(grid.unit, top["unit"], positive=True),
             "grids": levels,
-            "timings": plain(grid.timings, top["timings"]),
+            "timings": check_json(grid.timings, top["timings"]),
         } | _extra(grid, top)
 
     try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
@@ -369,32 +370,32 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
             name: runs(array, place["tileAttributes"][name], datatype=array.dtype.name)
             for name, array in grid.attributes.items()
         },
-        "width": whole_number(int(grid.width), place["width"], 1),
-        "height": whole_number(int(grid.height), place["height"], 1),
-        "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
-        "min": [number(value, place["min"][i]) for i, value in enumerate(grid.min_yup)],
-        "unit": number(grid.unit, place["unit"], positive=True),
+        "width": check_whole_number(int(grid.width), place["width"], 1),
+        "height": check_whole_number(int(grid.height), place["height"], 1),
+        "cellSize": check_number(grid.cell_size, place["cellSize"], positive=True),
+        "min": [check_number(value, place["min"][i]) for i, value in enumerate(grid.min_yup)],
+        "unit": check_number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
         fields["bbox"] = {
-            key: [number(value, place["bbox"][key][i]) for i, value in enumerate(corner)]
+            key: [check_number(value, place["bbox"][key][i]) for i, value in enumerate(corner)]
             for key, corner in zip(("min", "max"), grid.bbox_yup, strict=True)
         }
-    fields["timings"] = plain(grid.timings, place["timings"])
+    fields["timings"] = check_json(grid.timings, place["timings"])
     return fields | _extra(grid, place)
 
 
 def _metadata(grid: NavGrid, place: JsonPath) -> Json:
     """The grid's metadata with ``cellAttributes`` of the existing arrays."""
     place = place["metadata"]
-    optional_object(grid.metadata, "navbake", place)
+    check_optional_object(grid.metadata, "navbake", place)
     metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
-    return json_object(plain(metadata, place), place)
+    return check_object(check_json(metadata, place), place)
 
 
 def _extra(grid: NavGrid, place: JsonPath) -> Json:
     check_extra(grid.extra, type(grid), place)
-    return {key: plain(grid.extra[key], place[key]) for key in grid.extra}
+    return {key: check_json(grid.extra[key], place[key]) for key in grid.extra}
 
 
 def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
@@ -412,17 +413,19 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
         cells = source.cells.tolist()
         numbers = source.number.tolist()
         entries = source.entries
-        plain(list(entries), place)
+        check_json(list(entries), place)
     else:
         for cell_id, value in source.items():
             if not isinstance(cell_id, int | np.integer):
-                place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {shown(cell_id)}")
+                place.fail(
+                    f"expected cell ids from 0 to {num_cells - 1}, got {format_value(cell_id)}"
+                )
             if not isinstance(value, dict):
                 place[int(cell_id)].refuse("an object", value)
         cells = sorted(map(int, source))
         numbers = range(len(cells))
         entries = [source[cell] for cell in cells]
-        plain({str(cell): entry for cell, entry in zip(cells, entries, strict=True)}, place)
+        check_json({str(cell): entry for cell, entry in zip(cells, entries, strict=True)}, place)
     if cells and not 0 <= cells[0] <= cells[-1] < num_cells:
         wrong = cells[0] if cells[0] < 0 else cells[-1]
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong}")

@@ -31,11 +31,11 @@ from navbake.formats.allowance import (
     MISSING,
     Allowance,
     JsonPath,
-    json_object,
-    number,
-    optional_object,
-    plain,
-    whole_number,
+    check_json,
+    check_number,
+    check_object,
+    check_optional_object,
+    check_whole_number,
 )
 from navbake.formats.source import Files, parse_json, read_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -224,11 +224,11 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
 def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
     navgrid.check_extra(grid.extra, type(grid), place["extra"])
     return {
-        "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
-        "unit": number(grid.unit, place["unit"], positive=True),
-        "metadata": plain(metadata, place["metadata"]),
-        "timings": plain(grid.timings, place["timings"]),
-        "extra": plain(grid.extra, place["extra"]),
+        "cellSize": check_number(grid.cell_size, place["cellSize"], positive=True),
+        "unit": check_number(grid.unit, place["unit"], positive=True),
+        "metadata": check_json(metadata, place["metadata"]),
+        "timings": check_json(grid.timings, place["timings"]),
+        "extra": check_json(grid.extra, place["extra"]),
     }
 
 
@@ -245,8 +245,8 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
             hint = ": it holds voxels, navbake.load_voxels reads them"
             hint = hint if "values" in archive else ""
             raise FormatError(f"expected {expected}, {top.file} has no array `{GRID}`{hint}")
-        document = json_object(parse_json(archive.text(GRID, top), top), top)
-        version = whole_number(document.get("version", MISSING), top["version"], 1)
+        document = check_object(parse_json(archive.text(GRID, top), top), top)
+        version = check_whole_number(document.get("version", MISSING), top["version"], 1)
         stated = document.get("levels", MISSING)
         kind = document.get("type", MISSING)
         if not isinstance(stated, list) or not stated:
@@ -254,23 +254,25 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]
         if kind == "MultiLevelGrid":
             whole = _with_extra(document, MultiLevelGrid, top)
-            house = navgrid.read_levels({**whole, "grids": levels}, top, allowance, "levels")
-            return navgrid.warned_of_newer(house, top, version > VERSION)
+            house = navgrid.read_multi_level_grid(
+                {**whole, "grids": levels}, top, allowance, "levels"
+            )
+            return navgrid.warn_of_newer(house, top, version > VERSION)
         if kind != "SceneGrid2D" or len(stated) != 1:
             top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
         _ = _with_extra(document, SceneGrid2D, top)
         whole = {"metadata": navgrid.read_metadata(document, top)}
-        level = navgrid.checked_grid(
+        level = navgrid.check_grid(
             navgrid.read_level(levels[0], top["levels"][0], allowance, whole), top
         )
-        return navgrid.warned_of_newer(level, top, version > VERSION)
+        return navgrid.warn_of_newer(level, top, version > VERSION)
 
 
 def _content(archive: _Archive, k: int, value: object) -> Json:
     """A level as in a NavGrid file, with functions that read its layers."""
     place = archive.top["levels"][k]
-    entry = json_object(value, place)
-    members = json_object(entry.get("attributes", MISSING), place["attributes"])
+    entry = check_object(value, place)
+    members = check_object(entry.get("attributes", MISSING), place["attributes"])
     corners = entry.get("bbox")
     if corners is not None and not (isinstance(corners, list) and len(corners) == 2):
         place["bbox"].refuse("two corners", corners)
@@ -289,7 +291,7 @@ def _content(archive: _Archive, k: int, value: object) -> Json:
 
 def _with_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
     """An entry's fields and its extra fields in one object."""
-    extra = optional_object(entry, "extra", place)
+    extra = check_optional_object(entry, "extra", place)
     navgrid.check_extra(extra, kind, place["extra"])
     other = ("version", "extra", "levels", "attributes")
     return {**extra, **{key: value for key, value in entry.items() if key not in other}}

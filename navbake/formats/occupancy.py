@@ -41,7 +41,7 @@ PIECE = 1 << 18  # cells compared at once, to limit memory
 Values = NDArray[np.int8]
 
 
-def values_of(grid: NavGrid, number: int) -> Values:
+def compute_occupancy_values(grid: NavGrid, number: int) -> Values:
     """The values of a level's cells, shape (height, width), int8.
 
     Unknown where a grid with floors has none; free at finite weights, with a cost for weights above
@@ -58,7 +58,7 @@ def values_of(grid: NavGrid, number: int) -> Values:
     return values
 
 
-def inflated_values(
+def compute_costmap_values(
     grid: NavGrid, number: int, radius: float, inflation: float, scaling: float = SCALING
 ) -> Values:
     """The values of a level's costmap: its obstacles inflated by nav2's formula.
@@ -72,7 +72,7 @@ def inflated_values(
             f"expected an inflation of at least the radius {radius:g} m, got {inflation:g}"
         )
     inflated = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
-    values = values_of(inflated, number)
+    values = compute_occupancy_values(inflated, number)
     costs = nav2_costs(grid.levels[number], radius, inflation, scaling)
     is_free = (values >= FREE) & (values < INSCRIBED)
     values[is_free] = np.maximum(values, _publish(costs))[is_free]
@@ -133,7 +133,7 @@ def level_from_rooms(
     return level
 
 
-def lay_along_axes(
+def align_with_axes(
     values: Values, origin: tuple[float, float, float], resolution: float
 ) -> tuple[Values, Lattice]:
     """Resample a map with any yaw onto cells along the world's axes.
@@ -150,7 +150,9 @@ def lay_along_axes(
     if abs(yaw - quarters * QUARTER) * math.hypot(width, height) <= SLACK:
         left, below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
         turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
-        return turned, lattice_of(turned, x - left * resolution, y - below * resolution, resolution)
+        return turned, lattice_from_corner(
+            turned, x - left * resolution, y - below * resolution, resolution
+        )
     # in cells, from the map's own corner
     cos = math.cos(yaw)
     sin = math.sin(yaw)
@@ -178,10 +180,10 @@ def lay_along_axes(
     turned[covered >= LEAST_COVER] = OCCUPIED
     x = x + lattice.x_min * resolution
     y = y + lattice.bounds[1] * resolution
-    return turned, lattice_of(turned, x, y, resolution)
+    return turned, lattice_from_corner(turned, x, y, resolution)
 
 
-def lattice_of(values: Values, x: float, y: float, cell_size: float) -> Lattice:
+def lattice_from_corner(values: Values, x: float, y: float, cell_size: float) -> Lattice:
     """The lattice of a map's cells from its lower left corner [m]."""
     height, width = values.shape
     return Lattice(x, y + height * cell_size, cell_size, width, height)

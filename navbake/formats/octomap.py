@@ -144,7 +144,7 @@ def read_octomap(
     from navbake.compiled import ensure_compiled  # numba loads slowly
     from navbake.formats.octree_kernels import TOO_DEEP, fill_leaves, read_leaves  # as above
 
-    ensure_compiled("formats.kernels.octree.")
+    ensure_compiled("formats.octree_kernels.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     kind, size, res, end = _read_header(data, name)
     place = JsonPath(name)

@@ -36,8 +36,13 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.formats import source
-from navbake.formats.allowance import MISSING, JsonPath, json_object, optional_object
-from navbake.formats.allowance import number as number_of
+from navbake.formats.allowance import (
+    MISSING,
+    JsonPath,
+    check_number,
+    check_object,
+    check_optional_object,
+)
 from navbake.formats.convert import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
@@ -91,7 +96,7 @@ class _Rows:
             place.fail(f"two nodes have the id {key!r}")
         if not isinstance(position, list) or len(position) not in (2, 3):
             place.refuse("a node's x and y [m]", position)
-        x, y, z = (float(number_of(v, place)) for v in [*position, 0.0][:3])
+        x, y, z = (float(check_number(v, place)) for v in [*position, 0.0][:3])
         fields = {"name": str(key), **entry, "position": (x, y, z)}
         node = read_table(fields, Node, f"{place.path} in {place.file}")
         self.nodes[key] = entry.get("number"), node
@@ -182,20 +187,20 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     A ``speed_limit`` without ``abs_speed_limit`` is percent of the agent's speed, which is 1 m/s
     where the file has none.
     """
-    content, name = source.read_object(path, expected="a GeoJSON FeatureCollection")
+    content, name = source.read_json(path, expected="a GeoJSON FeatureCollection")
     rows = _Rows(name)
     place = rows.top
-    top = json_object(content, rows.top)
+    top = check_object(content, rows.top)
     features = top.get("features")
     if not isinstance(features, list):
         place["features"].refuse("a list of features", features)
-    about = optional_object(top, "navbake", place)
-    fastest = float(number_of(about.get("speed", SPEED), place["navbake"]["speed"]))
+    about = check_optional_object(top, "navbake", place)
+    fastest = float(check_number(about.get("speed", SPEED), place["navbake"]["speed"]))
     for k, feature in enumerate(features):
         at = place["features"][k]
-        geometry = json_object(json_object(feature, at).get("geometry"), at["geometry"])
-        own = json_object(feature.get("properties"), at["properties"])
-        more = optional_object(own, "metadata", at["properties"])
+        geometry = check_object(check_object(feature, at).get("geometry"), at["geometry"])
+        own = check_object(feature.get("properties"), at["properties"])
+        more = check_optional_object(own, "metadata", at["properties"])
         if geometry.get("type") == "Point":
             rows.add_node(own.get("id", MISSING), geometry.get("coordinates"), more, at)
         elif geometry.get("type") in ("LineString", "MultiLineString"):
@@ -203,7 +208,7 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
             if "abs_speed_limit" in more:
                 entry["speed"] = more["abs_speed_limit"]
             elif more.get("speed_limit"):  # 0 is no limit
-                share = float(number_of(more["speed_limit"], at["properties"]["metadata"]))
+                share = float(check_number(more["speed_limit"], at["properties"]["metadata"]))
                 entry["speed"] = share / 100.0 * fastest
             ends = own.get("startid", MISSING), own.get("endid", MISSING)
             rows.add_lane(*ends, {"name": str(own.get("id", "")), **more, **entry}, at)
@@ -269,9 +274,9 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
 
     Nodes have the names that it states, or their ids, if it states a name twice.
     """
-    content, name = source.read_object(path, expected="a LIF (JSON)")
+    content, name = source.read_json(path, expected="a LIF (JSON)")
     rows = _Rows(name)
-    top = json_object(content, rows.top)
+    top = check_object(content, rows.top)
     layouts = [
         (layout, rows.top["layouts"][level])
         for level, layout in enumerate(_objects(top, "layouts", rows.top))
@@ -284,15 +289,15 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
     stated = [str(node.get("nodeName") or node.get("nodeId")) for _, node, _ in nodes]
     key = "nodeName" if len({*stated}) == len(stated) else "nodeId"
     for level, node, here in nodes:
-        spot = json_object(node.get("nodePosition"), here["nodePosition"])
-        own = optional_object(node, "navbake", here)
+        spot = check_object(node.get("nodePosition"), here["nodePosition"])
+        own = check_optional_object(node, "navbake", here)
         named = {"name": node.get(key) or node.get("nodeId"), "level": level, **own}
         position = _with_height(spot.get("x"), spot.get("y"), own)
         rows.add_node(node.get("nodeId", MISSING), position, named, here)
     for layout, at in layouts:
         for number, edge in enumerate(_objects(layout, "edges", at)):
             here = at["edges"][number]
-            own = optional_object(edge, "navbake", here)
+            own = check_optional_object(edge, "navbake", here)
             kinds = _objects(edge, "vehicleTypeEdgeProperties", here) if not own else []
             speed = {"speed": kinds[0]["maxSpeed"]} if kinds and kinds[0].get("maxSpeed") else {}
             ends = edge.get("startNodeId", MISSING), edge.get("endNodeId", MISSING)
@@ -311,7 +316,7 @@ def _list_of(content: Json, key: str, place: JsonPath) -> list[Any]:
 
 def _objects(content: Json, key: str, place: JsonPath) -> list[Json]:
     listed = _list_of(content, key, place)
-    return [json_object(entry, place[key][number]) for number, entry in enumerate(listed)]
+    return [check_object(entry, place[key][number]) for number, entry in enumerate(listed)]
 
 
 # ---------------------------------------------------------------- Open-RMF
@@ -358,15 +363,15 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     content, name = source.read_yaml(path, expected="a navigation graph")
     rows = _Rows(name)
     place = rows.top
-    top = json_object(content, rows.top)
-    levels = json_object(top.get("levels"), place["levels"])
-    about = optional_object(top, "navbake", place)
+    top = check_object(content, rows.top)
+    levels = check_object(top.get("levels"), place["levels"])
+    about = check_optional_object(top, "navbake", place)
     for level, (level_name, part) in enumerate(levels.items()):
         at = place["levels"][str(level_name)]
-        part = json_object(part, at)
+        part = check_object(part, at)
         for k, (x, y, vertex) in enumerate(_triples(part, "vertices", at)):
             here = at["vertices"][k]
-            own = optional_object(vertex, "navbake", here)
+            own = check_optional_object(vertex, "navbake", here)
             named = {"name": vertex.get("name") or f"{level_name} {k}", "level": level}
             if vertex.get("lift"):
                 named |= {"link": vertex["lift"], "kind": "stop"}
@@ -375,7 +380,7 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
             known = {"door": lane.get("door_name"), "speed": lane.get("speed_limit")}
             entry = {"name": f"{level_name} {k}"}
             entry |= {key: value for key, value in known.items() if value}
-            entry |= optional_object(lane, "navbake", at["lanes"][k])
+            entry |= check_optional_object(lane, "navbake", at["lanes"][k])
             rows.add_lane((level, start), (level, end), entry, at["lanes"][k])
     # of nodes with one number, the first has it
     numbered = [(own, key) for key, (own, _) in rows.nodes.items() if isinstance(own, int | float)]
@@ -385,7 +390,7 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
         for number in (start, end):
             if not isinstance(number, int | float) or number not in keys:
                 here.refuse("the number of a node", number)
-        rows.add_lane(keys[start], keys[end], optional_object(lane, "navbake", here), here)
+        rows.add_lane(keys[start], keys[end], check_optional_object(lane, "navbake", here), here)
     # lifts join their levels
     nodes = [(key, node) for key, (_, node) in rows.nodes.items()] if not about else []
     for (key, node), (other_key, other) in itertools.permutations(nodes, 2):
@@ -431,7 +436,7 @@ def read_graphml(path: str | PathLike[str]) -> RouteGraph:
     except Exception as error:  # networkx and expat raise many types
         why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(
-            f"expected GraphML, {source.path_name(name)} can't be read: {why}"
+            f"expected GraphML, {source.format_path(name)} can't be read: {why}"
         ) from error
     rows = _Rows(name)
     for node, entry in found.nodes(data=True):

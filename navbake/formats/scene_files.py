@@ -48,20 +48,20 @@ ELEMENT = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
 ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
-def suffix_of(path: str | os.PathLike[str]) -> str:
+def scene_suffix(path: str | os.PathLike[str]) -> str:
     """The ending that says what kind of scene a file is: ``.xml``, ``.building.yaml``, …."""
     name = os.path.basename(os.fsdecode(path)).lower()
     whole = next((suffix for suffix in BUILDING_SUFFIXES if name.endswith(suffix)), None)
     return whole or os.path.splitext(name)[1]
 
 
-class Files(Protocol):
+class FileAccess(Protocol):
     """Access to a scene's files that are not on this machine."""
 
     def has(self, path: Path) -> bool:
         """Whether there is such a regular file."""
 
-    def bring(self, path: Path) -> None:
+    def ensure_local(self, path: Path) -> None:
         """Make an existing file ready for reading."""
 
 
@@ -81,7 +81,7 @@ _Element = tuple[str, dict[str, str]]  # tag and attributes
 
 def find_inputs(
     scene: Path,
-    files: Files | None = None,
+    files: FileAccess | None = None,
     *,
     looks: bool = False,
     missing: bool = False,
@@ -93,7 +93,7 @@ def find_inputs(
     models. A name's folder depends on the compiler's settings and on MuJoCo's version, so files in
     all possible folders count: one too many costs a bake, one too few leaves a stale grid. In URDF
     they are the meshes, in glTF the buffers, in SDF models, meshes and height fields (`folders` are
-    those of models, see `sdf_places`), in USD all layers.
+    those of models, see `list_sdf_paths`), in USD all layers.
 
     `looks` includes textures and skins, `missing` all possible places of each missing file. Raises
     a SceneError for a pipe or a device of this machine, which would block its reader.
@@ -113,7 +113,7 @@ def find_inputs(
         if has(path):
             with suppress(OSError):
                 if files is not None:
-                    files.bring(path)
+                    files.ensure_local(path)
                 return path.read_bytes()
         return b""
 
@@ -128,7 +128,7 @@ def find_inputs(
     if elements and elements[0][0] == "robot":
         for tag, attributes in elements:
             if tag == "mesh":
-                choose(mesh_places(scene, attributes.get("filename", "")), first=True)
+                choose(list_mesh_paths(scene, attributes.get("filename", "")), first=True)
     else:
         for places in _places_in_mjcf(scene, elements, read, looks):
             choose(places)
@@ -147,12 +147,12 @@ def find_inputs(
                 named = [
                     [file.parent / name]
                     for name in names
-                    if looks or suffix_of(name) in STAGE_SUFFIXES
+                    if looks or scene_suffix(name) in STAGE_SUFFIXES
                 ]
             else:
                 uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
                 named = [
-                    _model_places(sdf_places(uri, file, folders))
+                    _model_places(list_sdf_paths(uri, file, folders))
                     for uri in uris
                     if looks or not uri.endswith(MATERIAL)
                 ]
@@ -168,7 +168,7 @@ def find_inputs(
     return [scene, *sorted(found - {scene})]
 
 
-def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
+def list_mesh_paths(urdf: Path, name: str) -> Iterator[Path]:
     """The possible places of a URDF's mesh, first to last.
 
     As written, then from the URDF's folder up by the tail of its path, the longest first:
@@ -181,7 +181,7 @@ def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
             yield folder.joinpath(*bare.parts[first:])
 
 
-def sdf_places(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
+def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
     """The possible places of what an SDF file names, first to last.
 
     Beside the file, unless it is ``model://…`` or the like; in the folders, then in those of the
@@ -201,7 +201,7 @@ def sdf_places(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[P
         yield from (above / bare, above / "models" / bare)
 
 
-def model_file(place: Path) -> Path:
+def find_model_file(place: Path) -> Path:
     """The SDF file of a model's folder, the latest in its model.config; a file itself."""
     if not place.is_dir():
         return place

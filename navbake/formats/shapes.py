@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.files import encode_csv
-from navbake.formats.allowance import shown
-from navbake.formats.source import Files, import_extra, path_name, read_object
+from navbake.formats.allowance import format_value
+from navbake.formats.source import Files, format_path, import_extra, read_json
 from navbake.lazy import lazy
 from navbake.navgrid.door_states import find_leaf_ends
 from navbake.navgrid.grid import NavGrid
@@ -283,7 +283,7 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     return found
 
 
-def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
+def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json]:
     """Read the entries of the settings' `areas` or `links` from a JSON or GeoJSON file.
 
     JSON has a list of them. GeoJSON has a Feature for each, whose properties are its keys: a
@@ -313,8 +313,8 @@ def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
 def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) -> list[Any]:
     """The features of a GeoJSON file; or the list that a JSON file is, `with_lists`."""
     if not os.path.lexists(path):
-        raise FormatError(f"no such file: {path_name(path)}")
-    content, _ = read_object(path, expected="a GeoJSON FeatureCollection")
+        raise FormatError(f"no such file: {format_path(path)}")
+    content, _ = read_json(path, expected="a GeoJSON FeatureCollection")
     if with_lists and isinstance(content, list):
         return content
     kind = content.get("type") if isinstance(content, dict) else None
@@ -357,6 +357,6 @@ def _check(is_good: bool, expected: str, value: Any, where: str) -> None:
     """Raise a FormatError for a value of a feature that is not what was expected."""
     if not is_good:
         text = value if isinstance(value, str) else repr(value)
-        text = shown(value) if isinstance(value, dict | list) else text[:60]
+        text = format_value(value) if isinstance(value, dict | list) else text[:60]
         got = "none" if value is None else text
         raise FormatError(f"expected {expected}, got {got} in {where}")

@@ -23,7 +23,14 @@ import orjson
 
 from navbake.errors import ConfigError, FormatError, MissingDependencyError
 from navbake.files import write_together
-from navbake.formats.allowance import MAX_BYTES, MAX_HEADER, PIXEL_COST, Allowance, JsonPath, shown
+from navbake.formats.allowance import (
+    MAX_BYTES,
+    MAX_HEADER,
+    PIXEL_COST,
+    Allowance,
+    JsonPath,
+    format_value,
+)
 from navbake.lazy import lazy
 
 if TYPE_CHECKING:
@@ -51,7 +58,7 @@ NAVGRID = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
 
-def path_name(path: str | os.PathLike[str]) -> str:
+def format_path(path: str | os.PathLike[str]) -> str:
     """A path for messages, on one line."""
     name = os.fsdecode(path)
     return name if name.isprintable() else repr(name)
@@ -60,11 +67,13 @@ def path_name(path: str | os.PathLike[str]) -> str:
 def check_path(path: object) -> str:
     """A path as text; a FormatError if it is none."""
     if not isinstance(path, str | os.PathLike):
-        raise FormatError(f"expected a path, got {shown_type(path)}", value=path, expected="a path")
+        raise FormatError(
+            f"expected a path, got {describe_type(path)}", value=path, expected="a path"
+        )
     return os.fsdecode(path)
 
 
-def shown_type(value: object) -> str:
+def describe_type(value: object) -> str:
     """Describe a value of a wrong type."""
     return "None" if value is None else f"one of Python's type {type(value).__name__}"
 
@@ -97,16 +106,16 @@ def read_bytes(
         name = "the bytes given"
     elif not callable(getattr(source, "read", None)):
         wanted = "a path, a file's content or a file opened in binary mode"
-        raise FormatError(f"expected {wanted}, got {shown_type(source)}")
+        raise FormatError(f"expected {wanted}, got {describe_type(source)}")
     try:
         if path is not None and os.path.isdir(path):
             raise FormatError(
-                f"expected a file, got the folder {path_name(name)}", path=name, expected="a file"
+                f"expected a file, got the folder {format_path(name)}", path=name, expected="a file"
             )
         with nullcontext(stream) if path is None else open(path, "rb") as file:
             data = file.read(CHUNK)
             if not isinstance(data, bytes):
-                got = "text" if isinstance(data, str) else shown_type(data)
+                got = "text" if isinstance(data, str) else describe_type(data)
                 JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
             if not data.startswith(begins):
                 JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
@@ -119,14 +128,14 @@ def read_bytes(
                     JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
             return b"".join(pieces), name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
-        message = f"cannot read {path_name(name)}: {_os_message(error)}"
+        message = f"cannot read {format_path(name)}: {_os_message(error)}"
         raise FormatError(message, path=name) from error
 
 
 def _beginning(text: bytes) -> str:
     """The beginning of a text for messages."""
     begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
-    return f"{shown(begin)[1:]}…" if begin else "nothing"
+    return f"{format_value(begin)[1:]}…" if begin else "nothing"
 
 
 def unpack(data: bytes, name: str) -> bytes:
@@ -147,7 +156,7 @@ def unpack(data: bytes, name: str) -> bytes:
     return b"".join(pieces)
 
 
-def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
+def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
     """Read the JSON of a grid's file, plain or gzipped (detected by its content).
 
     Returns its text without a byte order mark, the file's size, and the place for errors.
@@ -157,9 +166,9 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     file = str(source) if isinstance(source, str | os.PathLike) else ""
     if file.lower().endswith((".yaml", ".yml")):
         made = f"{Path(file).stem}.grid.json"
-        shown_file = path_name(file)
+        shown_file = format_path(file)
         remedy = f"of settings, `navbake bake {shown_file}` makes one, of a map of nav2, "
-        remedy += f"`navbake convert {shown_file} {path_name(made)}`"
+        remedy += f"`navbake convert {shown_file} {format_path(made)}`"
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=remedy)
     num_bytes = len(text)
     top = JsonPath(name)
@@ -186,11 +195,11 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
         ) from error
 
 
-def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
+def read_json(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
     """Read a JSON file; also returns its name for messages, which name `expected`."""
     content, name = read_bytes(path)
     try:
-        return parse_json(content.removeprefix(BOM), JsonPath(path_name(name))), name
+        return parse_json(content.removeprefix(BOM), JsonPath(format_path(name))), name
     except FormatError as error:
         message = f"expected {expected}: {error}"
         raise FormatError(
@@ -204,7 +213,7 @@ def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]
 
     content, name = read_bytes(path)
     try:
-        return decode_yaml(content, path_name(name)), name
+        return decode_yaml(content, format_path(name)), name
     except ConfigError as error:
         message = f"expected {expected}: {error}"
         raise FormatError(
@@ -246,7 +255,7 @@ def open_image(source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(BE
         raise
     except Exception as error:  # Pillow and zlib raise many types for a broken image
         why = " ".join(str(error).split())[:200] or type(error).__name__
-        message = f"{path_name(name)} is no image that can be read: {why}"
+        message = f"{format_path(name)} is no image that can be read: {why}"
         raise FormatError(message, path=name) from error
 
 
@@ -358,8 +367,8 @@ def write_files(files: Files) -> list[Path]:
         if isinstance(error, FileNotFoundError):
             folders = {os.path.dirname(os.path.realpath(path)) for path in files}
             missing = sorted(folder for folder in folders if not os.path.isdir(folder))
-            why = f"there is no folder {path_name(missing[0])}" if missing else why
-        message = f"cannot write {' and '.join(map(path_name, files))}: {why}"
+            why = f"there is no folder {format_path(missing[0])}" if missing else why
+        message = f"cannot write {' and '.join(map(format_path, files))}: {why}"
         raise FormatError(message, path=str(next(iter(files), ""))) from error
     return list(files)
 

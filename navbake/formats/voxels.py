@@ -25,16 +25,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import Allowance, JsonPath, shown
-from navbake.formats.convert import OCTREES, VOXELS
+from navbake.formats.allowance import Allowance, JsonPath, format_value
+from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.source import check_path, path_name, read_bytes, read_header, write_bytes
+from navbake.formats.source import check_path, format_path, read_bytes, read_header, write_bytes
 from navbake.navgrid.lattice import FARTHEST
 from navbake.voxels.grid import VoxelGrid, check_three
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
-Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
+BinvoxLayout: TypeAlias = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
 MAGIC = b"#binvox"
 MOST = 255  # greatest value of a voxel, and most voxels of a run
@@ -65,15 +65,15 @@ def write_voxels(
 
     `path` ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``; the table of `a.npz` is
     `a.npz.names.json`. `free` is for octrees, see `encode_octomap`; `layout` and `mapping` for
-    binvox, see `encode_binvox` and `with_mapping`. Raises a FormatError if the format can't hold
+    binvox, see `encode_binvox` and `map_ids`. Raises a FormatError if the format can't hold
     the grid.
     """
     suffix = _check_suffix(path)
-    if suffix in OCTREES:
+    if suffix in OCTREE_SUFFIXES:
         write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
     if suffix == ".binvox":
-        mapped = with_mapping(grid, mapping)
+        mapped = map_ids(grid, mapping)
         write_bytes(encode_binvox(mapped, layout), path)
         grid = mapped
     else:
@@ -81,7 +81,7 @@ def write_voxels(
     if grid.is_segmented:
         ids = {str(number): grid.names[number] for number in sorted(grid.names)}
         table = json.dumps({"rule": RULE, "ids": ids}, indent=2, ensure_ascii=False)
-        write_bytes(f"{table}\n".encode(), names_path(path))
+        write_bytes(f"{table}\n".encode(), id_table_path(path))
 
 
 def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> VoxelGrid:
@@ -97,13 +97,13 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
     if suffix != ".binvox":
         return read_octomap(path, max_voxels=max_voxels)
     grid = read_binvox(path, max_voxels=max_voxels)
-    beside = names_path(path)
+    beside = id_table_path(path)
     if grid.is_segmented and os.path.lexists(beside):
         content, name = read_bytes(beside)
         try:
             grid.names = msgspec.json.decode(content, type=_Names).ids
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            message = f"expected a table of IDs, {path_name(name)} can't be read: {error}"
+            message = f"expected a table of IDs, {format_path(name)} can't be read: {error}"
             raise FormatError(message) from error
     return grid
 
@@ -116,12 +116,12 @@ class _Names(msgspec.Struct):
 
 def _check_suffix(path: str | PathLike[str]) -> str:
     suffix = Path(check_path(path)).suffix.lower()
-    if suffix not in VOXELS:
-        raise FormatError(f"expected a name that ends in {', '.join(VOXELS)}, got {path}")
+    if suffix not in VOXEL_SUFFIXES:
+        raise FormatError(f"expected a name that ends in {', '.join(VOXEL_SUFFIXES)}, got {path}")
     return suffix
 
 
-def names_path(path: str | PathLike[str]) -> Path:
+def id_table_path(path: str | PathLike[str]) -> Path:
     """The path of the table of a file's IDs: ``a.npz.names.json`` beside ``a.npz``."""
     return Path(f"{path}.names.json")
 
@@ -129,7 +129,7 @@ def names_path(path: str | PathLike[str]) -> Path:
 # ---------------------------------------------------------------- binvox
 
 
-def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
+def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
     """The grid with other IDs, 0 to 255; ``compact`` numbers the existing IDs from 1, in order."""
     if not grid.is_segmented or mapping is None:
         return grid
@@ -197,7 +197,7 @@ def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uin
 def read_binvox(
     source: str | PathLike[str] | bytes,
     *,
-    layout: Layout = "auto",
+    layout: BinvoxLayout = "auto",
     position: ArrayLike = (0.0, 0.0, 0.0),
     res: float | None = None,
     max_voxels: int | None = None,
@@ -236,8 +236,10 @@ def read_binvox(
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
         if held != claimed:
             found += ": too many" if held > claimed else ": too few"
-        where = f"{name} (dim {' '.join(shown(n) for n in dim)})"
-        raise FormatError(f"expected runs of {shown(claimed)} voxels in {where}, got {found}")
+        where = f"{name} (dim {' '.join(format_value(n) for n in dim)})"
+        raise FormatError(
+            f"expected runs of {format_value(claimed)} voxels in {where}, got {found}"
+        )
     allowance.take_cells((nx, ny, nz), place)
     allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
     is_airsim = layout == "airsim" or (

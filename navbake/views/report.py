@@ -12,7 +12,7 @@ import numpy as np
 import orjson
 
 from navbake.errors import FormatError, QueryError, printable
-from navbake.formats.source import read_object, write_bytes
+from navbake.formats.source import read_json, write_bytes
 from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
@@ -120,7 +120,7 @@ def render_report(
 
 def read_verification(path: str | PathLike[str]) -> Json:
     """Read a verification's JSON, see `VerifyReport.to_json`; raises a FormatError."""
-    report, name = read_object(path, expected=PRINTED)
+    report, name = read_json(path, expected=PRINTED)
     try:
         msgspec.convert(report, Verification)
     except msgspec.ValidationError as error:

@@ -15,7 +15,7 @@ from cli_scenes import P1, P2
 from differences import first_difference
 from navbake import files
 from navbake.errors import FormatError
-from navbake.formats.convert import FORMATS, find_format
+from navbake.formats.convert import GRID_FORMATS, find_format
 from navbake.lazy import resolve
 from project_paths import GOLDEN
 
@@ -52,7 +52,8 @@ def test_converts_by_ending_or_by_name(convert):
 
 
 @pytest.mark.parametrize(
-    "key", sorted({key for form in FORMATS for key in (*form.write_options, *form.read_options)})
+    "key",
+    sorted({key for form in GRID_FORMATS for key in (*form.write_options, *form.read_options)}),
 )
 def test_each_option_of_a_format_is_an_option_of_convert(convert, key):
     option = f"--{key.replace('_', '-')}"
@@ -80,7 +81,7 @@ def test_never_writes_over_its_input_and_an_output_is_whole_or_as_before(convert
 
 
 def test_the_table_names_functions_that_are_there():
-    for form in FORMATS:
+    for form in GRID_FORMATS:
         for where in (form.encode, form.read):
             assert where is None or callable(resolve(f"navbake.formats.{where}"))
 

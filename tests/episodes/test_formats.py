@@ -27,7 +27,7 @@ from navbake.episodes import (
     read_episodes,
     write_episodes,
 )
-from navbake.episodes.files import FORMATS, OWN
+from navbake.episodes.files import EPISODE_FORMATS, NAVBAKE_FORMATS
 from navbake.errors import FormatError
 
 HEADER = Header(
@@ -76,7 +76,7 @@ def round_all(value):
 
 
 def test_the_command_line_names_all_formats():
-    assert set(SET_FORMATS) == FORMATS.keys() - OWN.keys() == NAMES.keys()
+    assert set(SET_FORMATS) == EPISODE_FORMATS.keys() - NAVBAKE_FORMATS.keys() == NAMES.keys()
 
 
 @pytest.mark.parametrize("form", sorted(NAMES.keys() - {"minos"}))

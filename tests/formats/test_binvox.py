@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, NavbakeError
-from navbake.formats.voxels import encode_binvox, names_path, read_binvox, read_voxels, write_voxels
+from navbake.formats.voxels import (
+    encode_binvox,
+    id_table_path,
+    read_binvox,
+    read_voxels,
+    write_voxels,
+)
 from navbake.voxels.grid import VoxelGrid
 from oracles.voxel_files import read_binvox_plainly, write_binvox_as_airsim
 
@@ -132,9 +138,9 @@ def test_more_than_255_ids_that_occur_fit_no_binvox(tmp_path):
 def test_the_table_lies_beside_the_file(tmp_path):
     grid = grid_of(ASYMMETRIC.astype(np.uint8) * 3, names={3: "Tür"})
     grid.save(tmp_path / "a.binvox")
-    assert names_path(tmp_path / "a.binvox").name == "a.binvox.names.json"
+    assert id_table_path(tmp_path / "a.binvox").name == "a.binvox.names.json"
     assert read_voxels(tmp_path / "a.binvox").names == {3: "Tür"}
-    names_path(tmp_path / "a.binvox").write_text("[]")
+    id_table_path(tmp_path / "a.binvox").write_text("[]")
     with pytest.raises(FormatError, match=r"table of IDs.*a\.binvox\.names\.json"):
         read_voxels(tmp_path / "a.binvox")
 

@@ -15,7 +15,7 @@ from navbake.formats import allowance
 from navbake.formats.allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
 from navbake.formats.npz import encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.simulators import read_procthor
+from navbake.formats.procthor import read_procthor
 from navbake.formats.source import open_image
 from navbake.formats.voxels import read_binvox, read_voxels
 from navbake.voxels.grid import VoxelGrid

@@ -14,7 +14,7 @@ import navbake
 from grid_maps import house_from, level_from
 from map_grids import CELLS, SAMPLES, sample, small
 from navbake.errors import FormatError
-from navbake.formats.occupancy import lattice_of, level_from_values
+from navbake.formats.occupancy import lattice_from_corner, level_from_values
 from project_paths import SHARED_DATA
 
 
@@ -94,7 +94,7 @@ def test_maps_of_real_worlds_bake_to_themselves(tmp_path, world):
 def test_any_map_bakes_to_itself(tmp_path_factory, values, cell, x, y, z):
     if not (values == 0).any():
         values[0, 0] = 0
-    level = level_from_values(values, lattice_of(values, x, y, cell), round(z, 3), {})
+    level = level_from_values(values, lattice_from_corner(values, x, y, cell), round(z, 3), {})
     folder = tmp_path_factory.mktemp("map")
     check_same(level, bake_again(level, folder / "a.xml"), exact_floors=False)
 
@@ -155,11 +155,15 @@ def test_large_maps_take_few_boxes(tmp_path):
     rng = np.random.default_rng(0)
     for row, col in rng.integers(0, 990, (2000, 2)):
         rooms[row : row + 6, col : col + 9] = 100
-    level_from_values(rooms, lattice_of(rooms, 0, 0, 0.05), 0, {}).to_mjcf(tmp_path / "a.xml")
+    level_from_values(rooms, lattice_from_corner(rooms, 0, 0, 0.05), 0, {}).to_mjcf(
+        tmp_path / "a.xml"
+    )
     assert count_boxes(tmp_path / "a.xml") < 10_000
     chess = (np.indices((1000, 1000)).sum(axis=0) % 2 * 100).astype(np.int8)
     with pytest.raises(FormatError, match="500,001 boxes, expected 200,000 at most"):
-        level_from_values(chess, lattice_of(chess, 0, 0, 0.05), 0, {}).to_mjcf(tmp_path / "b.xml")
+        level_from_values(chess, lattice_from_corner(chess, 0, 0, 0.05), 0, {}).to_mjcf(
+            tmp_path / "b.xml"
+        )
 
 
 def test_names_are_escaped(tmp_path):

@@ -11,8 +11,8 @@ import navbake
 from command_line import run_command
 from map_grids import sample, small
 from navbake.errors import FormatError, MissingDependencyError
-from navbake.formats.mcap import MESSAGES, define
-from navbake.formats.occupancy import values_of
+from navbake.formats.mcap import MESSAGES, define_message
+from navbake.formats.occupancy import compute_occupancy_values
 from project_paths import GOLDEN
 
 pytest.importorskip("mcap_ros2")
@@ -74,7 +74,7 @@ def test_maps_paths_and_links_of_the_house(tmp_path, read):
         assert [place.x, place.y, place.z] == [*level.lattice.bounds[:2], level.ground]
         assert (turn.x, turn.y, turn.z, turn.w) == (0, 0, 0, 1)
         data = np.array(message.data).reshape(info.height, info.width)
-        np.testing.assert_array_equal(data[::-1], values_of(grid, number))
+        np.testing.assert_array_equal(data[::-1], compute_occupancy_values(grid, number))
         rows, cols = np.nonzero(data == 0)
         x, y = place.x + (cols + 0.5) * info.resolution, place.y + (rows + 0.5) * info.resolution
         row, col = level.lattice.rows_cols(np.stack([x, y], axis=-1))
@@ -126,7 +126,8 @@ def test_a_level_by_itself(tmp_path, read):
     found = read(tmp_path / "a.mcap")
     assert [*found] == ["/map"]
     np.testing.assert_array_equal(
-        np.array(found["/map"][2].data).reshape(3, 5)[::-1], values_of(small().inflate(0.06), 0)
+        np.array(found["/map"][2].data).reshape(3, 5)[::-1],
+        compute_occupancy_values(small().inflate(0.06), 0),
     )
     sample("house").convert(tmp_path / "b.mcap", level=1)
     assert [*read(tmp_path / "b.mcap")] == ["/map"]
@@ -139,7 +140,7 @@ def test_definitions_are_those_of_ros():
     for kind in MESSAGES:
         name = kind.replace("/", "/msg/")
         text, _ = store.generate_msgdef(name, ros_version=2)
-        own = [line.split() for line in define(kind).splitlines()]
+        own = [line.split() for line in define_message(kind).splitlines()]
         theirs = [line.split() for line in text.splitlines() if line.strip()]
         wanted = {tuple(line[:2]) for line in theirs if line[0][0] != "=" and "=" not in line[1]}
         assert {tuple(line[:2]) for line in own if line[0][0] != "="} == wanted, kind

@@ -19,8 +19,12 @@ import navbake
 from grid_maps import house_from, level_from
 from map_grids import CELLS, SAMPLES, random_level, sample, small
 from navbake.errors import FormatError, QueryError
-from navbake.formats.nav2 import MapRules, read_values
-from navbake.formats.occupancy import lattice_of, level_from_values, values_of
+from navbake.formats.nav2 import MapYaml, read_pixel_values
+from navbake.formats.occupancy import (
+    compute_occupancy_values,
+    lattice_from_corner,
+    level_from_values,
+)
 from navbake.formats.source import Pixels
 from navbake.runtime.inflation import nav2_costs
 from project_paths import SHARED_DATA
@@ -268,11 +272,11 @@ def test_reads_every_pixel_as_nav2_does(data):
     opacity = None if alpha is None else np.array([[alpha]], np.uint8)
     luma = np.array([[(306 * rgb[0] + 601 * rgb[1] + 117 * rgb[2]) // 1024]], np.uint8)
     pixels = Pixels(np.array([[sum(rgb)]], np.uint16), 255, opacity, luma)
-    stated = MapRules("", 1, (0, 0, 0), mode, negate, most, free)
-    assert int(read_values(pixels, stated, "main")[0, 0]) == main_value(own, rgb, alpha)
+    stated = MapYaml("", 1, (0, 0, 0), mode, negate, most, free)
+    assert int(read_pixel_values(pixels, stated, "main")[0, 0]) == main_value(own, rgb, alpha)
     # sums of floats may round to either side of a threshold, or of a half
     near = [{**own, "free_thresh": free + e, "occupied_thresh": most + e} for e in (-1e-9, 0, 1e-9)]
-    read = int(read_values(pixels, stated)[0, 0])
+    read = int(read_pixel_values(pixels, stated)[0, 0])
     assert read in [humble_value(each, rgb, alpha) for each in near]
 
 
@@ -334,7 +338,7 @@ def test_a_turned_cell_is_occupied_from_a_hundredth_on(tmp_path, yaw):
     squares = [shapely.box(c, level.height - 1 - r, c + 1, level.height - r) for r, c in blocked]
     full = shapely.affinity.rotate(shapely.union_all(squares), yaw, (0, 0), use_radians=True)
     full = shapely.affinity.scale(full, 0.05, 0.05, origin=(0, 0))
-    values = values_of(turned, 0)
+    values = compute_occupancy_values(turned, 0)
     for (row, col), value in np.ndenumerate(values):
         x, y = turned.lattice.positions(row, col)
         share = full.intersection(shapely.box(x - 0.025, y - 0.025, x + 0.025, y + 0.025)).area
@@ -357,7 +361,7 @@ def test_a_map_turned_by_quarters_is_turned_exactly(tmp_path, quarters):
 @settings(max_examples=25, deadline=None)
 @given(CELLS, st.floats(-7, 7) | st.sampled_from([math.atan2(3, 4), math.pi / 4]))
 def test_a_map_turned_by_any_angle_keeps_its_centres_and_has_no_gap(tmp_path_factory, values, yaw):
-    level = level_from_values(values, lattice_of(values, 0.0, 0.0, 0.1), 0.0, {})
+    level = level_from_values(values, lattice_from_corner(values, 0.0, 0.0, 0.1), 0.0, {})
     (_, path) = level.to_nav2(tmp_path_factory.mktemp("turned") / "map.yaml")
     stated = yaml.safe_load(path.read_text())
     stated["origin"] = [7.0, -3.0, yaw]
@@ -373,11 +377,13 @@ def check_turned(level, turned, stated, exact):
     x0, y0, x1, y1 = turned.lattice.bounds
     points = rng.uniform((x0, y0), (x1, y1), size=(2000, 2))
     rows, cols = turned.lattice.rows_cols(points)
-    values = values_of(turned, 0)[rows, cols]
+    values = compute_occupancy_values(turned, 0)[rows, cols]
     if not exact:
         points = turned.lattice.positions(rows, cols)
     along = (points - (x, y)) @ [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
-    trinary = np.where(values_of(level, 0) == 99, 100, values_of(level, 0))
+    trinary = np.where(
+        compute_occupancy_values(level, 0) == 99, 100, compute_occupancy_values(level, 0)
+    )
 
     def map_at(nudge):
         col, up = np.floor(along / stated["resolution"] + nudge).astype(int).T

@@ -9,7 +9,7 @@ import pytest
 import navbake
 from navbake.errors import ConfigError, FormatError, NavbakeError, SceneError
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.voxels import encode_binvox, names_path
+from navbake.formats.voxels import encode_binvox, id_table_path
 from navbake.voxels.grid import VoxelGrid
 
 GRID = b'{"type": "SceneGrid2D", "width": 2, "height": 1, "cellSize": 1, "min": [0, 0, 0]}'
@@ -80,7 +80,7 @@ def test_links_that_lead_in_a_circle(tmp_path):
 def table(tmp_path):
     """Where the table of a binvox file with IDs is."""
     (tmp_path / "a.binvox").write_bytes(encode_binvox(voxels()))
-    return names_path(tmp_path / "a.binvox")
+    return id_table_path(tmp_path / "a.binvox")
 
 
 def read_names(table):

@@ -69,7 +69,7 @@ def test_a_plot_takes_what_pictures_take():
     taken = parameters_of(GridMethods.plot, first=1)
     # of a picture without a file, the form is no choice
     assert taken[1:] == parameters_of(resolve("navbake.views.plot:render_picture"), first=2)
-    (level,) = parameters_of(resolve("navbake.formats.simulators:encode_procthor"), first=2)
+    (level,) = parameters_of(resolve("navbake.formats.procthor:encode_procthor"), first=2)
     assert parameters_of(GridMethods.to_procthor, first=2) == [level, ("radius", *level[1:])]
 
 

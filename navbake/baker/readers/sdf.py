@@ -42,7 +42,7 @@ from navbake.baker.readers.sdf_frames import (
 )
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
-from navbake.formats.scene_files import model_file, sdf_places
+from navbake.formats.scene_files import find_model_file, list_sdf_paths
 from navbake.formats.source import read_pixels
 from navbake.types import Float
 
@@ -63,7 +63,7 @@ def read_world(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read the first world of an .sdf or .world file, or its models.
 
     A mesh or height field that is missing is an error where it collides, and a warning where it is
-    only drawn; models are looked for as `navbake.formats.scene_files.sdf_places` says.
+    only drawn; models are looked for as `navbake.formats.scene_files.list_sdf_paths` says.
 
     Raises:
         SceneError: the file, or a model in it, is missing or broken.
@@ -131,8 +131,8 @@ class _Reader:
 
     def _search_model(self, uri: str, file: Path) -> Path | None:
         """The file of an included model; None where Gazebo has it itself."""
-        places = list(sdf_places(uri, file, self._folders))
-        found = next((one for one in map(model_file, places) if one.is_file()), None)
+        places = list(list_sdf_paths(uri, file, self._folders))
+        found = next((one for one in map(find_model_file, places) if one.is_file()), None)
         if found is None and _model_name(uri) not in (SUN, GROUND):
             raise _not_found(f"{uri!r} of {file}", places)
         return found
@@ -236,7 +236,7 @@ class _Reader:
 
     def _find(self, uri: str, file: Path, where: str, *, is_drawn: bool) -> Path | None:
         """The file of a mesh or image; None, with a warning, for a missing one that is drawn."""
-        places = list(sdf_places(uri, file, self._folders))
+        places = list(list_sdf_paths(uri, file, self._folders))
         found = next((place for place in places if place.is_file()), None)
         if found is None and is_drawn:
             self._warn(f"{uri!r} of {where} not found: left out, as it is only drawn")
@@ -364,7 +364,7 @@ def _not_found(what: str, places: list[Path]) -> SceneError:
     folders = list(dict.fromkeys(str(place) for place in places))
     listed = ", ".join(folders[:4]) + (", …" if len(folders) > 4 else "")
     folder = next((place for place in places if place.is_dir()), None)
-    empty = "" if folder is None else f" ({folder} has no {model_file(folder).name})"
+    empty = "" if folder is None else f" ({folder} has no {find_model_file(folder).name})"
     return SceneError(
         f"{what} not found in {listed}{empty}: name the folder that holds it by `--model-path`, "
         "`scene.model_path` or GZ_SIM_RESOURCE_PATH"

@@ -49,8 +49,8 @@ from navbake.formats.scene_files import (
     STAGE_SUFFIXES,
     XML_SUFFIXES,
     check_inputs,
-    mesh_places,
-    suffix_of,
+    list_mesh_paths,
+    scene_suffix,
 )
 from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
@@ -115,7 +115,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     ground = settings.ground
     exact_meshes: dict[int, NamedMesh] = {}
     named_leaves = frozenset[str]()
-    suffix = suffix_of(path)
+    suffix = scene_suffix(path)
     try:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")
@@ -311,7 +311,7 @@ def read_urdf(
 
     @cache
     def find(name: str) -> Path | None:
-        return next((place for place in mesh_places(path, name) if place.is_file()), None)
+        return next((place for place in list_mesh_paths(path, name) if place.is_file()), None)
 
     def missing(thing: ElementTree.Element) -> list[str]:
         return [name for m in thing.iter("mesh") if not find(name := m.get("filename", ""))]

@@ -28,7 +28,7 @@ from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.formats.convert import OCTREES
+from navbake.formats.convert import OCTREE_SUFFIXES
 from navbake.known_names import find_near
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
@@ -91,7 +91,7 @@ def create_voxel_grid(
     if len(counts) not in (0, 3):
         raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
     if options.get("align") is None:
-        options["align"] = of is not None and str(of).lower().endswith(OCTREES)
+        options["align"] = of is not None and str(of).lower().endswith(OCTREE_SUFFIXES)
     voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
     if ignore and voxelizer is scene:
         raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")

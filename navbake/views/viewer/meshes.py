@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.formats.floor_mesh import Buffer, cover_quads
+from navbake.formats.floor_mesh import GlbBuffer, cover_quads
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
@@ -510,7 +510,7 @@ def make_glb(
     surfaces: Sequence[Surface], pictures: Mapping[int, NDArray[np.uint8]] | None = None
 ) -> bytes:
     """Write triangles in their colours as they are, and the pictures that lie on them, as GLB."""
-    buffer = Buffer()
+    buffer = GlbBuffer()
     primitives = list[Json]()
     materials = list[Json]()
     surfaces = [one for one in surfaces if len(one.faces)]
