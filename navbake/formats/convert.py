@@ -1,15 +1,16 @@
-"""The table of formats that grids are converted from and to, and the choice by name or ending.
+"""The table of file formats that grids and graphs of routes are converted from and to.
 
-The table names functions as ``module:function``, which are imported on use, so that the command
-line lists formats without loading them. A writer, ``(grid, path, **options)``, returns the contents
-of files by path, in the order of writing; a reader, ``(path, **options)``, returns a grid.
+The table names functions as ``module:function`` below `navbake.formats`. They are imported on use,
+so that the command line lists formats without loading them. A writer, ``(grid, path, **options)``,
+returns the contents of files by path, in the order of writing; a reader, ``(path, **options)``,
+returns a grid.
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from navbake.errors import FormatError
 from navbake.formats.source import check_path, write_files
@@ -27,87 +28,199 @@ VOXEL_SUFFIXES = (".binvox", *OCTREE_SUFFIXES, ".npz")
 
 
 class FileFormat(NamedTuple):
-    """A format of files that hold a grid or parts of one."""
+    """A format of files that hold a grid, parts of one, or a graph of routes.
 
-    name: str  #: As in ``--to`` and ``--from``.
-    endings: tuple[str, ...]  #: Of its files' names, the usual one first; the longest match wins.
-    meaning: str  #: A description in one line.
-    encode: str | None  #: The writer, None if it is only read.
-    read: str | None = None  #: The reader, None if it is only written.
-    write_options: tuple[str, ...] = ()  #: Names of the options of writing.
-    #: The function that lists further files of the reader, None for a single file.
-    parts: str | None = None
-    read_options: tuple[str, ...] = ()  #: Names of the reader's options.
-    #: Whether `encode_as` inflates the grid for the option ``radius``, instead of the writer.
+    Attributes:
+        name: the format's name, as in ``--to`` and ``--from``.
+        endings: endings of its files' names, the usual one first; the longest match wins.
+        meaning: a description in one line.
+        encode: the writer as ``module:function``, None if the format is only read.
+        read: the reader as ``module:function``, None if the format is only written.
+        write_options: names of the writer's options.
+        read_options: names of the reader's options.
+        list_parts: the function that lists the files that the reader reads besides the one it is
+            given, as ``module:function``; None for a format of single files.
+        inflates: whether `encode_as` inflates the grid for the option ``radius``, instead of the
+            writer.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    meaning: str
+    encode: str | None
+    read: str | None = None
+    write_options: tuple[str, ...] = ()
+    read_options: tuple[str, ...] = ()
+    list_parts: str | None = None
     inflates: bool = False
 
 
 GRID_FORMATS = (
-    FileFormat("navgrid", (".json", ".json.gz"), "NavGrid of sstk and MINOS: all that a grid holds",
-               "navgrid:encode_files", "navgrid:read_navgrid"),
-    FileFormat("npz", (".npz",), "NumPy archive: all that a grid holds, arrays as they are",
-               "npz:encode_grid_npz", "npz:read_grid_npz"),
-    FileFormat("nav2", (".yaml", ".yml"),
-               "map of ROS and nav2: a YAML and an image for each level, or a costmap",
-               "nav2:encode_nav2", "nav2:read_nav2",
-               ("level", "radius", "mode", "image", "inflation", "scaling"), "nav2:list_images",
-               ("rules",)),
-    FileFormat("nav2-keepout", (".yaml", ".yml"),
-               "mask of nav2's keepout filter: areas, rooms and polygons that robots stay out of",
-               "nav2_masks:encode_keepout", "nav2_masks:read_keepout",
-               ("level", "image", "zone", "zones", "agent"), "nav2:list_images"),
-    FileFormat("nav2-speed", (".yaml", ".yml"),
-               "mask of nav2's speed filter: limits in areas, rooms and polygons, NAME=PERCENT each",
-               "nav2_masks:encode_speed", "nav2_masks:read_speed",
-               ("level", "image", "zone", "zones", "agent", "absolute"), "nav2:list_images"),
-    FileFormat("procthor", (".png",),
-               "ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
-               "procthor:encode_procthor", "procthor:read_procthor", ("level", "radius"),
-               inflates=True),
-    FileFormat("omnigibson", (".png",),
-               "OmniGibson: floor_trav_N.png of each level, with room maps of level 0",
-               "omnigibson:encode_omnigibson", "omnigibson:read_omnigibson",
-               ("level", "radius", "categories"), "omnigibson:list_room_maps", inflates=True),
-    FileFormat("grscenes", (".npy",), "occupancy.npy of GRScenes: free, obstacle or undefined",
-               "grscenes:encode_grscenes", "grscenes:read_grscenes", ("level", "radius"),
-               inflates=True),
-    FileFormat("mcap", (".mcap",),
-               "messages of ROS 2 for Foxglove and rerun: a map of each level, paths, links",
-               "mcap:encode_mcap", None, ("level", "radius", "route"), inflates=True),
-    FileFormat("mjcf", (".xml",),
-               "MuJoCo scene of walls and floors, and the settings that bake it to these cells",
-               "extrude:encode_mjcf", None, ("level", "height", "flat")),
-    FileFormat("rmf-building", (".building.yaml",),
-               "building of Open-RMF's traffic editor: floors, walls, doors, lifts, lanes",
-               "rmf_building:encode_building"),
-    FileFormat("glb", (".glb",), "walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
-               "floor_mesh:encode_glb", None, ("tolerance",)),
-    FileFormat("obj", (".obj",),
-               "walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
-               "floor_mesh:encode_obj", None, ("tolerance", "up")),
-    FileFormat("geojson", (".geojson",), "rooms, walkable areas and doors as polygons and lines",
-               "shapes:encode_geojson"),
-    FileFormat("wkt", (".wkt", ".csv"), "the same as a table with WKT, for GDAL, QGIS, PostGIS",
-               "shapes:encode_wkt"),
-    FileFormat("graphml", (".graphml",),
-               "rooms and the ways between them as a graph, for networkx, Gephi, yEd",
-               "graphs:encode_graphml"),
-    FileFormat("graph", (".graph.npz",),
-               "free cells and the steps between them as a sparse matrix, for scipy",
-               "graphs:encode_cell_graph", None, ("cut_corners",)),
-)  # fmt: skip
-"""Formats of grids; of formats with an ending in common, the first is its."""
+    FileFormat(
+        name="navgrid",
+        endings=(".json", ".json.gz"),
+        meaning="NavGrid of sstk and MINOS: all that a grid holds",
+        encode="navgrid:encode_files",
+        read="navgrid:read_navgrid",
+    ),
+    FileFormat(
+        name="npz",
+        endings=(".npz",),
+        meaning="NumPy archive: all that a grid holds, arrays as they are",
+        encode="npz:encode_grid_npz",
+        read="npz:read_grid_npz",
+    ),
+    FileFormat(
+        name="nav2",
+        endings=(".yaml", ".yml"),
+        meaning="map of ROS and nav2: a YAML and an image for each level, or a costmap",
+        encode="nav2:encode_nav2",
+        read="nav2:read_nav2",
+        write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
+        read_options=("rules",),
+        list_parts="nav2:list_images",
+    ),
+    FileFormat(
+        name="nav2-keepout",
+        endings=(".yaml", ".yml"),
+        meaning="mask of nav2's keepout filter: areas, rooms and polygons that robots stay out of",
+        encode="nav2_masks:encode_keepout",
+        read="nav2_masks:read_keepout",
+        write_options=("level", "image", "zone", "zones", "agent"),
+        list_parts="nav2:list_images",
+    ),
+    FileFormat(
+        name="nav2-speed",
+        endings=(".yaml", ".yml"),
+        meaning=(
+            "mask of nav2's speed filter: limits in areas, rooms and polygons, NAME=PERCENT each"
+        ),
+        encode="nav2_masks:encode_speed",
+        read="nav2_masks:read_speed",
+        write_options=("level", "image", "zone", "zones", "agent", "absolute"),
+        list_parts="nav2:list_images",
+    ),
+    FileFormat(
+        name="procthor",
+        endings=(".png",),
+        meaning="ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
+        encode="procthor:encode_procthor",
+        read="procthor:read_procthor",
+        write_options=("level", "radius"),
+        inflates=True,
+    ),
+    FileFormat(
+        name="omnigibson",
+        endings=(".png",),
+        meaning="OmniGibson: floor_trav_N.png of each level, with room maps of level 0",
+        encode="omnigibson:encode_omnigibson",
+        read="omnigibson:read_omnigibson",
+        write_options=("level", "radius", "categories"),
+        list_parts="omnigibson:list_room_maps",
+        inflates=True,
+    ),
+    FileFormat(
+        name="grscenes",
+        endings=(".npy",),
+        meaning="occupancy.npy of GRScenes: free, obstacle or undefined",
+        encode="grscenes:encode_grscenes",
+        read="grscenes:read_grscenes",
+        write_options=("level", "radius"),
+        inflates=True,
+    ),
+    FileFormat(
+        name="mcap",
+        endings=(".mcap",),
+        meaning="messages of ROS 2 for Foxglove and rerun: a map of each level, paths, links",
+        encode="mcap:encode_mcap",
+        write_options=("level", "radius", "route"),
+        inflates=True,
+    ),
+    FileFormat(
+        name="mjcf",
+        endings=(".xml",),
+        meaning="MuJoCo scene of walls and floors, and the settings that bake it to these cells",
+        encode="extrude:encode_mjcf",
+        write_options=("level", "height", "flat"),
+    ),
+    FileFormat(
+        name="rmf-building",
+        endings=(".building.yaml",),
+        meaning="building of Open-RMF's traffic editor: floors, walls, doors, lifts, lanes",
+        encode="rmf_building:encode_building",
+    ),
+    FileFormat(
+        name="glb",
+        endings=(".glb",),
+        meaning="walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
+        encode="floor_mesh:encode_glb",
+        write_options=("tolerance",),
+    ),
+    FileFormat(
+        name="obj",
+        endings=(".obj",),
+        meaning="walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
+        encode="floor_mesh:encode_obj",
+        write_options=("tolerance", "up"),
+    ),
+    FileFormat(
+        name="geojson",
+        endings=(".geojson",),
+        meaning="rooms, walkable areas and doors as polygons and lines",
+        encode="shapes:encode_geojson",
+    ),
+    FileFormat(
+        name="wkt",
+        endings=(".wkt", ".csv"),
+        meaning="the same as a table with WKT, for GDAL, QGIS, PostGIS",
+        encode="shapes:encode_wkt",
+    ),
+    FileFormat(
+        name="graphml",
+        endings=(".graphml",),
+        meaning="rooms and the ways between them as a graph, for networkx, Gephi, yEd",
+        encode="graphs:encode_graphml",
+    ),
+    FileFormat(
+        name="graph",
+        endings=(".graph.npz",),
+        meaning="free cells and the steps between them as a sparse matrix, for scipy",
+        encode="graphs:encode_cell_graph",
+        write_options=("cut_corners",),
+    ),
+)
+"""Formats of grids. Where several formats share an ending, a file with it is of the first."""
 
 ROUTE_FORMATS = (
-    FileFormat("nav2-route", (".geojson",), "nav2's Route Server",
-               "route_files:encode_nav2_route", "route_files:read_nav2_route"),
-    FileFormat("lif", (".json", ".lif"), "Layout Interchange Format of the VDMA",
-               "route_files:encode_lif", "route_files:read_lif"),
-    FileFormat("rmf", (".yaml", ".yml"), "navigation graph of Open-RMF",
-               "route_files:encode_rmf", "route_files:read_rmf"),
-    FileFormat("graphml", (".graphml",), "networkx, Gephi, yEd",
-               "route_files:encode_graphml", "route_files:read_graphml"),
-)  # fmt: skip
+    FileFormat(
+        name="nav2-route",
+        endings=(".geojson",),
+        meaning="nav2's Route Server",
+        encode="route_files:encode_nav2_route",
+        read="route_files:read_nav2_route",
+    ),
+    FileFormat(
+        name="lif",
+        endings=(".json", ".lif"),
+        meaning="Layout Interchange Format of the VDMA",
+        encode="route_files:encode_lif",
+        read="route_files:read_lif",
+    ),
+    FileFormat(
+        name="rmf",
+        endings=(".yaml", ".yml"),
+        meaning="navigation graph of Open-RMF",
+        encode="route_files:encode_rmf",
+        read="route_files:read_rmf",
+    ),
+    FileFormat(
+        name="graphml",
+        endings=(".graphml",),
+        meaning="networkx, Gephi, yEd",
+        encode="route_files:encode_graphml",
+        read="route_files:read_graphml",
+    ),
+)
 """Formats of graphs of routes."""
 
 
@@ -118,72 +231,152 @@ def find_format(
     writing: bool,
     formats: tuple[FileFormat, ...] = GRID_FORMATS,
 ) -> FileFormat:
-    """Find the format of a file, by its name in a table or else by the file's ending.
+    """Find the format of a file, by the format's name or else by the file's ending.
 
-    `writing` selects among written formats, else among read ones. Raises a FormatError.
+    Args:
+        path: the file; it need not exist.
+        name: the name of the format, None to go by the ending.
+        writing: True to choose among formats that can be written, False among those that can be
+            read.
+        formats: the table to choose from.
+
+    Returns:
+        The format. Of several with the same ending, the first in the table.
+
+    Raises:
+        FormatError: no such format can be written (or read), or no format has such an ending.
     """
-    known = [form for form in formats if (form.encode if writing else form.read) is not None]
+    usable = [
+        file_format
+        for file_format in formats
+        if (file_format.encode if writing else file_format.read) is not None
+    ]
     done = "written" if writing else "read"
     if name is not None:
-        for form in known:
-            if form.name == name:
-                return form
-        names = ", ".join(form.name for form in known)
-        raise FormatError(f"expected a format that is {done} ({names}), got {name}")
-    file = os.path.basename(os.fsdecode(path)).lower()
-    fitting = [(ending, form) for form in known for ending in form.endings if file.endswith(ending)]
-    if fitting:
-        return max(fitting, key=lambda pair: len(pair[0]))[1]  # the first of equally long ones
-    listed = ", ".join(f"{'/'.join(form.endings)} ({form.name})" for form in known)
-    is_image = formats is GRID_FORMATS and file.endswith(".pgm")
-    hint = ": give the .yaml of the map, which names the image" if is_image else ""
-    raise FormatError(
+        for file_format in usable:
+            if file_format.name == name:
+                return file_format
+        names = ", ".join(file_format.name for file_format in usable)
+        expected = f"a format that is {done} ({names})"
+        raise FormatError(f"expected {expected}, got {name}", value=name, expected=expected)
+
+    file_name = os.path.basename(os.fsdecode(path)).lower()
+    matches = [
+        (ending, file_format)
+        for file_format in usable
+        for ending in file_format.endings
+        if file_name.endswith(ending)
+    ]
+    if matches:
+        # max returns the first of equally long endings
+        _, longest_match = max(matches, key=lambda match: len(match[0]))
+        return longest_match
+
+    listed = ", ".join(
+        f"{'/'.join(file_format.endings)} ({file_format.name})" for file_format in usable
+    )
+    is_map_image = formats is GRID_FORMATS and file_name.endswith(".pgm")
+    hint = "give the .yaml of the map, which names the image" if is_map_image else None
+    message = (
         f"expected a name that ends as a format that is {done} does, {listed}; got "
-        f"{os.fsdecode(path)}{hint}"
+        f"{os.fsdecode(path)}"
+    )
+    raise FormatError(
+        f"{message}: {hint}" if hint else message,
+        path=os.fsdecode(path),
+        expected=f"a name that ends as a format that is {done} does",
+        hint=hint,
     )
 
 
-def read_as(path: str | os.PathLike[str], name: str | None = None, **options: Any) -> NavGrid:
-    """Read a grid in any format that is read, given by name or else by the file's ending.
+def read_as(path: str | os.PathLike[str], name: str | None = None, **options: object) -> NavGrid:
+    """Read a grid in any format that can be read.
 
-    `options` are those of the format's reader, see `GRID_FORMATS`.
+    Args:
+        path: the file.
+        name: the name of its format in `GRID_FORMATS`, None to go by the file's ending.
+        options: options of the format's reader, see `FileFormat.read_options`.
+
+    Returns:
+        The grid.
+
+    Raises:
+        FormatError: the format is unknown, or the file is broken.
     """
-    form = find_format(path, name, writing=False)
-    grid: NavGrid = resolve(f"navbake.formats.{form.read}")(path, **options)
+    file_format = find_format(path, name, writing=False)
+    grid: NavGrid = resolve(f"navbake.formats.{file_format.read}")(path, **options)
     return grid
 
 
-def list_files(path: Path, form: FileFormat) -> list[Path]:
-    """The files that a format's reader reads; raises as it does."""
-    return [path, *(resolve(f"navbake.formats.{form.parts}")(path) if form.parts else ())]
+def list_files(path: Path, file_format: FileFormat) -> list[Path]:
+    """List the files that a format's reader reads for a path.
+
+    Args:
+        path: the file that the reader is given.
+        file_format: its format.
+
+    Returns:
+        The path itself, then the other files, as the image of a map.
+
+    Raises:
+        FormatError: the file is broken, so that it names no others.
+    """
+    if file_format.list_parts is None:
+        return [path]
+    return [path, *resolve(f"navbake.formats.{file_format.list_parts}")(path)]
 
 
 def encode_as(
-    grid: NavGrid, path: str | os.PathLike[str], name: str | None = None, **options: Any
+    grid: NavGrid, path: str | os.PathLike[str], name: str | None = None, **options: object
 ) -> Files:
-    """Encode the files of a grid in any format that is written, without writing them.
+    """Encode the files of a grid in any format that can be written, without writing them.
 
-    `name` is the format's, by default that of the path's ending; `options` are those that
-    `GRID_FORMATS` lists for it. Where the format `inflates`, the grid is inflated for a robot of `radius` first
-    [m]. Raises a FormatError for an unknown format, or a grid that it can't hold.
+    Args:
+        grid: the grid.
+        path: the file that is to be written; several files take their names from it.
+        name: the name of the format in `GRID_FORMATS`, None to go by the path's ending.
+        options: options of the format's writer, see `FileFormat.write_options`. ``radius`` [m]
+            inflates the grid for a robot of this radius first.
+
+    Returns:
+        The content of each file by its path, in the order of writing.
+
+    Raises:
+        FormatError: the format is unknown, takes no such option, or can't hold the grid.
     """
-    form = find_format(path, name, writing=True)
+    file_format = find_format(path, name, writing=True)
     for option in options:
-        if option not in form.write_options:
-            takes = ", ".join(form.write_options) or "none"
-            raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")
-    radius = options.pop("radius", None) if form.inflates else None
-    grid = grid if radius is None else grid.inflate(radius)
-    made: Files = resolve(f"navbake.formats.{form.encode}")(grid, Path(path), **options)
-    return made
+        if option not in file_format.write_options:
+            accepted = ", ".join(file_format.write_options) or "none"
+            raise FormatError(
+                f"{file_format.name} takes no option {option!r}, it takes: {accepted}",
+                key=option,
+                value=options[option],
+            )
+    if file_format.inflates:
+        radius = options.pop("radius", None)
+        if radius is not None:
+            grid = grid.inflate(radius)  # type: ignore[arg-type] # checks the radius itself
+    files: Files = resolve(f"navbake.formats.{file_format.encode}")(grid, Path(path), **options)
+    return files
 
 
 def write_as(
-    grid: NavGrid, path: str | os.PathLike[str], to: str | None = None, **options: Any
+    grid: NavGrid, path: str | os.PathLike[str], to: str | None = None, **options: object
 ) -> list[Path]:
-    """Write a grid in any format that is written, all its files or none; see `encode_as`.
+    """Write a grid in any format that can be written, all its files or none.
 
-    Returns the paths of the written files.
+    Args:
+        grid: the grid.
+        path: the file; several files take their names from it.
+        to: the name of the format in `GRID_FORMATS`, None to go by the path's ending.
+        options: options of the format's writer, see `encode_as`.
+
+    Returns:
+        The paths of the written files.
+
+    Raises:
+        FormatError: as of `encode_as`, or a file can't be written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
 
@@ -191,9 +384,23 @@ def write_as(
 def select_levels(
     grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
 ) -> list[int]:
-    """All levels' numbers, or the given one alone; raises a FormatError."""
+    """Return the numbers of the levels to write: all of them, or a single one.
+
+    Args:
+        grid: the grid.
+        path: the file that is to be written.
+        level: the number of the only level to write, None for all.
+        endings: the endings that the path may have, in lower case.
+
+    Returns:
+        The levels' numbers, ascending.
+
+    Raises:
+        FormatError: the path has another ending, or the grid has no such level.
+    """
     if path.suffix.lower() not in endings:
-        raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
+        expected = f"a name that ends in {' or '.join(endings)}"
+        raise FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
     if level is None:
         return list(range(len(grid.levels)))
     check_level(grid, level)
@@ -201,19 +408,34 @@ def select_levels(
 
 
 def check_level(grid: NavGrid, level: int) -> None:
-    """Raise a FormatError for a level that the grid lacks."""
+    """Raise a FormatError for the number of a level that the grid doesn't have."""
     if not 0 <= level < len(grid.levels):
-        raise FormatError(f"no level {level}: the grid has {len(grid.levels)}, counted from 0")
+        raise FormatError(
+            f"no level {level}: the grid has {len(grid.levels)}, counted from 0",
+            key="level",
+            value=level,
+        )
 
 
 def list_level_paths(
     grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
 ) -> dict[int, Path]:
-    """The path of each level's map, by the level's number; raises as `select_levels` does.
+    """Return the path of each level's file by the level's number.
 
-    A single level has the path itself, several ones a number after the stem: ``map_0.yaml``.
+    Args:
+        grid: the grid.
+        path: the file of a single level. Those of several have a number after the stem, as
+            ``map_0.yaml``.
+        level: the number of the only level to write, None for all.
+        endings: the endings that the path may have, in lower case.
+
+    Returns:
+        The paths by level number, ascending.
+
+    Raises:
+        FormatError: as of `select_levels`.
     """
-    chosen = select_levels(grid, path, level, endings)
-    if len(chosen) == 1:
-        return {chosen[0]: path}
-    return {k: path.with_name(f"{path.stem}_{k}{path.suffix}") for k in chosen}
+    numbers = select_levels(grid, path, level, endings)
+    if len(numbers) == 1:
+        return {numbers[0]: path}
+    return {number: path.with_name(f"{path.stem}_{number}{path.suffix}") for number in numbers}

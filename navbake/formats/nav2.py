@@ -5,8 +5,8 @@ the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, 
 bottom, in the row of the same formula of y.
 
 Source: ``map_io.cpp`` of ``nav2_map_server``, whose rules for pixels `read_pixel_values` follows:
-the three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The rules are
-those of a version:
+the three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The
+rules are those of a version:
 
 - ``humble``, to Jazzy: a grey is the mean of its channels, a value on a threshold is neither free
   nor occupied, and transparency counts as a fourth channel in mode ``trinary`` and makes a pixel
