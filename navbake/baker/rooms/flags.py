@@ -215,7 +215,7 @@ def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
 
 
 def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
-    """Mark the cells at the outer edge of what there is.
+    """Mark the cells that border on empty cells outside, or on sides with nothing beyond.
 
     Args:
         is_empty: cells with nothing, shape (height, width).
@@ -331,7 +331,7 @@ def _mark_by_geoms(
 
 
 def _remove_prefix(name: str) -> str:
-    """The name of a room by that of its floor: without a prefix, unless nothing else is left."""
+    """Remove the prefix of a floor's name, unless nothing else is in the name."""
     for prefix in FLOOR_PREFIXES:
         if name.startswith(prefix) and name != prefix:
             return name[len(prefix) :]
@@ -345,7 +345,7 @@ def _mark_by_sites(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room of the first site in which an agent on it stands.
+    """Give each cell the room of the first site in whose volume an agent on the cell stands.
 
     A site with less than `rooms.min_area` of floor, on all levels together, is no room.
     """
@@ -478,11 +478,11 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
         is_marking = np.isin(np.arange(num_geoms), list(source_geoms))
         for block in source.row_chunks() if source_geoms else ():
             first, end = block.valid_rows.cell_range(block.lattice)
-            at = np.flatnonzero(is_marking[block.geom] & (block.normal[:, 2] > 0))
-            column = np.searchsorted(block.start[first : end + 1], at, side="right") - 1
+            hit = np.flatnonzero(is_marking[block.geom] & (block.normal[:, 2] > 0))
+            column = np.searchsorted(block.start[first : end + 1], hit, side="right") - 1
             cells.append(first + column)
-            heights.append(block.z[at])
-            geom_ids.append(block.geom[at])
+            heights.append(block.z[hit])
+            geom_ids.append(block.geom[hit])
     return _Surfaces(np.concatenate(cells), np.concatenate(heights), np.concatenate(geom_ids))
 
 

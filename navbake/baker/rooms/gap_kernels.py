@@ -206,15 +206,15 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
             width = run[row, col]
             if width == 0 or width > limits.max_width or not is_near_wall[row, col]:
                 continue
-            wider = _widen(width, limits)
-            if row > 0 and run[row - 1, col] >= wider:
+            longer = _min_longer_run(width, limits)
+            if row > 0 and run[row - 1, col] >= longer:
                 if not limits.only_doorways:
                     marks[row, col] = max(marks[row, col], ONE_SIDED)
                 end = _find_doorway_end(run, row, col, limits)
                 for doorway_row in range(row, end):
                     if marks[doorway_row, col] < DOORWAY:
                         _mark_doorway(run, shift, doorway_row, col, marks)
-            if not limits.only_doorways and row + 1 < rows and run[row + 1, col] >= wider:
+            if not limits.only_doorways and row + 1 < rows and run[row + 1, col] >= longer:
                 marks[row, col] = max(marks[row, col], ONE_SIDED)
 
 
@@ -261,14 +261,14 @@ def measure_runs(is_open, shift, marked):
 
 
 @subkernel(**NO_REFCOUNT)
-def _widen(width, limits):
-    """How long a run has to be for the space to widen from a run of a width [columns]."""
+def _min_longer_run(width, limits):
+    """The length from which on a run is much longer than one of a width [columns]."""
     return max(limits.widening_factor * width, width + limits.min_widening)
 
 
 @subkernel(**NO_REFCOUNT)
 def _find_doorway_end(run, first_row, col, limits):
-    """The row past the last one of a doorway whose first row is given; the first if it is none.
+    """Find the row past the last one of a doorway, from its first row; that row if it is none.
 
     The doorway ends where the space widens again, a wall's thickness away at most.
     """
@@ -282,7 +282,7 @@ def _find_doorway_end(run, first_row, col, limits):
         least = row_width + limits.min_widening + JAMB_JITTER
         if max(limits.widening_factor * row_width, least) < width:
             break
-        if row + 1 < rows and run[row + 1, col] >= _widen(row_width, limits):
+        if row + 1 < rows and run[row + 1, col] >= _min_longer_run(row_width, limits):
             return row + 1
     return first_row
 
@@ -312,7 +312,7 @@ def _mark_doorway(run, shift, row, col, marks):
 
 @kernel
 def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
-    """Measure which share of the width of the spaces on both sides some gaps have.
+    """Measure how much of the width of the spaces on both sides gaps take.
 
     On each side a space is measured along lines parallel to the gap, at each of the scan's depths.
     A line runs as far as the space reaches, but beyond the gap's ends at most `LINE_REACH` times
@@ -347,9 +347,9 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
         opening_cell=np.full((num, 2, num_depths, 2), np.int64(-1)),
     )
     shares = np.ones((num, 2))
-    waits = np.zeros(num, np.bool_)
+    needs_rays = np.zeros(num, np.bool_)
     widths = np.empty((2, num_depths))  # of one gap and its openings, up to walls [columns]
-    met = [(np.int64(-1), np.int64(-1))]  # the entry gives the list its type
+    met_spaces = [(np.int64(-1), np.int64(-1))]  # the entry gives the list its type
     for i in range(num):
         gap = chosen_gaps[i]
         above = np.int64(space_of[gaps.label_above[gap]])
@@ -369,14 +369,14 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
                     space=above if side == ABOVE else below,
                     opposite_space=below if side == ABOVE else above,
                 )
-                _measure_line(scan, gaps, line, space_of, met, lines, i, number)
+                _measure_line(scan, gaps, line, space_of, met_spaces, lines, i, number)
                 width = 0.0
                 for end in range(2):
                     # up to the wall at the gap's end, or at that of openings beyond it
                     opening_width = lines.opening_width[i, side, number, end]
                     cell = lines.opening_cell[i, side, number, end]
                     if opening_width > 0:
-                        waits[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                        needs_rays[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
                         width += opening_width + _distance_to_wall(
                             walls.coded_distance, cell, end, walls.max_distance[gap]
                         )
@@ -397,16 +397,16 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
                 length = 0.0
                 for end in range(2):
                     cell = lines.wall_cell[i, side, number, end]
-                    waits[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
+                    needs_rays[i] |= cell >= 0 and walls.coded_distance[cell, end] == 0.0
                     length += _distance_to_wall(walls.coded_distance, cell, end, MAX_WALL_DISTANCE)
                 share = widths[side, number] / (lines.length[i, side, number] - 1 + length)
                 shares[i, side] = min(shares[i, side], share)
-    return lines, shares, waits, met[1:]
+    return lines, shares, needs_rays, met_spaces[1:]
 
 
 @subkernel(**NO_REFCOUNT)
 def _limit_depth(scan, gaps, gap, side, number):
-    """The depth and the lean of a gap's line, by its number; the first line stays in its space.
+    """Find the depth and the lean of one of a gap's lines, so that the first is in its space.
 
     A space that ends before the first depth, as seen from the middle of the gap, is measured where
     it ends.
@@ -437,15 +437,15 @@ def _limit_depth(scan, gaps, gap, side, number):
 
 @subkernel(**NO_REFCOUNT)
 def _distance_to_wall(coded_distance, cell, end, max_distance):
-    """How far the wall is from a cell's centre; half a column without a cell or a wall so near."""
+    """The distance of a cell's centre from the wall; half a column without a cell or near wall."""
     if cell < 0 or not 1.0 <= coded_distance[cell, end] <= max_distance + 1.0:
         return 0.5
     return coded_distance[cell, end] - 1.0
 
 
 @subkernel
-def _measure_line(scan, gaps, line, space_of, met, lines, entry, number):
-    """Measure a `LineBehindGap` into an entry of `lines`; `met` receives the spaces that it meets.
+def _measure_line(scan, gaps, line, space_of, met_spaces, lines, entry, number):
+    """Measure a `LineBehindGap` into an entry of `lines`; list the further spaces that it meets.
 
     How far a line may run depends on how wide the opening is that this gap is a part of: so the
     openings next to the gap are counted first.
@@ -453,10 +453,10 @@ def _measure_line(scan, gaps, line, space_of, met, lines, entry, number):
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
     opening_width = gap_width
     for end in range(2):
-        opening_width += _walk_line(scan, gaps, line, end, 0, True, space_of, met).openings
+        opening_width += _walk_line(scan, gaps, line, end, 0, True, space_of, met_spaces).openings
     length = gap_width
     for end in range(2):
-        walk = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met)
+        walk = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met_spaces)
         length += walk.reached
         lines.opening_width[entry, line.side, number, end] = walk.passed_openings
         lines.wall_cell[entry, line.side, number, end] = walk.last_cell
@@ -468,7 +468,7 @@ def _measure_line(scan, gaps, line, space_of, met, lines, entry, number):
 
 
 @subkernel
-def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, met):
+def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, met_spaces):
     """Walk along a line from one end of its gap away from it, and return a `LineEnd`.
 
     Args:
@@ -478,7 +478,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         opening_width: how wide the opening is that the gap is a part of, which limits the walk.
         only_openings: whether the walk ends where the openings next to the gap end.
         space_of: as for `measure_gaps`.
-        met: receives the further spaces that are met.
+        met_spaces: receives the further spaces that the line meets.
     """
     rows, cols = scan.label.shape
     shift = scan.shift
@@ -525,7 +525,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         if num_steps == 0:
             continue
         if space > 0 and space != line.space:
-            _note_met(met, line.gap, space)
+            _record_met_space(met_spaces, line.gap, space)
             last_cell = np.int64(-1)
             break
         if 0 <= gap_col < cols and 0 <= mirror_col < cols:
@@ -541,7 +541,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
                 openings += 1
                 opening_cell = ((top + bottom) // 2 + row_shift) * cols + gap_col
             elif opposite > 0:
-                _note_met(met, line.gap, opposite)
+                _record_met_space(met_spaces, line.gap, opposite)
         if space > 0:
             reached = num_steps
             passed_openings = openings
@@ -572,14 +572,14 @@ def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
 
 
 @subkernel
-def _note_met(met, gap, space):
-    """List that lines of a gap met a space, once."""
-    for n in range(len(met) - 1, 0, -1):
-        if met[n][0] != gap:
+def _record_met_space(met_spaces, gap, space):
+    """Record once that lines of a gap met a space."""
+    for n in range(len(met_spaces) - 1, 0, -1):
+        if met_spaces[n][0] != gap:
             break
-        if met[n][1] == space:
+        if met_spaces[n][1] == space:
             return
-    met.append((gap, space))
+    met_spaces.append((gap, space))
 
 
 # ---------------------------------------------------------------- sills

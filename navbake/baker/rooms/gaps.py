@@ -392,30 +392,30 @@ class SpaceMerger:
 
         A line across a room at a doorway's edge is decided before the doorway.
         """
-        for of_wider in (True, False):
+        for by_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
             for gap in range(len(self._width)):
-                priority = self._find_priority(gap, of_wider) if self.separates(gap) else None
+                priority = self._find_priority(gap, by_wider) if self.separates(gap) else None
                 if priority is not None:
                     queue.append((priority, gap))
             heapq.heapify(queue)
             while queue:
                 priority, gap = heapq.heappop(queue)
                 # gaps measured again are in the queue again; a passage may have grown long
-                if not self.separates(gap) or priority != self._find_priority(gap, of_wider):
+                if not self.separates(gap) or priority != self._find_priority(gap, by_wider):
                     continue
                 for measured_gap in self.join(gap):
-                    new_priority = self._find_priority(measured_gap, of_wider)
+                    new_priority = self._find_priority(measured_gap, by_wider)
                     if new_priority is not None:
                         heapq.heappush(queue, (new_priority, measured_gap))
 
-    def _find_priority(self, gap: int, of_wider: bool) -> tuple[bool, float] | None:
+    def _find_priority(self, gap: int, by_wider: bool) -> tuple[bool, float] | None:
         """The priority of joining the spaces at a gap, lowest first; None if they are not joined.
 
         By the share of the wider space, which the gap then has of both, the greatest share comes
         first, doorways last; by that of the narrower space, the widest gap comes first.
         """
-        if of_wider:
+        if by_wider:
             share = min(self._shares[gap].tolist())
             if share < JOIN_SHARE_OF_WIDER:
                 return None
@@ -483,23 +483,23 @@ class SpaceMerger:
             first_gap = int(self._first_gap[number])
             chosen_gaps = gaps[directions == number] - first_gap
             walls = self._walls[number]
-            lines, shares, waits, met = kernels.measure_gaps(
+            lines, shares, needs_rays, met_spaces = kernels.measure_gaps(
                 scan, direction_gaps, chosen_gaps, self.space_of, walls
             )
-            for gap, space in met:
+            for gap, space in met_spaces:
                 self._gaps_meeting[space].add(first_gap + gap)
-            if self._rays is not None and waits.any():
+            if self._rays is not None and needs_rays.any():
                 # of all gaps at first: the rays of most later lines, at once
                 if len(chosen_gaps) == len(direction_gaps.first_col):
-                    casts = np.ones_like(waits)
+                    casts_rays = np.ones_like(needs_rays)
                 else:
-                    casts = waits
+                    casts_rays = needs_rays
                 for cells in (lines.wall_cell, lines.opening_cell):
-                    self._rays.measure(direction, cells[casts].reshape(-1, 2))
+                    self._rays.measure(direction, cells[casts_rays].reshape(-1, 2))
                 _, shares_to_walls, _, _ = kernels.measure_gaps(
-                    scan, direction_gaps, chosen_gaps[waits], self.space_of, walls
+                    scan, direction_gaps, chosen_gaps[needs_rays], self.space_of, walls
                 )
-                shares[waits] = shares_to_walls
+                shares[needs_rays] = shares_to_walls
             self._shares[first_gap + chosen_gaps] = shares
 
     def join(self, gap: int) -> list[int]:

@@ -222,10 +222,12 @@ def _join_spaces(
     if is_stair.any():
         sums = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
         heights = sums / np.maximum(num_cells, 1)
-        peaks = find_peaks(label, squared_distances(mark_wall_nodes(open_cells), reach), count)
+        peaks = find_widest_distances(
+            label, squared_distances(mark_wall_nodes(open_cells), reach), count
+        )
         graph.join_stairs(is_stair, heights, np.sqrt(peaks))
     graph.join_small(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
-    return graph.find_rooms(min_cells, is_room)[label]
+    return graph.select_rooms(min_cells, is_room)[label]
 
 
 def spread_labels(label: Int32, open_cells: Bool) -> None:
@@ -380,16 +382,16 @@ class _SpaceGraph:
                 self._join(lowest, stair)
                 peak[lowest] = max(peak[lowest], peak[stair])
 
-    def join_small(self, min_cells: float, num_at_edge: Int, enough: float) -> None:
+    def join_small(self, min_cells: float, num_at_edge: Int, max_counted: float) -> None:
         """Join small spaces, the smallest first, to the one they open to the widest.
 
         A space with cells at the edge of the grid, such as a ledge round a house, joins the one
-        with most cells there; with more than `enough` it joins only one with as many.
+        with most cells there; with more than `max_counted` it joins only one with as many.
 
         Args:
             min_cells: spaces with fewer cells are small.
             num_at_edge: how many cells of each space are at the edge of the grid; is written into.
-            enough: more cells at the edge count no more.
+            max_counted: more cells at the edge count no more.
         """
         is_small = (self._space_of == np.arange(len(self._num_cells))) & (
             self._num_cells < min_cells
@@ -407,19 +409,19 @@ class _SpaceGraph:
                 continue
             ranks = []
             for neighbor, passage in self._passages[small].items():
-                edge_rank = min(num_at_edge[neighbor], enough) if num_at_edge[small] else 0
+                edge_rank = min(num_at_edge[neighbor], max_counted) if num_at_edge[small] else 0
                 ranks.append((edge_rank, *passage, self._num_cells[neighbor], -neighbor))
             if not ranks:
                 continue
             best = -max(ranks)[-1]
-            if num_at_edge[small] > enough >= num_at_edge[best]:
+            if num_at_edge[small] > max_counted >= num_at_edge[best]:
                 continue
             self._join(best, small)
             num_at_edge[best] += num_at_edge[small]
             if self._num_cells[best] < min_cells:
                 heapq.heappush(queue, (int(self._num_cells[best]), best))
 
-    def find_rooms(self, min_cells: float, is_room: Bool) -> Int32:
+    def select_rooms(self, min_cells: float, is_room: Bool) -> Int32:
         """List the space that each label became part of, 0 for too small ones.
 
         Args:
@@ -438,11 +440,11 @@ class _SpaceGraph:
             if neighbor == joined:
                 continue
             former = self._passages[joined].get(neighbor, Passage(0.0, 0))
-            sum_of_both = Passage(
+            combined = Passage(
                 max(former.distance, passage.distance), former.length + passage.length
             )
-            self._passages[joined][neighbor] = sum_of_both
-            self._passages[neighbor][joined] = sum_of_both
+            self._passages[joined][neighbor] = combined
+            self._passages[neighbor][joined] = combined
         self._passages[removed] = {}
         self._num_cells[joined] += self._num_cells[removed]
 
@@ -466,7 +468,7 @@ def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
     return rows, cols
 
 
-def find_peaks(label: Int32, distance: Int32, count: int) -> Int32:
+def find_widest_distances(label: Int32, distance: Int32, count: int) -> Int32:
     """Find the largest distance of a node on any cell of each label.
 
     Args:
@@ -549,8 +551,8 @@ def assign_unmarked(
         is_beyond[component.ravel()[beyond]] = True
         is_room |= is_beyond & (touched == 0)
     is_room[0] = False
-    added_to = np.where(is_room[component], 0, touched[component])
-    new_owner = np.where(owner > 0, owner, added_to).astype(np.int32)
+    touched_owner = np.where(is_room[component], 0, touched[component])
+    new_owner = np.where(owner > 0, owner, touched_owner).astype(np.int32)
     # segments without marks are numbered behind the components of others
     unmarked_segment = np.where(
         has_marks[unmarked], 0, unmarked + np.int32(len(num_cells)) * (unmarked > 0)
@@ -589,7 +591,7 @@ def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
         at_boundary[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
         at_boundary[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
     num_cells = count_cells_by_label(label, int(label.max(initial=0)) + 1)
-    peaks = find_peaks(label, squared_distances(at_boundary, reach), len(num_cells))
+    peaks = find_widest_distances(label, squared_distances(at_boundary, reach), len(num_cells))
     # twice the distance to the boundary, in half cells: the widest disc that fits
     return num_cells, peaks >= (MIN_REMAINDER_WIDTH / cell_size) ** 2 - CELL_ROUNDING
 
@@ -668,7 +670,9 @@ def mark_cavities(
     if (is_open | is_cavity).all():
         return is_cavity
     reach = int(MIN_CLOSED_ROOM_WIDTH / cell_size) + 2
-    peaks = find_peaks(segment, squared_distances(mark_wall_nodes(segment > 0), reach), count)
+    peaks = find_widest_distances(
+        segment, squared_distances(mark_wall_nodes(segment > 0), reach), count
+    )
     is_wide = peaks >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
     return is_cavity | ~is_open & ~is_wide
 

@@ -431,7 +431,7 @@ class WallRays:
     """Casts level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        """Prepare rays.
+        """Choose and tile the geometry that rays can meet.
 
         Args:
             walls: the geometry that rays meet, world frame.
@@ -466,9 +466,9 @@ class WallRays:
             the direction write into the same array.
         """
         walls = self._rotate(direction)
-        at = np.nonzero(cells >= 0)
-        cell = cells[at]
-        end = at[-1]
+        entries = np.nonzero(cells >= 0)
+        cell = cells[entries]
+        end = entries[-1]
         is_new = walls.coded_distance[cell, end] == 0.0
         cell = cell[is_new]
         end = end[is_new]
@@ -609,7 +609,7 @@ def _choose_triangles(bounds: Float, heights: Float) -> Int:
     bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
     ids_of_chunk = dict[int, Int]()
 
-    def choose(first_chunk: int, end_chunk: int) -> None:
+    def choose_in_chunks(first_chunk: int, end_chunk: int) -> None:
         for chunk in range(first_chunk, end_chunk):
             first = chunk * TRIANGLE_CHUNK
             bottom = bounds[first : first + TRIANGLE_CHUNK, 2]
@@ -620,7 +620,7 @@ def _choose_triangles(bounds: Float, heights: Float) -> Int:
             meets_ray = bins_before[last_bin + 1] > bins_before[first_bin]
             ids_of_chunk[chunk] = first + in_range[meets_ray]
 
-    run_in_chunks(choose, -(-len(bounds) // TRIANGLE_CHUNK))
+    run_in_chunks(choose_in_chunks, -(-len(bounds) // TRIANGLE_CHUNK))
     ids = [ids_of_chunk[chunk] for chunk in sorted(ids_of_chunk)]
     return np.concatenate([np.empty(0, np.int64), *ids])
 
