@@ -32,7 +32,7 @@ from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.blocking import fit_grid
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.places import snap
+from navbake.runtime.places import snap_to_cells
 from navbake.types import Float, Json
 
 NDTW_THRESHOLD = 3.0  # as VLN-CE has it [m]
@@ -311,7 +311,7 @@ class Measures:
         to_free_cell = np.zeros(len(points))  # [m]
         blocked = np.flatnonzero(~flat.free[cells])
         if len(blocked):
-            positions, nearest = snap(flat, flat.free, points[blocked], max_distance=SNAP)
+            positions, nearest = snap_to_cells(flat, flat.free, points[blocked], max_distance=SNAP)
             is_near = nearest >= 0
             cells[blocked] = np.where(is_near, nearest, cells[blocked])
             offsets = np.linalg.norm(positions - points[blocked], axis=1)

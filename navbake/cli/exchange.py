@@ -204,7 +204,7 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import encode_files  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments
+    from navbake.runtime.inflation import NAV2_SCALING, check_arguments
     from navbake.runtime.passage import find_closed_connections  # loads numpy
     from navbake.runtime.search import Search
 
@@ -216,7 +216,7 @@ def inflate(
         ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),
         ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
     )
-    scaling = SCALING if scaling is None else scaling
+    scaling = NAV2_SCALING if scaling is None else scaling
     ledges = ledges or "avoid"
     # check the arguments before reading the grid, which takes seconds
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)

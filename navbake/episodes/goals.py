@@ -20,7 +20,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.user_data import UserData, names_in
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.places import snap
+from navbake.runtime.places import snap_to_cells
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
@@ -107,7 +107,7 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
         return np.empty(0, dtype=np.int64)
     p = check_positions(points, flat.num_levels)
     reach = max(SNAP, goal.radius)
-    _, cells = snap(flat, flat.free, p, same_level=False, max_distance=reach)
+    _, cells = snap_to_cells(flat, flat.free, p, same_level=False, max_distance=reach)
     return np.unique(cells[cells >= 0])
 
 

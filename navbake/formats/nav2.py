@@ -44,7 +44,7 @@ from navbake.formats.source import (
 )
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice, rounded
-from navbake.runtime.inflation import SCALING
+from navbake.runtime.inflation import NAV2_SCALING
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 
@@ -115,7 +115,7 @@ def encode_nav2(
         raise FormatError("mode trinary has no costs: expected mode scale or raw with an inflation")
     if scaling is not None and inflation is None:
         raise FormatError("scaling is how fast the costs of an inflation fall: expected one")
-    scaling = SCALING if scaling is None else scaling
+    scaling = NAV2_SCALING if scaling is None else scaling
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}

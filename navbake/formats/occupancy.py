@@ -20,7 +20,7 @@ from navbake.formats.allowance import MAX_PIXELS
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
-from navbake.runtime.inflation import SCALING, nav2_costs
+from navbake.runtime.inflation import NAV2_SCALING, nav2_costs
 from navbake.types import Bool, Float, Json
 
 ndimage = lazy("scipy.ndimage")
@@ -59,7 +59,7 @@ def compute_occupancy_values(grid: NavGrid, number: int) -> Values:
 
 
 def compute_costmap_values(
-    grid: NavGrid, number: int, radius: float, inflation: float, scaling: float = SCALING
+    grid: NavGrid, number: int, radius: float, inflation: float, scaling: float = NAV2_SCALING
 ) -> Values:
     """The values of a level's costmap: its obstacles inflated by nav2's formula.
 

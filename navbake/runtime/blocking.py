@@ -1,13 +1,15 @@
-"""Blocks of a grid's cells for moving things, and the grids for agents of other sizes.
+"""Obstacles that are added to a grid while it is in use, and grids for agents of other sizes.
 
-A block changes the grid's layers in place, until it is freed; grids made for other agents follow.
+An obstacle changes the grid's layers in place, until it is freed; grids made for other agents
+follow.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypedDict
 from weakref import WeakSet
 
 import numpy as np
@@ -27,46 +29,64 @@ from navbake.navgrid.obstacle_state import (
     OCCUPIED_LAYERS,
     Layers,
     ObstacleState,
+    Window,
 )
-from navbake.runtime.inflation import check_radius, ledges_of, margins_of
+from navbake.runtime.inflation import check_radius, compute_margins, ledges_setting
 from navbake.types import Float, Int
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-SAME = 1e-9  # [m] between two sizes that are one
-ROUNDING = 1e-5  # [m] of floors in files, which are float32
+SAME_SIZE = 1e-9  # [m] by which two sizes that are one may differ
+FLOOR_ROUNDING = 1e-5  # [m] of floors in files, which are float32
+
+
+class BlockArguments(TypedDict):
+    """The arguments of `block`, so that an obstacle can be added to another grid again."""
+
+    cells: Cell | Cells | None
+    disc: tuple[ArrayLike, float] | None
+    box: tuple[ArrayLike, ArrayLike] | None
+    level: int | None
+    height: float | None
+    margin: float | None
 
 
 class AddedObstacle:
     """Cells that are blocked until `free` is called, or until the end of a with statement.
 
+    `SceneGrid2D.block` makes it.
+
     Attributes:
-        cells: flat ids of the cells where an agent can't stand because of the block, by level, each
-            ascending, int64; including cells that were not free before.
+        cells: flat ids of the cells where an agent can't stand because of the obstacle, by level,
+            each ascending, int64; including cells that were not free before.
         arguments: of `grid.block` that made it.
+        copies: the same obstacle on grids for agents of other sizes.
+
+    Example:
+        >>> cart = grid.block(disc=((2.0, 1.0, 0.0), 0.3))
+        >>> cart.free()
     """
 
-    def __init__(
-        self, grid: NavGrid, layers: list[Layers], arguments: dict[str, Any] | None = None
-    ) -> None:
-        self.arguments = arguments or {}
+    def __init__(self, grid: NavGrid, layers: list[Layers], arguments: BlockArguments) -> None:
+        self.arguments = arguments
+        self.copies: list[AddedObstacle] = []
+        self.cells = [level_layers[BLOCKED] for level_layers in layers]
         self._grid = grid
-        self.copies: list[AddedObstacle] = []  # on grids for agents of other sizes
-        self.cells = [of_level[BLOCKED] for of_level in layers]
-        self._held: list[tuple[SceneGrid2D, ObstacleState, Layers]] = []
-        for level, of_level in zip(grid.levels, layers, strict=True):
-            if any(len(ids) for ids in of_level):
-                state = level.obstacle_state = level.obstacle_state or _begin(level)
-                _change(level, state, of_level, is_held=True)
-                self._held.append((level, state, of_level))
+        self._blocked_levels: list[tuple[SceneGrid2D, ObstacleState, Layers]] = []
+        for level, level_layers in zip(grid.levels, layers, strict=True):
+            if any(len(ids) for ids in level_layers):
+                if level.obstacle_state is None:
+                    level.obstacle_state = _make_obstacle_state(level)
+                _change_counts(level, level.obstacle_state, level_layers, is_added=True)
+                self._blocked_levels.append((level, level.obstacle_state, level_layers))
         grid.obstacles.append(self)
 
     def free(self) -> None:
-        """Free the cells, except those held by other blocks. Further calls do nothing."""
-        for level, state, of_level in self._held:
-            _change(level, state, of_level, is_held=False)
-        self._held.clear()
+        """Free the cells, except those that other obstacles block. Further calls do nothing."""
+        for level, state, level_layers in self._blocked_levels:
+            _change_counts(level, state, level_layers, is_added=False)
+        self._blocked_levels.clear()
         for copied in self.copies:
             copied.free()
         if self in self._grid.obstacles:
@@ -79,9 +99,9 @@ class AddedObstacle:
         self.free()
 
 
-def _begin(level: SceneGrid2D) -> ObstacleState:
-    """The state of an unblocked level; the level gets writable copies of its arrays."""
-    # others may share the level's arrays, or they may be read-only
+def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
+    """Make the state of a level without obstacles; the level gets writable copies of its arrays."""
+    # other grids may share the level's arrays, or they may be read-only
     level.weights = np.array(level.weights, order="C")
     level.attributes = dict(level.attributes)
     for name in CHANGING & level.attributes.keys():
@@ -89,56 +109,94 @@ def _begin(level: SceneGrid2D) -> ObstacleState:
     occupied = {
         name: level.attributes[name].copy() for name in OCCUPIED_LAYERS if name in level.attributes
     }
-    return ObstacleState(level.weights.copy(), occupied, _farthest(level))
+    return ObstacleState(level.weights.copy(), occupied, _largest_clearance(level))
 
 
-def _change(level: SceneGrid2D, state: ObstacleState, cells: Layers, *, is_held: bool) -> None:
-    """AddedObstacle or free cells."""
-    count = state.count.reshape(len(cells), -1)
-    for number, ids in zip(count, cells, strict=True):
-        if is_held:
-            number[ids] += 1
+def _change_counts(
+    level: SceneGrid2D, state: ObstacleState, layers: Layers, *, is_added: bool
+) -> None:
+    """Add an obstacle to a level's state or remove it, and update the level's arrays."""
+    counts = state.count.reshape(len(layers), -1)
+    for layer_counts, ids in zip(counts, layers, strict=True):
+        if is_added:
+            layer_counts[ids] += 1
         else:
-            number[ids] -= 1
-    changed: list[tuple[int, NDArray[Any], NDArray[Any], float]] = [
-        (BLOCKED, level.weights, state.weights, np.inf),
-        *((OCCUPIED, level.attributes[name], own, 1.0) for name, own in state.occupied.items()),
-    ]
-    for layer, array, clean, value in changed:
-        now = array.reshape(-1)
-        before = clean.reshape(-1)
-        ids = cells[layer]
-        if is_held:
-            # the first block reads the arrays again: they are writable
-            first = ids[count[layer, ids] == 1]
-            before[first] = now[first]
-            now[first] = value
-        else:
-            left = ids[count[layer, ids] == 0]
-            now[left] = before[left]
+            layer_counts[ids] -= 1
+    _write_cells(
+        level.weights, state.weights, np.inf, counts[BLOCKED], layers[BLOCKED], is_added=is_added
+    )
+    for name, clean in state.occupied.items():
+        _write_cells(
+            level.attributes[name], clean, 1.0, counts[OCCUPIED], layers[OCCUPIED],
+            is_added=is_added,
+        )  # fmt: skip
     # one window for all layers
-    rows, cols = np.divmod(np.concatenate(cells), level.width)
+    rows, cols = np.divmod(np.concatenate(layers), level.width)
     window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
     state.log_change(window)
-    if state.farthest is None:
-        return
-    # No clearance exceeds that without blocks, so cells farther from the window keep theirs; the
+    if state.farthest is not None:
+        _update_clearance(level, window, state.farthest)
+
+
+def _write_cells(
+    array: NDArray[np.generic],
+    clean: NDArray[np.generic],
+    blocked_value: float,
+    counts: NDArray[np.uint16],
+    ids: Int,
+    *,
+    is_added: bool,
+) -> None:
+    """Write an array of a level after an obstacle was added or removed.
+
+    Args:
+        array: weights or an attribute of a level, written.
+        clean: the same without obstacles; the values of cells that get blocked are stored here.
+        blocked_value: the value of blocked cells.
+        counts: the number of obstacles on each cell, after the change.
+        ids: the obstacle's cells.
+        is_added: whether the obstacle was added, else removed.
+    """
+    values = array.reshape(-1)
+    clean_values = clean.reshape(-1)
+    if is_added:
+        # the first obstacle on a cell reads its value again: the arrays are writable
+        newly_blocked = ids[counts[ids] == 1]
+        clean_values[newly_blocked] = values[newly_blocked]
+        values[newly_blocked] = blocked_value
+    else:
+        freed = ids[counts[ids] == 0]
+        values[freed] = clean_values[freed]
+
+
+def _update_clearance(level: SceneGrid2D, window: Window, farthest: float) -> None:
+    """Compute a level's layer ``clearance`` again near a window that changed.
+
+    `farthest` is the largest clearance without obstacles, in cells.
+    """
+    # No clearance exceeds that without obstacles, so cells farther from the window keep theirs; the
     # nearest blocked cell of one at the rim of `inner` may be a whole reach further out.
-    reach = math.ceil(state.farthest) + 2
-    inner, outer = (
-        (
-            max(window[0] - by, 0), min(window[1] + by, level.height),
-            max(window[2] - by, 0), min(window[3] + by, level.width),
-        )
-        for by in (reach, 2 * reach)
-    )  # fmt: skip
+    reach = math.ceil(farthest) + 2
+    inner = _pad_window(window, reach, level)
+    outer = _pad_window(window, 2 * reach, level)
     row0, row1, col0, col1 = inner
-    here = np.s_[row0 - outer[0] : row1 - outer[0], col0 - outer[2] : col1 - outer[2]]
-    level.attributes["clearance"][row0:row1, col0:col1] = clearance(level, outer)[here]
+    rows = slice(row0 - outer[0], row1 - outer[0])
+    cols = slice(col0 - outer[2], col1 - outer[2])
+    level.attributes["clearance"][row0:row1, col0:col1] = clearance(level, outer)[rows, cols]
 
 
-def _farthest(level: SceneGrid2D) -> float | None:
-    """The largest clearance of a level, in cells; None without that layer."""
+def _pad_window(window: Window, pad: int, level: SceneGrid2D) -> Window:
+    """Extend a window by some cells on each side, within the level."""
+    return (
+        max(window[0] - pad, 0),
+        min(window[1] + pad, level.height),
+        max(window[2] - pad, 0),
+        min(window[3] + pad, level.width),
+    )
+
+
+def _largest_clearance(level: SceneGrid2D) -> float | None:
+    """Compute the largest clearance of a level, in cells; None without that layer."""
     stored = level.attributes.get("clearance")
     if stored is None:
         return None
@@ -147,6 +205,34 @@ def _farthest(level: SceneGrid2D) -> float | None:
     if stored.dtype != measured.dtype or not np.allclose(stored, measured, atol=1e-5):
         return None
     return float(measured.max(initial=0)) / level.lattice.cell_size
+
+
+# ---------------------------------------------------------------- shapes of obstacles
+
+
+@dataclass(frozen=True)
+class _UprightShape:
+    """An upright obstacle: from above, a rectangle dilated by a radius.
+
+    Attributes:
+        low: lower corner of the rectangle, world x, y [m], shape (2,).
+        high: upper corner, world x, y [m], shape (2,).
+        radius: by which the rectangle is dilated [m]; 0 for a box.
+        bottom: world z of its bottom [m], -inf for none.
+        top: world z of its top [m], inf for none.
+    """
+
+    low: Float
+    high: Float
+    radius: float
+    bottom: float
+    top: float
+
+    def distance(self, x: Float, y: Float, half: float) -> Float:
+        """Compute distances [m] from the rectangle to squares of half edge `half` round points."""
+        dx = np.maximum(np.maximum(self.low[0] - x, x - self.high[0]) - half, 0.0)
+        dy = np.maximum(np.maximum(self.low[1] - y, y - self.high[1]) - half, 0.0)
+        return np.asarray(np.hypot(dx, dy))
 
 
 def block(
@@ -159,21 +245,13 @@ def block(
     height: float | None = None,
     margin: float | None = None,
 ) -> AddedObstacle:
-    """AddedObstacle cells of a grid for a moving thing until they are freed.
-
-    The grid's weights, occupancy and ``clearance`` layer change in place, and each
-    `PathFinder` on it takes the change over, those of agents of other sizes with the margin of
-    theirs. Blocks may overlap. A disc or box blocks the cells
-    where an agent on the floor would collide with it: their square overlaps it, or a disc of
-    `margin` round their centre does. Grids derived from this one keep its current blocks.
-
-    Free the cells by `free` of the returned block, or use the block as a context manager.
+    """Block cells of a grid for an obstacle, until it is freed: `SceneGrid2D.block`.
 
     Args:
-        cells: level, row and column, as `cell_at` and `cells_at` return them; without the rest.
-        disc: centre and radius [m]; blocks all levels that it reaches into from the centre's z
-            up, or the level's whole height if the centre is x, y.
-        box: lower and upper corner, world frame [m]; of the level's height if x, y.
+        grid: the grid, whose arrays change; grids in its `fitted_grids` get the same obstacle.
+        cells: level, row and column, of one cell or as arrays; without the other shapes.
+        disc: centre, x, y, z or x, y, and radius [m].
+        box: lower and upper corner, x, y, z or x, y [m].
         level: block this level only; then a position needs no z.
         height: of the disc [m]; the agent's if None.
         margin: the agent's radius [m]; if None, that of the inflation, else of the bake.
@@ -181,104 +259,152 @@ def block(
     Raises:
         QueryError: not exactly one of cells, disc and box is given, or it is not valid.
     """
-    given: dict[str, Any] = {
-        "cells": cells, "disc": disc, "box": box, "level": level, "height": height, "margin": margin
-    }  # fmt: skip
-    made = AddedObstacle(grid, _find_layers(grid, **given), given)
-    made.copies += [block(fitted, **given) for fitted in grid.fitted_grids or ()]
-    return made
+    arguments: BlockArguments = {
+        "cells": cells,
+        "disc": disc,
+        "box": box,
+        "level": level,
+        "height": height,
+        "margin": margin,
+    }
+    obstacle = AddedObstacle(grid, _find_layers(grid, arguments), arguments)
+    obstacle.copies += [block(fitted_grid, **arguments) for fitted_grid in grid.fitted_grids or ()]
+    return obstacle
 
 
-def _find_layers(
-    grid: NavGrid,
-    cells: Cell | Cells | None,
-    disc: tuple[ArrayLike, float] | None,
-    box: tuple[ArrayLike, ArrayLike] | None,
-    level: int | None,
-    height: float | None,
-    margin: float | None,
-) -> list[Layers]:
-    """The cells of each layer of a block's, by level."""
-    if sum(thing is not None for thing in (cells, disc, box)) != 1:
+def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
+    """Find the cells of each layer of an obstacle, by level."""
+    cells = arguments["cells"]
+    disc = arguments["disc"]
+    box = arguments["box"]
+    level = arguments["level"]
+    if sum(shape is not None for shape in (cells, disc, box)) != 1:
         raise QueryError("expected one of cells, disc and box to block")
     check_level(level, len(grid.levels))
     if cells is not None:
-        number, row, col = check_cells(grid, cells)
-        ids = [(row * part.width + col)[number == k] for k, part in enumerate(grid.levels)]
-        return [[np.unique(of_level)] * NUM_LAYERS for of_level in ids]
-    # an upright obstacle; from above, a rectangle dilated by a radius
-    radius = 0.0
-    tall = 0.0
-    levels = len(grid.levels)
-    wanted = "a disc's centre and radius" if disc else "a box's lower and upper corner"
-    things: Any = disc or box
-    try:
-        one, other = things
-    except (TypeError, ValueError):
-        raise QueryError(f"expected {wanted}, got {things!r}") from None
+        cell_level, row, col = check_cells(grid, cells)
+        layers = []
+        for number, level_grid in enumerate(grid.levels):
+            blocked_ids = np.unique((row * level_grid.width + col)[cell_level == number])
+            layers.append([blocked_ids] * NUM_LAYERS)
+        return layers
     if disc is not None:
-        low = high = check_positions(one, levels, level)
-        if low.ndim != 1:
-            raise QueryError(f"expected one centre of a disc, got an array of shape {low.shape}")
-        check_radius(radius := other, "radius of a disc")
-        if height is not None:
-            check_radius(height, "height of a disc")
-        tall = grid.agent_height if height is None else height
+        shape = _check_disc(grid, disc, level, arguments["height"])
     else:
-        low = check_positions(one, levels, level)
-        high = check_positions(other, levels, level)
-        if low.ndim != 1 or low.shape != high.shape or (low > high).any():
-            raise QueryError(f"expected {wanted}, got {low} and {high}")
-    bottom, top = (low[2], high[2] + tall) if len(low) == 3 else (-math.inf, math.inf)
-    margins = (0.0, *margins_of(grid, margin))
+        assert box is not None  # as one of the three is given
+        shape = _check_box(grid, box, level)
+    margins = compute_margins(grid, arguments["margin"])
     step = step_limit(grid) * grid.unit
-
-    def away(x: Float, y: Float, half: float) -> Float:
-        """Distances from the rectangle to squares of half edge `half` round points."""
-        dx = np.maximum(np.maximum(low[0] - x, x - high[0]) - half, 0.0)
-        dy = np.maximum(np.maximum(low[1] - y, y - high[1]) - half, 0.0)
-        return np.asarray(np.hypot(dx, dy))
-
-    layers: list[Layers] = []
-    for k, part in enumerate(grid.levels):
-        size = part.lattice.cell_size
-        reach = radius + max(margins[-1], size)
-        window = part.lattice.window(np.array([low[:2], high[:2]]), reach)
-        if level not in (None, k) or window is None:
+    layers = []
+    for number, level_grid in enumerate(grid.levels):
+        if level is not None and level != number:
+            layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
+            continue
+        size = level_grid.lattice.cell_size
+        reach = shape.radius + max(margins.anywhere, size)
+        window = level_grid.lattice.window(np.array([shape.low, shape.high]), reach)
+        if window is None:
             layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
             continue
         rows, cols = window
-        x = part.lattice.center_x()[cols]
-        y = part.lattice.center_y()[rows, None]
-        floor = part.floor_of(rows, cols)
-        floor = np.where(np.isnan(floor), part.ground, floor)
-        in_band = (bottom < floor + grid.agent_height) & (top > floor + step)
-        to_square = away(x, y, size / 2)
-        gap = away(x, y, 0.0)
+        x = level_grid.lattice.center_x()[cols]
+        y = level_grid.lattice.center_y()[rows, None]
+        floor = level_grid.floor_of(rows, cols)
+        floor = np.where(np.isnan(floor), level_grid.ground, floor)
+        is_at_height = (shape.bottom < floor + grid.agent_height) & (shape.top > floor + step)
+        to_square = shape.distance(x, y, size / 2)
+        to_center = shape.distance(x, y, 0.0)
         # a disc is open: it may touch a square. A box is closed, so that a flat one blocks cells.
-        meets = in_band & (to_square < radius if radius > 0 else to_square <= 0)
-        held = [meets | (in_band & (gap < radius + more)) for more in margins]
-        first = np.arange(rows.start, rows.stop)[:, None] * part.width
-        inside: Int = first + np.arange(cols.start, cols.stop)
-        layers.append([inside[mask] for mask in held])
+        touches = to_square < shape.radius if shape.radius > 0 else to_square <= 0
+        overlaps = is_at_height & touches
+        masks = [overlaps | (is_at_height & (to_center < shape.radius))]
+        for distance in margins:
+            masks.append(overlaps | (is_at_height & (to_center < shape.radius + distance)))
+        row_starts = np.arange(rows.start, rows.stop)[:, None] * level_grid.width
+        ids: Int = row_starts + np.arange(cols.start, cols.stop)
+        layers.append([ids[mask] for mask in masks])
     return layers
 
 
+def _check_disc(
+    grid: NavGrid, disc: tuple[ArrayLike, float], level: int | None, height: float | None
+) -> _UprightShape:
+    """Check a disc's centre, radius and height."""
+    try:
+        center, radius = disc
+    except (TypeError, ValueError):
+        raise QueryError(f"expected a disc's centre and radius, got {disc!r}") from None
+    point = check_positions(center, len(grid.levels), level)
+    if point.ndim != 1:
+        raise QueryError(f"expected one centre of a disc, got an array of shape {point.shape}")
+    check_radius(radius, "radius of a disc")
+    if height is not None:
+        check_radius(height, "height of a disc")
+    disc_height = grid.agent_height if height is None else height
+    has_z = len(point) == 3
+    return _UprightShape(
+        low=point[:2],
+        high=point[:2],
+        radius=radius,
+        bottom=point[2] if has_z else -math.inf,
+        top=point[2] + disc_height if has_z else math.inf,
+    )
+
+
+def _check_box(grid: NavGrid, box: tuple[ArrayLike, ArrayLike], level: int | None) -> _UprightShape:
+    """Check a box's corners."""
+    expected = "expected a box's lower and upper corner"
+    try:
+        lower_corner, upper_corner = box
+    except (TypeError, ValueError):
+        raise QueryError(f"{expected}, got {box!r}") from None
+    low = check_positions(lower_corner, len(grid.levels), level)
+    high = check_positions(upper_corner, len(grid.levels), level)
+    if low.ndim != 1 or low.shape != high.shape or (low > high).any():
+        raise QueryError(f"{expected}, got {low} and {high}")
+    has_z = len(low) == 3
+    return _UprightShape(
+        low=low[:2],
+        high=high[:2],
+        radius=0.0,
+        bottom=low[2] if has_z else -math.inf,
+        top=high[2] if has_z else math.inf,
+    )
+
+
+# ---------------------------------------------------------------- agents of other sizes
+
+
 def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
-    """The agent of a name that the grid lists; an agent, or None, as it is given."""
+    """Find the agent of a name that the grid lists.
+
+    Args:
+        grid: the grid.
+        agent: a name; an agent or None is returned as it is.
+
+    Raises:
+        QueryError: the grid lists no such agent.
+    """
     if agent is None or isinstance(agent, Agent):
         return agent
-    known: Mapping[str, Agent] = grid.agents
-    if agent not in known:
-        raise QueryError(f"no agent {agent!r} in {grid.scene_id!r}: {suggest(agent, known)}")
-    return known[agent]
+    agents: Mapping[str, Agent] = grid.agents
+    if agent not in agents:
+        raise QueryError(f"no agent {agent!r} in {grid.scene_id!r}: {suggest(agent, agents)}")
+    return agents[agent]
 
 
 def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
-    """The grid for an agent's size: inflated to its radius, with steps as low as it takes.
+    """Make the grid for an agent's size: inflated to its radius, with steps as low as it takes.
 
-    It follows the blocks of the given grid, which is returned itself if it fits. Goes by floors
-    alone where steps are lowered: a ramp that rises more over a cell is none for the agent.
+    The grid follows the obstacles that are added to the original one. Steps are lowered by floors
+    alone: a ramp that rises more over a cell is none for the agent.
+
+    Args:
+        grid: the original grid.
+        agent: the agent; None for the grid's own.
+
+    Returns:
+        A new grid; the original one if it fits the agent.
 
     Raises:
         QueryError: the agent is higher, takes higher steps, or is smaller than the grid was
@@ -286,40 +412,45 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     """
     if agent is None:
         return grid
-    of = f"the grid of {grid.scene_id or 'scene'!r}"
-    name = f" (agent {agent.name!r})"
-    name = name if agent.name else ""
-    for what, key, stated, most in (
+    grid_name = f"the grid of {grid.scene_id or 'scene'!r}"
+    agent_name = f" (agent {agent.name!r})" if agent.name else ""
+    for things, key, size, limit in (
         ("agents", "height", agent.height, grid.agent_height),
         ("steps", "traversable_floor_height", agent.step, grid.max_step),
     ):
-        if stated is not None and stated > most + SAME:
-            got = f"got {stated:g} m{name}: bake it with agent.{key}={stated:g}"
-            raise QueryError(f"{of} is for {what} up to {most:g} m, {got}")
+        if size is not None and size > limit + SAME_SIZE:
+            got = f"got {size:g} m{agent_name}: bake it with agent.{key}={size:g}"
+            raise QueryError(f"{grid_name} is for {things} up to {limit:g} m, {got}")
     clean: NavGrid = grid.without_blocks()
     fitted = clean
     radius = agent.radius
-    if agent.step is not None and agent.step < grid.max_step - SAME:
-        floor = np.concatenate([level.floor.ravel() for level in clean.levels])
-        start = np.cumsum([0] + [level.width * level.height for level in clean.levels])
-        ends = start[clean.step_array[:, ::2]] + clean.step_array[:, 1::2]
-        is_low = np.abs(np.diff(floor[ends])[:, 0]) <= agent.step + ROUNDING
-        metadata = {**clean.metadata, "traversableFloorHeight": agent.step / clean.unit}
-        if not is_low.all():
-            links = [*clean.step_array[is_low].tolist(), *(link.to_json() for link in clean.links)]
-            metadata["navbake"] = {**clean.navbake, "links": links}
-        fitted = clean.with_levels([level.with_layers() for level in clean.levels], metadata)
-        renew_islands(fitted)
-    if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME):
+    if agent.step is not None and agent.step < grid.max_step - SAME_SIZE:
+        fitted = _lower_steps(clean, agent.step)
+    if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME_SIZE):
         check_radius(radius)
         if radius < grid.inflated_radius:
-            got = f"got {radius:g} m{name}: plan on the grid as it was baked"
-            raise QueryError(f"{of} was inflated to {grid.radius:g} m, {got}")
-        fitted = fitted.inflate(radius, ledges=ledges_of(grid))
+            got = f"got {radius:g} m{agent_name}: plan on the grid as it was baked"
+            raise QueryError(f"{grid_name} was inflated to {grid.radius:g} m, {got}")
+        fitted = fitted.inflate(radius, ledges=ledges_setting(grid))
     if fitted is clean:
         return grid
     grid.fitted_grids = grid.fitted_grids or WeakSet()
     grid.fitted_grids.add(fitted)
-    for held in grid.obstacles:
-        held.copies.append(block(fitted, **held.arguments))
+    for obstacle in grid.obstacles:
+        obstacle.copies.append(block(fitted, **obstacle.arguments))
     return fitted
+
+
+def _lower_steps(grid: NavGrid, max_step: float) -> NavGrid:
+    """Make a grid without obstacles for an agent that takes steps up to `max_step` [m] only."""
+    floor = np.concatenate([level.floor.ravel() for level in grid.levels])
+    start = np.cumsum([0] + [level.width * level.height for level in grid.levels])
+    ends = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
+    is_low = np.abs(np.diff(floor[ends])[:, 0]) <= max_step + FLOOR_ROUNDING
+    metadata = {**grid.metadata, "traversableFloorHeight": max_step / grid.unit}
+    if not is_low.all():
+        links = [*grid.step_array[is_low].tolist(), *(link.to_json() for link in grid.links)]
+        metadata["navbake"] = {**grid.navbake, "links": links}
+    lowered = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
+    renew_islands(lowered)
+    return lowered

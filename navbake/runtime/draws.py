@@ -1,9 +1,11 @@
 """Random places and poses, where many agents start, and the lattice that steps lead to.
 
+The functions answer the methods of `navbake.runtime.path_finder.PathFinder` of the same names.
+`search` is up to date with the grid.
+
 Many agents start at a distance by Poisson-disc sampling, by dart throwing (Cook 1986), on the cells
 that are still free of the agents before. A crowd that jams is drawn again, and at last packed row
-by row. Two agents clash if their centres are less than `reach` [m] apart on the map and their
-floors less than `height` [m].
+by row.
 """
 
 import math
@@ -16,21 +18,23 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_level
-from navbake.runtime.flat_grid import REAL, FlatGrid, check_distance, text_of
-from navbake.runtime.inflation import check_radius, ledges_of
-from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
-from navbake.runtime.surroundings import free_for
+from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance, format_position
+from navbake.runtime.inflation import check_radius, ledges_setting
+from navbake.runtime.places import DISTANCE_SLACK, cells_in_annulus, clearance, try_step
+from navbake.runtime.search import Search
+from navbake.runtime.surroundings import find_free
 from navbake.types import Bool, Float, Int
 
-INSIDE = 1e-6  # of a cell: how far from its edges a point stays
+EDGE_SHARE = 1e-6  # share of a cell: how far from its edges a point stays
 STRATA = ("area", "room", "island")
-STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-NEAR = 1e-4  # of a cell: tolerance of a step's end
-TOUCH = 1e-9  # share of a radius by which a disc may overlap a square
-TRIES = 8  # random crowds before one is packed
-DARTS = 32  # cells drawn at once
-SHIFTS = 3  # of the honeycomb, along each axis
-REMEDY = "expected fewer agents, or a smaller min_distance or clearance"
+LATTICE_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+ARRIVAL_TOLERANCE = 1e-4  # share of a cell by which a step may miss its end
+RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
+MAX_CROWDS = 8  # random crowds before one is packed
+NUM_DARTS = 32  # cells drawn at once
+NUM_SHIFTS = 3  # of the honeycomb, along each axis
+HEXAGON_SLACK = 1e-6  # share by which hexagons are smaller than the distance of agents
+FIT_HINT = "expected fewer agents, or a smaller min_distance or clearance"
 
 
 class Pose(NamedTuple):
@@ -47,459 +51,597 @@ class Spawns(NamedTuple):
     headings: Float
 
 
-class DrawQuestions(PlaceQuestions):
-    """Draws random places, poses and start poses, and lists the lattice of reachable positions."""
+class SpawnRules(NamedTuple):
+    """Where agents may start; see the arguments of `PathFinder.spawn`.
 
-    def random_point(
-        self,
-        rng: Generator | None = None,
-        count: int | None = None,
-        *,
-        level: int | None = None,
-        room: str | None = None,
-        island: int | None = None,
-        reachable_from: ArrayLike | None = None,
-        anywhere: bool = False,
-    ) -> Float:
-        """Draw places where an agent can stand, uniformly by area.
+    Attributes:
+        rooms: ids or names of the rooms; None for anywhere.
+        level: number of the level; None for any.
+        island: number of the island; None for any.
+        reachable_from: a free position that paths have to lead from; None for none.
+        clearance: radius of a disc round each agent that overlaps no obstacle [m]; None for none.
+        min_distance: between the centres of any two agents [m]; None for twice the radius.
+        facing: a position or a heading [rad]; None for random headings.
+        stratify: ``area``, ``room``, ``island`` or None.
+    """
 
-        Args:
-            count: how many, with repetition; one unless given.
-            level, room, island: only there.
-            reachable_from: only where a path leads to from this free position.
-            anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles;
-                else the cells' centres, where the agent's radius fits.
+    rooms: str | Sequence[str] | None
+    level: int | None
+    island: int | None
+    reachable_from: ArrayLike | None
+    clearance: float | None
+    min_distance: float | None
+    facing: ArrayLike | None
+    stratify: str | None
 
-        Raises:
-            QueryError: there is no such place, or `rng` is no numpy Generator.
-        """
-        search = self.search
-        islands = search.chosen_islands(island, reachable_from)
-        cells = np.flatnonzero(search.allowed(level=level, room=room, islands=islands))
-        where = ", ".join(map(str, islands or ()))
-        return self._draw(cells, rng, count, anywhere, level=level, room=room, island=where or None)
 
-    def random_point_near(
-        self,
-        rng: Generator | None,
-        position: ArrayLike,
-        max_distance: float,
-        count: int | None = None,
-        *,
-        min_distance: float = 0.0,
-        straight: bool = False,
-        room: str | None = None,
-        level: int | None = None,
-        anywhere: bool = False,
-    ) -> Float:
-        """Draw places near a position, else as `random_point`.
+class Spacing(NamedTuple):
+    """When two agents clash: where both distances between them are less than these.
 
-        Distances [m] to cells' centres are those of the shortest path, from a free position; or,
-        if `straight`, straight-line distances on the map of its level, also through walls.
-        """
-        cells, limits = self._cells_near(position, (min_distance, max_distance), straight, level)
-        if room is not None:
-            cells = cells[self.rooms.number[cells] == self.rooms.find(room)]
-        return self._draw(cells, rng, count, anywhere, room=room, **limits)
+    Attributes:
+        distance: between their centres, on the map [m].
+        height: between their floors [m].
+    """
 
-    def any_free_in_annulus(
-        self,
-        position: ArrayLike,
-        min_distance: float,
-        max_distance: float,
-        *,
-        level: int | None = None,
-    ) -> bool:
-        """Whether a free cell's centre lies in an annulus [m] round a position, on its level."""
-        cells, _ = self._cells_near(position, (min_distance, max_distance), True, level)
-        return len(cells) > 0
+    distance: float
+    height: float
 
-    def random_pose(
-        self,
-        rng: Generator | None = None,
-        target: ArrayLike | None = None,
-        max_distance: float = 1.0,
-        *,
-        min_distance: float = 0.0,
-        in_sight: bool = True,
-        same_room: bool = False,
-        level: int | None = None,
-    ) -> Pose:
-        """Draw a pose, facing a target if there is one.
 
-        Args:
-            target: a position, which may be inside an object; the agent stands on its level.
-            max_distance, min_distance: from the target, in a straight line on the map [m].
-            in_sight: only the object that the target is in may be in between, as with `snap`.
-            same_room: stand in the target's room.
-            level: of the target; without a target, of the agent.
+# ---------------------------------------------------------------- places
 
-        Raises:
-            QueryError: as `random_point`.
-        """
-        rng = as_generator(rng)
-        search = self.search
-        if target is None:
-            cells = np.flatnonzero(search.allowed(level=level))
-            place = self._draw(cells, rng, None, False, level=level)
-            return Pose(place, float(rng.uniform(-math.pi, math.pi)))
-        cells, limits = self._cells_near(target, (min_distance, max_distance), True, level)
-        flat = search.flat
-        number = search.rooms.number
-        p, home = flat.locate(target, level)
-        if same_room:
-            cells = cells[(number[cells] == number[home]) & (number[home] > 0)]
-        if in_sight:
-            # the first in a random order that sees the target: uniform among all that do
-            cells = rng.permutation(cells)
-            points = np.ascontiguousarray(flat.positions(cells)[:, :2])
-            found = search.first_in_sight(home, p, cells, points, number)
-            cells = cells[found : found + 1] if found >= 0 else cells[:0]
-        place = self._draw(cells, rng, None, False, **limits, **{"in sight": in_sight})
-        return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
 
-    def spawn(
-        self,
-        rng: Generator | None,
-        n: int,
-        *,
-        rooms: str | Sequence[str] | None = None,
-        level: int | None = None,
-        island: int | None = None,
-        reachable_from: ArrayLike | None = None,
-        clearance: float | None = None,
-        min_distance: float | None = None,
-        facing: ArrayLike | None = None,
-        stratify: str | None = None,
-    ) -> Spawns:
-        """Draw collision-free start poses for many agents.
+def random_point(
+    search: Search,
+    rng: Generator | None,
+    count: int | None,
+    *,
+    level: int | None,
+    room: str | None,
+    island: int | None,
+    reachable_from: ArrayLike | None,
+    anywhere: bool,
+) -> Float:
+    """Draw places where an agent can stand, uniformly by area: `PathFinder.random_point`.
 
-        Positions are centres of cells, drawn one after the other, uniformly by area, from the
-        cells far enough from all earlier ones on the map (Poisson-disc sampling). Agents whose
-        floors are the agent's height or more apart are always far enough.
+    Args:
+        search: of the grid.
+        rng: as of `PathFinder.random_point`, as the other arguments.
+        count: see there.
+        level: see there.
+        room: see there.
+        island: see there.
+        reachable_from: see there.
+        anywhere: see there.
+    """
+    islands = search.allowed_islands(island, reachable_from)
+    cells = np.flatnonzero(search.allowed(level=level, room=room, islands=islands))
+    island_text = ", ".join(map(str, islands or ()))
+    limits: dict[str, object] = {"level": level, "room": room, "island": island_text or None}
+    return _draw_places(search, cells, rng, count, anywhere, limits)
 
-        Args:
-            n: how many agents, >= 1.
-            rooms: in these rooms; one or several.
-            level, island, reachable_from: see `random_point`.
-            clearance: a disc of this radius round each agent overlaps no obstacle and no drop, as
-                with `grid.inflate` [m]; nor another agent's, unless `min_distance` is given.
-            min_distance: between the centres of any two agents [m]; always more than twice the
-                agent's radius, that of the grid's inflation, or else of its bake.
-            facing: a position or a heading [rad] that all face; random headings if None.
-            stratify: ``area`` draws one agent in each of n parts of equal area; ``room`` and
-                ``island`` share the agents out evenly, and none stand in cells without a room.
-                Agents that don't fit into a part go to others.
 
-        Raises:
-            QueryError: they don't fit; the message has an upper bound where one is known.
-        """
-        rng = as_generator(rng)
-        search = self.search
-        grid = self.grid
-        check_level(level, search.flat.num_levels)
-        if clearance is not None:
-            check_radius(clearance, "clearance")
-            clearance = float(clearance)
-        names = [rooms] if isinstance(rooms, str | int) else list(rooms or ())
-        if rooms is not None and not names:
-            raise QueryError("expected at least one room, got none")
-        numbers = tuple(sorted({search.rooms.find(name) for name in names}))
-        islands = search.chosen_islands(island, reachable_from)
-        if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 1:
-            raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
-        if stratify not in (None, *STRATA):
-            raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
-        least = 0.0 if min_distance is None else min_distance
-        radius = grid.radius
-        check_distance(least, "min_distance")
-        if min_distance is None:
-            radius = max(radius, clearance or 0.0)
-        ids = [search.rooms.id_of(number) for number in numbers] or [grid.scene_id]
-        where = f"in {', '.join(map(repr, ids))}"
-        where += f" on level {level}" if level is not None else ""
-        if islands is not None:
-            plural = "s" if len(islands) > 1 else ""
-            where += f" on island{plural} {', '.join(map(str, islands))}"
+def random_point_near(
+    search: Search,
+    rng: Generator | None,
+    position: ArrayLike,
+    max_distance: float,
+    count: int | None,
+    *,
+    min_distance: float,
+    straight: bool,
+    room: str | None,
+    level: int | None,
+    anywhere: bool,
+) -> Float:
+    """Draw places near a position: `PathFinder.random_point_near`.
 
-        def find() -> Int:
-            allowed = search.allowed(level=level, islands=islands)
-            if numbers:
-                allowed = allowed & np.isin(search.rooms.number, numbers)
-            if clearance is not None:
-                allowed = allowed & free_for(grid, clearance, ledges_of(grid))
-            return along_hilbert(search.flat, np.flatnonzero(allowed))
+    Args:
+        search: of the grid.
+        rng: as of `PathFinder.random_point_near`, as the other arguments.
+        position: see there.
+        max_distance: see there [m].
+        count: see there.
+        min_distance: see there [m].
+        straight: see there.
+        room: see there.
+        level: see there.
+        anywhere: see there.
+    """
+    cells = _cells_near(search, position, min_distance, max_distance, straight, level)
+    if room is not None:
+        cells = cells[search.rooms.number[cells] == search.rooms.find(room)]
+    limits = {"room": room, **_distance_limits(min_distance, max_distance)}
+    return _draw_places(search, cells, rng, count, anywhere, limits)
 
-        cells = search.cached("spawns", (numbers, level, islands, clearance), find)
-        if not len(cells):
-            needed = "" if clearance is None else f" with {clearance:g} m round"
-            raise QueryError(f"no free cell{needed} {where}")
-        parts = [cells]
-        if stratify == "area":
-            parts = parts_of_area(search.flat, cells, int(n), rng.random())
-        elif stratify is not None:
-            number = (search.rooms if stratify == "room" else search.islands).number[cells]
-            if not number.any():
-                raise QueryError(f"no {stratify} of {grid.scene_id!r} has a free cell to spawn on")
-            order = np.argsort(number, kind="stable")[np.count_nonzero(number == 0) :]
-            _, first = np.unique(number[order], return_index=True)
-            parts = np.split(cells[order], first[1:])
-        # centres up to this distance apart clash, with slack for rounding
-        reach = max(2.0 * radius, least - 2.0 * SLACK, 0.0)
-        words = f"{least:g} m apart" if least > 2.0 * radius else f"of radius {radius:g} m"
-        apart = reach, grid.agent_height
-        chosen = place_crowd(search.flat, parts, int(n), apart, rng, (words, where))
-        positions = search.flat.positions(chosen)
-        if facing is None:
-            return Spawns(positions, rng.uniform(-math.pi, math.pi, size=int(n)))
-        if isinstance(facing, REAL):
-            if not math.isfinite(facing):
-                raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
-            return Spawns(positions, np.full(int(n), math.remainder(facing, 2.0 * math.pi)))
-        target = search.flat.check_one(facing, 0, "position or heading as facing")
-        away = target[:2] - positions[:, :2]
-        return Spawns(positions, np.arctan2(away[:, 1], away[:, 0]))
 
-    def reachable_positions(
-        self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
-    ) -> Float:
-        """List the lattice positions that steps along x and y reach from a start, as AI2-THOR does.
+def any_free_in_annulus(
+    search: Search,
+    position: ArrayLike,
+    min_distance: float,
+    max_distance: float,
+    level: int | None,
+) -> bool:
+    """Whether a free cell's centre lies in an annulus round a position, on its level.
 
-        The square lattice goes through the start, a free position. A step counts if `try_step`
-        reaches its end without sliding and the agent's disc is free of obstacles there. The start
-        comes first, then positions by number of steps. `spacing` is at least a cell's size [m].
-        """
-        flat = self.search.flat
-        radius = self.grid.radius
-        cell = float(flat.layout.cell_size.max())
-        if not isinstance(spacing, REAL) or not cell * (1 - NEAR) <= spacing < np.inf:
-            raise QueryError(f"expected a spacing of a cell's {cell:g} m or more, got {spacing!r}")
-        p, home = flat.free_cell_at(start, level)
-        first = np.append(p[:2], flat.positions(home)[2])
-        places = first[None]
-        at = np.zeros((1, 2), dtype=np.int64)
-        seen = {(int(flat.level_of(home)), 0, 0)}
-        found = [places]
-        while len(places):
-            at = (at[:, None] + STEPS).reshape(-1, 2)
-            wanted = first[:2] + at * spacing
-            ends = self.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
-            arrived = (np.abs(ends[:, :2] - wanted) <= NEAR * cell).all(axis=1)
-            at = at[arrived]
-            places = ends[arrived]
-            cells = flat.cells_at(places)
-            points = list(zip(flat.level_of(cells).tolist(), *at.T.tolist(), strict=True))
-            new = [p not in seen and seen.add(p) is None for p in points]  # type: ignore[func-returns-value]
-            at = at[new]
-            places = places[new]
-            cells = cells[new]
-            # free cells' centres are free of obstacles; elsewhere, measure the clearance
-            off = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
-            is_center = off <= NEAR * flat.layout.cell_size[flat.level_of(cells)]
-            clearance = self.clearance(places, max_distance=2.0 * radius + 1.0)
-            stands = is_center | (clearance >= radius * (1.0 - TOUCH))
-            at = at[stands]
-            places = places[stands]
-            found.append(places)
-        return np.concatenate(found)
+    Args:
+        search: of the grid.
+        position: world x, y, z [m].
+        min_distance: inner radius [m].
+        max_distance: outer radius [m].
+        level: the position's level; None finds it by z.
+    """
+    cells = _cells_near(search, position, min_distance, max_distance, True, level)
+    return len(cells) > 0
 
-    def _draw(
-        self, cells: Int, rng: Generator | None, count: int | None, anywhere: bool, **limits: object
-    ) -> Float:
-        """Draw places in some cells; `limits` are named in the error if there are none."""
-        rng = as_generator(rng)
-        if count is not None and (not isinstance(count, int | np.integer) or count < 0):
-            raise QueryError(f"expected a count >= 0, got {count!r}")
-        if not len(cells):
-            given = [f"{name} {v}" for name, v in limits.items() if v not in (None, False)]
-            asked = f" with {', '.join(given)}" if given else ""
-            raise QueryError(f"no free cell in {self.grid.scene_id!r}{asked}")
-        flat = self.search.flat
-        num = 1 if count is None else int(count)
-        chosen = cells[draw_cells(flat, cells, rng, num)]
-        positions = flat.positions(chosen)
-        if anywhere:
-            size = flat.layout.cell_size[flat.level_of(chosen)]
-            half = 0.5 - INSIDE
-            positions[:, :2] += rng.uniform(-half, half, size=(num, 2)) * size[:, None]
-        return positions.reshape(3) if count is None else positions
 
-    def _cells_near(
-        self, position: ArrayLike, distances: tuple[float, float], straight: bool, level: int | None
-    ) -> tuple[Int, dict[str, object]]:
-        """The free cells within distances of a position, and the limits for `_draw`."""
-        low, high = distances
-        if not (isinstance(low, REAL) and isinstance(high, REAL) and 0 <= low <= high):
-            wanted = "0 <= min_distance <= max_distance [m]"
-            raise QueryError(f"expected {wanted}, got {low} and {high}")
-        flat = self.search.flat
-        p, home = flat.locate(position, level)
-        if home < 0:
-            where = f"in no cell of {self.grid.scene_id!r}"
-            raise QueryError(f"{text_of(p)} is {where}: nothing is near")
-        if straight:
-            cells = cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
-        else:
-            flat.free_cell_at(p, level)
-            field = self.search.field(np.array([home]), by="length", backwards=False)
-            near = (field >= low) & (field <= high + SLACK)
-            cells = np.flatnonzero(near & np.isfinite(field))  # inf <= inf where no path leads
-        return cells, {"distance [m]": f"{low:g} to {high:g}"}
+def random_pose(
+    search: Search,
+    rng: Generator | None,
+    target: ArrayLike | None,
+    *,
+    min_distance: float,
+    max_distance: float,
+    in_sight: bool,
+    same_room: bool,
+    level: int | None,
+) -> Pose:
+    """Draw a pose, facing a target if there is one: `PathFinder.random_pose`.
+
+    Args:
+        search: of the grid.
+        rng: as of `PathFinder.random_pose`, as the other arguments.
+        target: see there.
+        min_distance: see there [m].
+        max_distance: see there [m].
+        in_sight: see there.
+        same_room: see there.
+        level: see there.
+    """
+    rng = as_generator(rng)
+    if target is None:
+        cells = np.flatnonzero(search.allowed(level=level))
+        place = _draw_places(search, cells, rng, None, False, {"level": level})
+        return Pose(place, float(rng.uniform(-math.pi, math.pi)))
+    cells = _cells_near(search, target, min_distance, max_distance, True, level)
+    flat = search.flat
+    number = search.rooms.number
+    p, target_cell = flat.locate(target, level)
+    if same_room:
+        target_room = number[target_cell]
+        cells = cells[(number[cells] == target_room) & (target_room > 0)]
+    if in_sight:
+        # the first in a random order that sees the target: uniform among all that do
+        cells = rng.permutation(cells)
+        points = np.ascontiguousarray(flat.positions(cells)[:, :2])
+        first = search.first_in_sight(target_cell, p, cells, points, number)
+        cells = cells[first : first + 1] if first >= 0 else cells[:0]
+    limits = {**_distance_limits(min_distance, max_distance), "in sight": in_sight}
+    place = _draw_places(search, cells, rng, None, False, limits)
+    return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
+
+
+def reachable_positions(
+    search: Search, start: ArrayLike, spacing: float, level: int | None
+) -> Float:
+    """List the lattice positions that steps reach: `PathFinder.reachable_positions`.
+
+    Args:
+        search: of the grid.
+        start: world x, y, z [m].
+        spacing: of the lattice [m], at least a cell's size.
+        level: the start's level; None finds it by z.
+    """
+    flat = search.flat
+    radius = search.grid.radius
+    largest_cell = float(flat.layout.cell_size.max())
+    least_spacing = largest_cell * (1 - ARRIVAL_TOLERANCE)
+    if not isinstance(spacing, RealNumber) or not least_spacing <= spacing < np.inf:
+        raise QueryError(
+            f"expected a spacing of a cell's {largest_cell:g} m or more, got {spacing!r}"
+        )
+    p, start_cell = flat.free_cell_at(start, level)
+    first_place = np.append(p[:2], flat.positions(start_cell)[2])
+    # of the positions that the last round of steps reached
+    places = first_place[None]
+    lattice_points = np.zeros((1, 2), dtype=np.int64)
+    seen = {(int(flat.level_of(start_cell)), 0, 0)}
+    reached = [places]
+    while len(places):
+        lattice_points = (lattice_points[:, None] + LATTICE_STEPS).reshape(-1, 2)
+        ends = first_place[:2] + lattice_points * spacing
+        starts = np.repeat(places, len(LATTICE_STEPS), axis=0)
+        places = try_step(search, starts, ends, slide=False, level=None)
+        has_arrived = np.abs(places[:, :2] - ends) <= ARRIVAL_TOLERANCE * largest_cell
+        has_arrived = has_arrived.all(axis=1)
+        lattice_points = lattice_points[has_arrived]
+        places = places[has_arrived]
+        cells = flat.cells_at(places)
+        is_new = []
+        columns = lattice_points.T.tolist()
+        for point in zip(flat.level_of(cells).tolist(), *columns, strict=True):
+            is_new.append(point not in seen)
+            seen.add(point)
+        lattice_points = lattice_points[is_new]
+        places = places[is_new]
+        cells = cells[is_new]
+        # free cells' centres are free of obstacles; elsewhere, measure the clearance
+        off_center = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
+        sizes = flat.layout.cell_size[flat.level_of(cells)]
+        is_center = off_center <= ARRIVAL_TOLERANCE * sizes
+        distance = clearance(search, places, None, 2.0 * radius + 1.0)
+        can_stand = is_center | (distance >= radius * (1.0 - RADIUS_SLACK))
+        lattice_points = lattice_points[can_stand]
+        places = places[can_stand]
+        reached.append(places)
+    return np.concatenate(reached)
+
+
+def _draw_places(
+    search: Search,
+    cells: Int,
+    rng: Generator | None,
+    count: int | None,
+    anywhere: bool,
+    limits: dict[str, object],
+) -> Float:
+    """Draw places in some cells; `limits` are named in the error if there are no cells."""
+    rng = as_generator(rng)
+    if count is not None and (not isinstance(count, int | np.integer) or count < 0):
+        raise QueryError(f"expected a count >= 0, got {count!r}")
+    if not len(cells):
+        texts = [f"{name} {v}" for name, v in limits.items() if v not in (None, False)]
+        limits_text = f" with {', '.join(texts)}" if texts else ""
+        raise QueryError(f"no free cell in {search.grid.scene_id!r}{limits_text}")
+    flat = search.flat
+    num_places = 1 if count is None else int(count)
+    drawn_cells = cells[draw_cell_indices(flat, cells, rng, num_places)]
+    positions = flat.positions(drawn_cells)
+    if anywhere:
+        size = flat.layout.cell_size[flat.level_of(drawn_cells)]
+        half = 0.5 - EDGE_SHARE
+        positions[:, :2] += rng.uniform(-half, half, size=(num_places, 2)) * size[:, None]
+    return positions.reshape(3) if count is None else positions
+
+
+def _cells_near(
+    search: Search,
+    position: ArrayLike,
+    min_distance: float,
+    max_distance: float,
+    straight: bool,
+    level: int | None,
+) -> Int:
+    """List the free cells within distances of a position, straight or by the shortest path."""
+    is_number = isinstance(min_distance, RealNumber) and isinstance(max_distance, RealNumber)
+    if not (is_number and 0 <= min_distance <= max_distance):
+        expected = "0 <= min_distance <= max_distance [m]"
+        raise QueryError(f"expected {expected}, got {min_distance} and {max_distance}")
+    flat = search.flat
+    p, home_cell = flat.locate(position, level)
+    if home_cell < 0:
+        where = f"in no cell of {search.grid.scene_id!r}"
+        raise QueryError(f"{format_position(p)} is {where}: nothing is near")
+    if straight:
+        home_level = int(flat.level_of(home_cell))
+        return cells_in_annulus(flat, home_level, p, min_distance, max_distance, flat.free)
+    flat.free_cell_at(p, level)
+    field = search.field(np.array([home_cell]), by="length", backwards=False)
+    is_near = (field >= min_distance) & (field <= max_distance + DISTANCE_SLACK)
+    return np.flatnonzero(is_near & np.isfinite(field))  # inf <= inf where no path leads
+
+
+def _distance_limits(min_distance: float, max_distance: float) -> dict[str, object]:
+    """Describe a range of distances for the error of `_draw_places`."""
+    return {"distance [m]": f"{min_distance:g} to {max_distance:g}"}
 
 
 def as_generator(rng: object) -> Generator:
-    """The given generator, or a new one for None; raises QueryError for anything else."""
+    """Return a generator as it is, or a new one for None.
+
+    Raises:
+        QueryError: it is anything else.
+    """
     if rng is None:
         return np.random.default_rng()
     if not isinstance(rng, Generator):
-        wanted = "a numpy.random.Generator, or None"
-        raise QueryError(f"expected {wanted}, got {rng!r}: make one with numpy.random.default_rng")
+        expected = "a numpy.random.Generator, or None"
+        raise QueryError(
+            f"expected {expected}, got {rng!r}: make one with numpy.random.default_rng"
+        )
     return rng
 
 
 # ---------------------------------------------------------------- crowds
 
 
+def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> Spawns:
+    """Draw collision-free start poses for many agents: `PathFinder.spawn`.
+
+    Args:
+        search: of the grid.
+        rng: the generator; None for a new one.
+        n: how many agents, >= 1.
+        rules: where they may start.
+    """
+    rng = as_generator(rng)
+    grid = search.grid
+    level = rules.level
+    check_level(level, search.flat.num_levels)
+    agent_clearance = rules.clearance
+    if agent_clearance is not None:
+        check_radius(agent_clearance, "clearance")
+        agent_clearance = float(agent_clearance)
+    names = [rules.rooms] if isinstance(rules.rooms, str | int) else list(rules.rooms or ())
+    if rules.rooms is not None and not names:
+        raise QueryError("expected at least one room, got none")
+    room_numbers = tuple(sorted({search.rooms.find(name) for name in names}))
+    islands = search.allowed_islands(rules.island, rules.reachable_from)
+    if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 1:
+        raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
+    stratify = rules.stratify
+    if stratify not in (None, *STRATA):
+        raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
+    min_distance = 0.0 if rules.min_distance is None else rules.min_distance
+    check_distance(min_distance, "min_distance")
+    radius = grid.radius
+    if rules.min_distance is None:
+        radius = max(radius, agent_clearance or 0.0)
+
+    room_ids = [search.rooms.id_of(number) for number in room_numbers]
+    where = f"in {', '.join(map(repr, room_ids or [grid.scene_id]))}"
+    where += f" on level {level}" if level is not None else ""
+    if islands is not None:
+        plural = "s" if len(islands) > 1 else ""
+        where += f" on island{plural} {', '.join(map(str, islands))}"
+
+    def find_cells() -> Int:
+        allowed = search.allowed(level=level, islands=islands)
+        if room_numbers:
+            allowed = allowed & np.isin(search.rooms.number, room_numbers)
+        if agent_clearance is not None:
+            allowed = allowed & find_free(grid, agent_clearance, ledges_setting(grid))
+        return sort_along_hilbert_curve(search.flat, np.flatnonzero(allowed))
+
+    key = (room_numbers, level, islands, agent_clearance)
+    cells = search.cached("spawns", key, find_cells)
+    if not len(cells):
+        clearance_text = "" if agent_clearance is None else f" with {agent_clearance:g} m round"
+        raise QueryError(f"no free cell{clearance_text} {where}")
+    parts = _split_cells(search, cells, stratify, int(n), rng)
+    # centres up to this distance apart clash, with slack for rounding
+    distance = max(2.0 * radius, min_distance - 2.0 * DISTANCE_SLACK, 0.0)
+    if min_distance > 2.0 * radius:
+        size_text = f"{min_distance:g} m apart"
+    else:
+        size_text = f"of radius {radius:g} m"
+    agent_cells = place_crowd(
+        search.flat,
+        parts,
+        int(n),
+        Spacing(distance, grid.agent_height),
+        rng,
+        agents_text=f"{'1 agent' if n == 1 else f'{n} agents'} {size_text}",
+        where=where,
+    )
+    positions = search.flat.positions(agent_cells)
+    return Spawns(positions, _draw_headings(search, positions, rules.facing, rng))
+
+
+def _split_cells(
+    search: Search, cells: Int, stratify: str | None, n: int, rng: Generator
+) -> list[Int]:
+    """Split cells, ordered along Hilbert's curve, into the parts that agents are shared out to."""
+    if stratify is None:
+        return [cells]
+    if stratify == "area":
+        return split_by_area(search.flat, cells, n, rng.random())
+    numbers = search.rooms.number if stratify == "room" else search.islands.number
+    number = numbers[cells]
+    if not number.any():
+        name = search.grid.scene_id
+        raise QueryError(f"no {stratify} of {name!r} has a free cell to spawn on")
+    num_outside = np.count_nonzero(number == 0)
+    order = np.argsort(number, kind="stable")[num_outside:]
+    _, first_indices = np.unique(number[order], return_index=True)
+    return np.split(cells[order], first_indices[1:])
+
+
+def _draw_headings(
+    search: Search, positions: Float, facing: ArrayLike | None, rng: Generator
+) -> Float:
+    """Compute headings towards a position, or one for all; or draw them if `facing` is None."""
+    n = len(positions)
+    if facing is None:
+        return rng.uniform(-math.pi, math.pi, size=n)
+    if isinstance(facing, RealNumber):
+        if not math.isfinite(facing):
+            raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
+        return np.full(n, math.remainder(facing, 2.0 * math.pi))
+    target = search.flat.check_one(facing, 0, "position or heading as facing")
+    directions = target[:2] - positions[:, :2]
+    return np.arctan2(directions[:, 1], directions[:, 0])
+
+
 def place_crowd(
     flat: FlatGrid,
     parts: list[Int],
     n: int,
-    apart: tuple[float, float],
+    spacing: Spacing,
     rng: Generator,
-    words: tuple[str, str],
+    *,
+    agents_text: str,
+    where: str,
 ) -> Int:
-    """Draw a cell for each of n agents: flat ids in random order; QueryError if they don't fit.
+    """Draw a cell for each of n agents.
 
-    Each part, an array of flat ids, gets n / len(parts) agents, rounded; agents that don't fit go
-    to other parts. `apart` is (`reach`, `height`); `words` name the agents and the area in errors.
+    Args:
+        flat: the grid.
+        parts: flat ids of cells; each part gets n / len(parts) agents, rounded. Agents that don't
+            fit go to other parts.
+        n: how many agents.
+        spacing: when two of them clash.
+        rng: the generator.
+        agents_text: names the agents in errors.
+        where: names the cells in errors.
+
+    Returns:
+        Flat ids in random order, shape (n,).
+
+    Raises:
+        QueryError: the agents don't fit.
     """
-    agents = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}"
-    where = words[1]
-    found = most = 0
-    for attempt in range(TRIES):
+    num_placed = 0
+    upper_bound = 0
+    for attempt in range(MAX_CROWDS):
         # the part of each agent
-        whole = np.tile(np.arange(len(parts)), n // len(parts))
-        rest = rng.permutation(len(parts))[: n % len(parts)]
-        owner = rng.permutation(np.concatenate([whole, rest]))
-        chosen = _draw_crowd(flat, parts, apart, owner, rng)
-        found = max(found, len(chosen))
-        if found == n:
-            return chosen
+        even_share = np.tile(np.arange(len(parts)), n // len(parts))
+        remainder = rng.permutation(len(parts))[: n % len(parts)]
+        part_of_agent = rng.permutation(np.concatenate([even_share, remainder]))
+        agent_cells = _draw_crowd(flat, parts, spacing, part_of_agent, rng)
+        num_placed = max(num_placed, len(agent_cells))
+        if num_placed == n:
+            return agent_cells
         if attempt == 0:
-            most = most_that_fit(flat, np.concatenate(parts), apart)
-            if most < n:
-                raise QueryError(f"{agents}: at most {most} fit {where}; {REMEDY}")
-    packed = _pack_crowd(flat, np.concatenate(parts), apart, n, rng)
-    if len(packed) == n:
-        return rng.permutation(packed)
-    known = f"places for {max(found, len(packed))} were found {where}"
-    raise QueryError(f"{agents}: {known}, and more than {most} never fit; {REMEDY}")
+            upper_bound = bound_num_agents(flat, np.concatenate(parts), spacing)
+            if upper_bound < n:
+                raise QueryError(f"{agents_text}: at most {upper_bound} fit {where}; {FIT_HINT}")
+    agent_cells = _pack_crowd(flat, np.concatenate(parts), spacing, n, rng)
+    if len(agent_cells) == n:
+        return rng.permutation(agent_cells)
+    num_placed = max(num_placed, len(agent_cells))
+    limits = f"places for {num_placed} were found {where}, and more than {upper_bound} never fit"
+    raise QueryError(f"{agents_text}: {limits}; {FIT_HINT}")
 
 
-def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int:
-    """An upper bound of the number of agents that fit on some cells.
+def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
+    """Compute an upper bound of the number of agents that fit on some cells.
 
-    In a honeycomb whose hexagons are `reach` wide, each hexagon holds one agent. The bound is the
-    least number of hexagons with cells over several shifted honeycombs.
+    In a honeycomb whose hexagons are as wide as agents are apart, each hexagon holds one agent. The
+    bound is the least number of hexagons with cells over several shifted honeycombs.
+
+    Args:
+        flat: the grid.
+        cells: flat ids.
+        spacing: when two agents clash.
     """
-    reach = apart[0] * (1.0 - 1e-6)
-    height = apart[1]
-    if reach <= 0.0 or not len(cells):
+    width = spacing.distance * (1.0 - HEXAGON_SLACK)
+    if width <= 0.0 or not len(cells):
         return len(cells)
     p = flat.positions(cells)
     p -= p.min(axis=0)
+    height = spacing.height
     layer = np.floor(p[:, 2] / height) if height > 0 else np.zeros(len(cells))
-    most = len(cells)
+    bound = len(cells)
     for x, y in ((p[:, 0], p[:, 1]), (p[:, 1], p[:, 0])):
-        for shift in np.ndindex(SHIFTS, SHIFTS):
-            offset = np.array(shift) * reach / SHIFTS
-            # axial coordinates of hexagons whose corners are half of `reach` from their middles,
-            # rounded so that q + r + s is 0 again: the one with the largest error gives way
-            u = (x + offset[0]) / (reach / 2)
-            v = (y + offset[1]) / (reach / 2)
-            exact = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
-            exact = np.vstack([exact, -exact.sum(axis=0)])
-            near = np.round(exact)
-            worst = np.argmax(np.abs(near - exact), axis=0), np.arange(len(cells))
-            near[worst] -= near.sum(axis=0)
-            q, r = near[:2] - near[:2].min(axis=1, keepdims=True)
-            numbers = q + (q.max() + 1) * (r + (r.max() + 1) * layer)
-            most = min(most, len(np.unique(numbers)))
-    return most
+        for shift in np.ndindex(NUM_SHIFTS, NUM_SHIFTS):
+            offset = np.array(shift) * width / NUM_SHIFTS
+            num_hexagons = _count_hexagons(x + offset[0], y + offset[1], layer, width)
+            bound = min(bound, num_hexagons)
+    return bound
 
 
-def _take(flat: FlatGrid, apart: tuple[float, float], taken: Bool, cell: int) -> None:
-    """Mark the cells that are too near to a cell as taken."""
-    reach, height = apart
-    here = flat.positions(cell)
+def _count_hexagons(x: Float, y: Float, layer: Float, width: float) -> int:
+    """Count the hexagons of a honeycomb that points are in; each layer has its own honeycomb.
+
+    The corners of a hexagon are half of `width` from its middle.
+    """
+    # axial coordinates of the hexagons, rounded so that q + r + s is 0 again: the one with the
+    # largest error gives way
+    u = x / (width / 2)
+    v = y / (width / 2)
+    exact = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
+    exact = np.vstack([exact, -exact.sum(axis=0)])
+    rounded = np.round(exact)
+    largest_error = np.argmax(np.abs(rounded - exact), axis=0)
+    rounded[largest_error, np.arange(len(x))] -= rounded.sum(axis=0)
+    q, r = rounded[:2] - rounded[:2].min(axis=1, keepdims=True)
+    numbers = q + (q.max() + 1) * (r + (r.max() + 1) * layer)
+    return len(np.unique(numbers))
+
+
+def _mark_taken(flat: FlatGrid, spacing: Spacing, taken: Bool, cell: int) -> None:
+    """Mark the cells that are too near to an agent's cell as taken."""
+    center = flat.positions(cell)
     for level in range(flat.num_levels):
-        near = cells_in_annulus(flat, level, here, (0.0, reach), flat.free)
-        if flat.num_levels > 1 or reach > height:
-            rise = np.abs(flat.positions(near)[:, 2] - here[2])
-            near = near[rise < height]
+        near = cells_in_annulus(flat, level, center, 0.0, spacing.distance, flat.free)
+        if flat.num_levels > 1 or spacing.distance > spacing.height:
+            rise = np.abs(flat.positions(near)[:, 2] - center[2])
+            near = near[rise < spacing.height]
         taken[near] = True
     taken[cell] = True
 
 
 def _draw_crowd(
-    flat: FlatGrid, parts: list[Int], apart: tuple[float, float], owner: Int, rng: Generator
+    flat: FlatGrid, parts: list[Int], spacing: Spacing, part_of_agent: Int, rng: Generator
 ) -> Int:
-    """Draw a cell for each agent from its part, else from another; stops early if none is left."""
-    left = list(parts)
-    chosen = np.empty(len(owner), dtype=np.int64)
+    """Draw a cell for each agent from its part, else from another; stops early if none remains."""
+    remaining = list(parts)
+    agent_cells = np.empty(len(part_of_agent), dtype=np.int64)
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
-    def throw(cells: Int) -> Int:
-        darts = cells[draw_cells(flat, cells, rng, DARTS)] if len(cells) else cells
+    def throw_darts(cells: Int) -> Int:
+        """Draw some cells, and return those that are not taken."""
+        darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
         return darts[~taken[darts]]
 
-    for k, own in enumerate(owner.tolist()):
-        for part in (own, *rng.permutation(len(parts)).tolist()):
-            hits = throw(left[part])
-            while not len(hits) and len(left[part]):
-                left[part] = left[part][~taken[left[part]]]
-                hits = throw(left[part])
-            if len(hits):
+    for agent, own_part in enumerate(part_of_agent.tolist()):
+        for part in (own_part, *rng.permutation(len(parts)).tolist()):
+            free_darts = throw_darts(remaining[part])
+            while not len(free_darts) and len(remaining[part]):
+                remaining[part] = remaining[part][~taken[remaining[part]]]
+                free_darts = throw_darts(remaining[part])
+            if len(free_darts):
                 break
         else:
-            return chosen[:k]
-        chosen[k] = hits[0]
-        _take(flat, apart, taken, int(hits[0]))
-    return chosen
+            return agent_cells[:agent]
+        agent_cells[agent] = free_darts[0]
+        _mark_taken(flat, spacing, taken, int(free_darts[0]))
+    return agent_cells
 
 
-def _pack_crowd(
-    flat: FlatGrid, cells: Int, apart: tuple[float, float], n: int, rng: Generator
-) -> Int:
-    """Place up to n agents row by row from a random side, each in the first cell left."""
-    swap = rng.integers(2)
+def _pack_crowd(flat: FlatGrid, cells: Int, spacing: Spacing, n: int, rng: Generator) -> Int:
+    """Place up to n agents row by row from a random side, each in the first cell that is free."""
+    axis = rng.integers(2)
     signs = rng.choice([-1.0, 1.0], size=2)
     p = flat.positions(cells)[:, :2] * signs
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
-    chosen: list[int] = []
-    for cell in cells[np.lexsort((p[:, swap], p[:, 1 - swap]))].tolist():
-        if len(chosen) < n and not taken[cell]:
-            chosen.append(cell)
-            _take(flat, apart, taken, cell)
-    return np.array(chosen, dtype=np.int64)
+    agent_cells: list[int] = []
+    for cell in cells[np.lexsort((p[:, axis], p[:, 1 - axis]))].tolist():
+        if len(agent_cells) < n and not taken[cell]:
+            agent_cells.append(cell)
+            _mark_taken(flat, spacing, taken, cell)
+    return np.array(agent_cells, dtype=np.int64)
 
 
-def draw_cells(flat: FlatGrid, cells: Int, rng: Generator, count: int) -> Int:
-    """Draw indices into cells, with probability in proportion to the cells' areas."""
+def draw_cell_indices(flat: FlatGrid, cells: Int, rng: Generator, count: int) -> Int:
+    """Draw indices into cells, with probability in proportion to the cells' areas.
+
+    Args:
+        flat: the grid.
+        cells: flat ids, at least one if `count` is.
+        rng: the generator.
+        count: how many indices, with repetition.
+    """
     sizes = flat.layout.cell_size
     if len(set(sizes)) == 1:
         return rng.integers(len(cells), size=count)
     # cells of different areas: search a random number in the cumulative area
     edges = np.cumsum(sizes[flat.level_of(cells)] ** 2)
-    found = np.searchsorted(edges, rng.uniform(0.0, edges[-1], size=count), side="right")
-    return np.minimum(found, len(cells) - 1)
+    areas = rng.uniform(0.0, edges[-1], size=count)
+    indices = np.searchsorted(edges, areas, side="right")
+    return np.minimum(indices, len(cells) - 1)
 
 
-def parts_of_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]:
-    """Cut cells, ordered by `along_hilbert`, into n parts of equal area; some may be empty.
+def split_by_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]:
+    """Split cells into n parts of equal area; some may be empty.
 
-    The first part begins at the share `start` of the whole area.
     Source: He and Owen, "Extensible grids: uniform sampling on a space filling curve" (2016).
+
+    Args:
+        flat: the grid.
+        cells: flat ids, in the order of `sort_along_hilbert_curve`.
+        n: number of parts.
+        start: share of the whole area at which the first part begins, 0 to 1.
     """
     ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
     # a cell belongs to the part that contains its middle
@@ -509,23 +651,30 @@ def parts_of_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]
     return np.split(cells[order], np.searchsorted(part[order], np.arange(1, n)))
 
 
-def along_hilbert(flat: FlatGrid, cells: Int) -> Int:
-    """Sort cells by level and along the curve of Hilbert (1891)."""
+def sort_along_hilbert_curve(flat: FlatGrid, cells: Int) -> Int:
+    """Sort cells by level and along the space-filling curve of Hilbert (1891).
+
+    Args:
+        flat: the grid.
+        cells: flat ids.
+    """
     level, row, col = flat.split(cells)
     x = col
     y = row
-    index = np.zeros_like(row)
-    side = 1 << max(int(max(row.max(initial=0), col.max(initial=0))).bit_length() - 1, 0)
+    index = np.zeros_like(row)  # of each cell along the curve
+    longest = int(max(row.max(initial=0), col.max(initial=0)))
+    side = 1 << max(longest.bit_length() - 1, 0)
     while side:
-        right = (x & side > 0).astype(np.int64)
-        lower = (y & side > 0).astype(np.int64)
-        index += side * side * ((3 * right) ^ lower)
+        is_right = (x & side > 0).astype(np.int64)
+        is_lower = (y & side > 0).astype(np.int64)
+        index += side * side * ((3 * is_right) ^ is_lower)
         # each quarter holds the curve of half the size, turned or mirrored to fit
-        mirrored = (lower == 0) & (right == 1)
-        x = np.where(mirrored, side - 1 - x, x)
-        y = np.where(mirrored, side - 1 - y, y)
-        x, y = np.where(lower == 0, y, x), np.where(lower == 0, x, y)
-        x = x & (side - 1)
-        y = y & (side - 1)
+        is_mirrored = (is_lower == 0) & (is_right == 1)
+        x = np.where(is_mirrored, side - 1 - x, x)
+        y = np.where(is_mirrored, side - 1 - y, y)
+        turned_x = np.where(is_lower == 0, y, x)
+        turned_y = np.where(is_lower == 0, x, y)
+        x = turned_x & (side - 1)
+        y = turned_y & (side - 1)
         side >>= 1
     return cells[np.lexsort((index, level))]

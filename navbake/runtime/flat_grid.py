@@ -1,11 +1,14 @@
-"""The flat view of a grid for kernels: cells, rooms, doors and islands by flat id."""
+"""The flat view of a grid for kernels: cells, rooms, doors and islands by flat id.
+
+Of the run time, this module imports the arrays and kernels only.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,10 +28,11 @@ if TYPE_CHECKING:
 
 arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
-places = lazy("navbake.runtime.place_kernels")
+place_kernels = lazy("navbake.runtime.place_kernels")
 
-RISE = 0.05  # [m]: ways between levels that rise by more are called stairs
-REAL = int | float | np.integer | np.floating
+STAIRS_RISE = 0.05  # [m]: steps between levels that rise by more are called stairs, else a ramp
+RealNumber = int | float | np.integer | np.floating
+"""The types of numbers that arguments may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,79 +42,140 @@ class FlatGrid:
     The flat id of a cell is ``start[level] + row * width[level] + col``. A step joins two free
     neighbours whose floors differ by at most `max_step`, or two free cells of the grid's `steps`.
     Cells of areas that bar the agent aren't free.
+
+    Attributes:
+        layout: where the cells of each level lie.
+        steps: links between cells that are not neighbours on one level, in both directions.
+        arcs: passages over named links, for agents of any size.
+        floors: heights of the cells' floors [m], and `max_step`.
+        free: where the agent can stand, by flat id, shape (n,).
+        weight: the cost of each cell, by flat id, inf where it isn't free.
+        area_factor: what areas multiply weights by, inf where they bar the agent; by flat id, or
+            one number for all cells.
+        pace: the seconds that the agent takes for a metre [s/m]; by flat id, or one number for all
+            cells.
+        slopes: to which neighbours on the same level one of `steps` leads, by flat id: bits EAST
+            and SOUTH of `navbake.runtime.grid_arrays`, uint8; empty where none does.
     """
 
-    layout: Layout  # where the cells of each level lie
-    steps: Links  # between cells that are not neighbours on one level, both ways
-    arcs: Arcs  # passages over named links, for agents of any size
-    floors: FloorHeights  # heights of the cells' floors [m], and `max_step`
-    free: Bool  # by flat id, shape (n,)
-    weight: Float  # cost of a cell, by flat id, inf where it isn't free
-    price: Float  # by which areas multiply weights, inf where they bar; by flat id, or one for all
-    pace: Float  # [s/m] of the agent; by flat id, or one for all
-    # by flat id, to which neighbours a link leads on the same level: bits EAST and SOUTH of
-    # `navbake.runtime.grid_arrays`; empty where none does
+    layout: Layout
+    steps: Links
+    arcs: Arcs
+    floors: FloorHeights
+    free: Bool
+    weight: Float
+    area_factor: Float
+    pace: Float
     slopes: NDArray[np.uint8]
 
     @property
     def num_levels(self) -> int:
+        """Number of levels."""
         return len(self.layout.width)
 
     @property
     def num_cells(self) -> int:
+        """Number of cells on all levels."""
         return int(self.layout.start[-1])
 
     def cells_of(self, level: int) -> slice:
-        """The flat ids of a level's cells."""
+        """Return the range of the flat ids of a level's cells."""
         return slice(int(self.layout.start[level]), int(self.layout.start[level + 1]))
 
     def level_of(self, cells: Int | int) -> Int:
-        """Levels of cells by flat id, same shape."""
+        """Find the levels of cells by their flat ids, of the same shape."""
         return np.searchsorted(self.layout.start, cells, side="right") - 1
 
     def split(self, cells: Int | int) -> Cells:
-        """Level, row and column of cells by their flat ids, of the same shape; -1 stays -1."""
+        """Find level, row and column of cells by their flat ids, of the same shape; -1 stays -1."""
         cells = np.asarray(cells, dtype=np.int64)
         level = self.level_of(cells)
         row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
-        return Cells(level, *(np.where(level < 0, -1, v) for v in (row, col)))
+        return Cells(
+            level=level,
+            row=np.where(level < 0, -1, row),
+            col=np.where(level < 0, -1, col),
+        )
 
     def cell(self, cell: int) -> Cell:
-        """Level, row and column of one cell by its flat id."""
-        return Cell(*(int(v) for v in self.split(cell)))
+        """Find level, row and column of one cell by its flat id."""
+        level, row, col = self.split(cell)
+        return Cell(int(level), int(row), int(col))
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
-        """`navbake.navgrid.cells.cells_at`, faster: flat ids, shape (...), -1 for no cell."""
+        """Find the cells of positions, as `navbake.navgrid.cells.cells_at` but faster.
+
+        Args:
+            positions: world x, y, z [m], shape (..., 3); x, y are enough with a level, or on a grid
+                of one level.
+            level: the level of all positions; None finds each one's level by its z.
+
+        Returns:
+            Flat ids, shape (...), int64; -1 for no cell.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level.
+        """
         p = check_positions(positions, self.num_levels, level)
-        cells: Int = places.locate(self.layout, self.floors, *as_points(p, level))
+        kernel_level, points = to_kernel_positions(p, level)
+        cells: Int = place_kernels.locate(self.layout, self.floors, kernel_level, points)
         return cells.reshape(p.shape[:-1])
 
     def locate(
         self, position: ArrayLike, level: int | None = None, what: str = "position"
     ) -> tuple[Float, int]:
-        """One position as float64, and the flat id of its cell, -1 for none."""
+        """Check one position, and find its cell.
+
+        Args:
+            position: world x, y, z [m]; x, y are enough with a level, or on a grid of one level.
+            level: its level; None finds the level by z.
+            what: the position's name in errors.
+
+        Returns:
+            The position as float64, shape (2,) or (3,); and the flat id of its cell, -1 for none.
+
+        Raises:
+            QueryError: the position is not valid, or there is no such level.
+        """
         p = self.check_one(position, level, what)
-        return p, int(places.locate(self.layout, self.floors, *as_points(p, level))[0])
+        kernel_level, points = to_kernel_positions(p, level)
+        cells = place_kernels.locate(self.layout, self.floors, kernel_level, points)
+        return p, int(cells[0])
 
     def check_one(
         self, position: ArrayLike, level: int | None = None, what: str = "position"
     ) -> Float:
-        """One position as float64, shape (2,) or (3,)."""
+        """Check one position; arguments as of `locate`.
+
+        Returns:
+            The position as float64, shape (2,) or (3,).
+
+        Raises:
+            QueryError: the position is not valid, or there is no such level.
+        """
         p = check_positions(position, self.num_levels, level)
         if p.ndim != 1:
             raise QueryError(f"expected one {what}, got an array of shape {p.shape}")
         return p
 
     def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
-        """As `locate`; raises QueryError where the cell isn't free."""
+        """Check one position, and find its cell, which must be free; as `locate`.
+
+        Raises:
+            QueryError: the cell isn't free, the position is not valid, or there is no such level.
+        """
         p, cell = self.locate(position, level)
         if cell < 0 or not self.free[cell]:
             hint = "snap it to the nearest place first"
-            raise QueryError(f"no agent can stand at {text_of(p)}: {hint}")
+            raise QueryError(f"no agent can stand at {format_position(p)}: {hint}")
         return p, cell
 
     def positions(self, cells: Int | int) -> Float:
-        """Centres of cells on the floor, or else the level's ground: world [m], shape (..., 3)."""
+        """Compute the centres of cells, by flat ids of shape (...).
+
+        Returns world x, y and floor z [m], shape (..., 3); z is the level's ground where a cell has
+        no floor.
+        """
         level, row, col = self.split(cells)
         size = self.layout.cell_size[level]
         x = self.layout.x_min[level] + (col + 0.5) * size
@@ -120,88 +185,158 @@ class FlatGrid:
         return np.stack([x, y, z], axis=-1)
 
     def step_ends(self) -> tuple[Int, Int]:
-        """The flat ids that each of `steps` leads from and to; each is listed both ways."""
-        return np.repeat(self.steps.cell, np.diff(self.steps.start)), self.steps.target
+        """List the flat ids that `steps` lead from and to, each shape (n,); each step both ways."""
+        sources = np.repeat(self.steps.cell, np.diff(self.steps.start))
+        return sources, self.steps.target
 
-    def priced(self, weight: Float, where: Any = np.s_[:]) -> Float:
-        """The weights of cells for the agent, by those of the grid; inf where they aren't free."""
-        price = self.price[where] if len(self.price) > 1 else self.price
-        free = np.isfinite(weight) & np.isfinite(price)
-        return np.where(free, weight * np.where(free, price, 1.0), np.inf)
+    def weights_for_agent(self, weight: Float, cells: Int | slice = np.s_[:]) -> Float:
+        """Compute the weights of cells for the agent, of which areas are a part.
 
-    def ways_by_links(self, radius: float, least: float, *, by_time: bool) -> tuple[Float, Float]:
-        """Where links have stops, x, y, and what ways from each to each cost at least, (k, k).
+        Args:
+            weight: the grid's weights of the cells, inf where they aren't free.
+            cells: the cells' flat ids, of the shape of `weight`; all unless given.
 
-        On the floor these are octile distances times the smallest weight, `least`. Without links
-        that cost less than that there are none.
+        Returns:
+            The weights times the areas' factors; inf where a cell isn't free for the agent.
         """
-        wide = self.arcs.fits_radius(radius)
-        cells, ends = np.unique(self.arcs.ends[wide], return_inverse=True)
+        factor = self.area_factor[cells] if len(self.area_factor) > 1 else self.area_factor
+        free = np.isfinite(weight) & np.isfinite(factor)
+        return np.where(free, weight * np.where(free, factor, 1.0), np.inf)
+
+    def costs_between_stops(
+        self, radius: float, least_weight: float, *, by_time: bool
+    ) -> tuple[Float, Float]:
+        """Compute what routes between the stops of links cost at least.
+
+        On the floor these are octile distances times the smallest weight.
+
+        Args:
+            radius: of the agent [m].
+            least_weight: the smallest weight of a free cell, >= 0.
+            by_time: whether passages cost seconds, else metres.
+
+        Returns:
+            x, y of the k stops [m], shape (k, 2); and the least cost from each to each, (k, k).
+            Without links that cost less than the floor, no stops.
+        """
+        is_passable = self.arcs.fits_radius(radius)
+        cells, ends = np.unique(self.arcs.ends[is_passable], return_inverse=True)
         stops = self.positions(cells)[:, :2]
         ends = ends.reshape(-1, 2)
-        direct = least * octile(stops[:, None] - stops)
-        ways = direct.copy()
-        spent = (self.arcs.seconds if by_time else self.arcs.cost)[wide]
-        np.minimum.at(ways, tuple(ends.T), spent)
-        for k in range(len(cells)):  # Floyd (1962)
-            ways = np.minimum(ways, ways[:, k, None] + ways[k])
-        return (stops, ways) if (ways < direct).any() else (stops[:0], ways)
+        floor_costs = least_weight * octile_length(stops[:, None] - stops)
+        costs = floor_costs.copy()
+        passage_costs = self.arcs.seconds if by_time else self.arcs.cost
+        np.minimum.at(costs, tuple(ends.T), passage_costs[is_passable])
+        for k in range(len(cells)):  # all shortest paths: Floyd (1962)
+            costs = np.minimum(costs, costs[:, k, None] + costs[k])
+        if (costs < floor_costs).any():
+            return stops, costs
+        return stops[:0], costs
 
     def links(self, radius: float, *, by_time: bool = False, backwards: bool = False) -> Links:
-        """Steps, and the passages that an agent of a radius fits through, from or to each cell."""
-        wide = self.arcs.fits_radius(radius)
-        if not wide.any():
+        """List the steps, and the passages that an agent of a radius fits through.
+
+        Args:
+            radius: of the agent [m].
+            by_time: whether passages cost seconds, else metres.
+            backwards: whether the links are listed by the cell that they lead to, reversed.
+        """
+        is_passable = self.arcs.fits_radius(radius)
+        if not is_passable.any():
             return self.steps
-        ends = np.concatenate([np.stack(self.step_ends(), axis=1), self.arcs.ends[wide]])
-        of_arcs = (self.arcs.seconds if by_time else self.arcs.cost)[wide]
-        of_steps = self.steps.length
-        length = np.append(of_steps, np.zeros(len(of_arcs)))
-        cost = np.append(np.zeros(len(of_steps)), of_arcs)
-        return list_links(ends[:, ::-1] if backwards else ends, length, cost, self.num_cells)
+        step_ends = np.stack(self.step_ends(), axis=1)
+        ends = np.concatenate([step_ends, self.arcs.ends[is_passable]])
+        passage_costs = (self.arcs.seconds if by_time else self.arcs.cost)[is_passable]
+        step_lengths = self.steps.length
+        length = np.append(step_lengths, np.zeros(len(passage_costs)))
+        cost = np.append(np.zeros(len(step_lengths)), passage_costs)
+        return make_links(ends[:, ::-1] if backwards else ends, length, cost, self.num_cells)
 
 
-def octile(apart: Float) -> Float:
-    """Octile lengths of vectors along x and y, shape (..., 2 or more)."""
-    x = np.abs(apart[..., 0])
-    y = np.abs(apart[..., 1])
+def octile_length(vectors: Float) -> Float:
+    """Compute the lengths of walks along rows, columns and diagonals, free of obstacles.
+
+    `vectors` have x and y, shape (..., 2 or more); returns shape (...), in their unit.
+    """
+    x = np.abs(vectors[..., 0])
+    y = np.abs(vectors[..., 1])
     return np.asarray(np.maximum(x, y) + (math.sqrt(2.0) - 1.0) * np.minimum(x, y))
 
 
-def list_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
-    """The links of a list of ends, the flat ids that each leads from and to, shape (n, 2)."""
+def make_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
+    """Sort links by the cell that each leads from.
+
+    Args:
+        ends: the flat ids that each link leads from and to, shape (n, 2), steps before passages.
+        length: of each step [m], 0 of a passage, shape (n,).
+        cost: of each passage, 0 of a step, shape (n,).
+        num_cells: number of cells of the grid.
+    """
     order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable: steps before passages
     source, target = ends[order].T
     cell = np.unique(ends)
     start = np.append(np.searchsorted(source, cell), len(source))
     is_end = np.zeros(num_cells if len(cell) else 0, dtype=np.bool_)
     is_end[cell] = True
-    listed: Links = arrays.Links(
-        cell, start, np.ascontiguousarray(target), length[order], cost[order], is_end
+    links: Links = arrays.Links(
+        cell=cell,
+        start=start,
+        target=np.ascontiguousarray(target),
+        length=length[order],
+        cost=cost[order],
+        is_end=is_end,
     )
-    return listed
+    return links
 
 
 def check_distance(distance: float, name: str = "max_distance") -> None:
-    """Raise QueryError for anything but a number >= 0."""
-    if not (isinstance(distance, REAL) and distance >= 0):
+    """Check a distance that a user passes.
+
+    Args:
+        distance: expected to be a number >= 0 [m]; inf is one.
+        name: the argument's name in the error.
+
+    Raises:
+        QueryError: it is anything else.
+    """
+    if not (isinstance(distance, RealNumber) and distance >= 0):
         raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
 
 
-def text_of(position: Float) -> str:
+def format_position(position: Float) -> str:
+    """Format a position for a message: its numbers with commas in between."""
     return ", ".join(f"{v:g}" for v in position)
 
 
-def as_points(p: Float, level: int | None) -> tuple[int, Float]:
-    """The level, -1 for any, and positions (n, 2 or 3), as kernel arguments."""
-    on = 0 if level is None and p.shape[-1] == 2 else -1 if level is None else int(level)
-    return on, np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
+def to_kernel_positions(positions: Float, level: int | None) -> tuple[int, Float]:
+    """Convert checked positions to arguments of kernels.
+
+    Args:
+        positions: world x, y, z [m], shape (..., 3); or x, y, shape (..., 2).
+        level: the level of all positions, None for the level by z, or for the only level.
+
+    Returns:
+        The level, -1 to find each position's level; and the positions, shape (n, 2 or 3),
+        contiguous.
+    """
+    if level is not None:
+        kernel_level = int(level)
+    elif positions.shape[-1] == 2:
+        kernel_level = 0
+    else:
+        kernel_level = -1
+    return kernel_level, np.ascontiguousarray(positions.reshape(-1, positions.shape[-1]))
 
 
 def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = None) -> FlatGrid:
     """Copy the levels of a grid into a flat grid; later changes of the grid don't affect it.
 
-    `agent` is whose rights and speed count. With a `penalty` it may use all links and areas: it
-    is what passages cost more [m] that aren't allowed, and the price of cells that aren't.
+    Args:
+        grid: a grid of one or several levels.
+        agent: whose rights and speed count; None for an agent that open links and areas allow,
+            at 1 m/s.
+        penalty: if given, the agent may use all links and areas: passages that aren't allowed cost
+            so much more [m], and cells of areas that bar it have this as their areas' factor.
     """
     compiled.ensure_compiled("runtime.")
     levels = grid.levels
@@ -209,97 +344,141 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     width = width.astype(np.int64)
     height = height.astype(np.int64)
     start = np.append(0, np.cumsum(width * height))
-    layout = arrays.Layout(start, width, height, x_min, y_max, cell_size)
-    floor = [v.floor if v.uses_cell_floors else np.full(v.shape, v.ground) for v in levels]
-    z = np.concatenate([layer.ravel() for layer in floor])
-    ground = np.array([level.ground for level in levels], dtype=np.float64)
-    floors = arrays.FloorHeights(z, ground, step_limit(grid) * grid.unit)
+    layout: Layout = arrays.Layout(
+        start=start, width=width, height=height, x_min=x_min, y_max=y_max, cell_size=cell_size
+    )
+    floors_by_level = [
+        level.floor if level.uses_cell_floors else np.full(level.shape, level.ground)
+        for level in levels
+    ]
+    floors: FloorHeights = arrays.FloorHeights(
+        z=np.concatenate([floor.ravel() for floor in floors_by_level]),
+        ground=np.array([level.ground for level in levels], dtype=np.float64),
+        max_step=step_limit(grid) * grid.unit,
+    )
     weight = np.concatenate([level.weights.ravel() for level in levels]).astype(np.float64)
-    given = grid.step_array
-    # each step both ways and once, and to which neighbours one leads on the same level
-    ends = start[given[:, ::2]] + given[:, 1::2]
+
+    # each step in both directions, once
+    step_array = grid.step_array
+    ends = start[step_array[:, ::2]] + step_array[:, 1::2]
     pairs = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    slopes = np.zeros(0, dtype=np.uint8)
-    if (given[:, 0] == given[:, 2]).any():
-        slopes = np.zeros(start[-1], dtype=np.uint8)
-        on = given[:, 0]
-        low = ends.min(axis=1)
-        step = np.ptp(ends, axis=1)
-        own = on == given[:, 2]
-        of_row = (ends - start[on, None]) // width[on, None]
-        slopes[low[own & (step == 1) & (np.diff(of_row)[:, 0] == 0)]] |= np.uint8(arrays.EAST)
-        slopes[low[own & (step == width[on])]] |= np.uint8(arrays.SOUTH)
-    steps = list_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)), int(start[-1]))
+    steps = make_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)), int(start[-1]))
+
     speed = SPEED if agent is None else agent.speed
-    bars = [area.bars(agent) for area in grid.areas]
-    prices = [(penalty or np.inf) if no else v.cost for no, v in zip(bars, grid.areas, strict=True)]
-    paces = [1.0 / min(speed, area.speed or speed) for area in grid.areas]
-    price = cells_of_areas(grid, prices, 1.0)
-    pace = cells_of_areas(grid, paces, 1.0 / speed)
-    price = price[:1] if (price == price[0]).all() else price
-    pace = pace[:1] if (pace == pace[0]).all() else pace
-    arcs = find_arcs(grid.links, start, agent, penalty)
-    flat = FlatGrid(layout, steps, arcs, floors, np.isfinite(weight), weight, price, pace, slopes)
-    weight[:] = flat.priced(weight)
+    area_factors = []
+    area_paces = []
+    for area in grid.areas:
+        area_factors.append((penalty or np.inf) if area.bars(agent) else area.cost)
+        area_paces.append(1.0 / min(speed, area.speed or speed))
+    area_factor = cells_of_areas(grid, area_factors, 1.0)
+    pace = cells_of_areas(grid, area_paces, 1.0 / speed)
+    flat = FlatGrid(
+        layout=layout,
+        steps=steps,
+        arcs=find_arcs(grid.links, start, agent, penalty),
+        floors=floors,
+        free=np.isfinite(weight),
+        weight=weight,
+        area_factor=area_factor[:1] if (area_factor == area_factor[0]).all() else area_factor,
+        pace=pace[:1] if (pace == pace[0]).all() else pace,
+        slopes=_mark_slopes(step_array, ends, layout),
+    )
+    weight[:] = flat.weights_for_agent(weight)
     flat.free[:] = np.isfinite(weight)
     # The length of a step is the octile distance between the centres of its cells, from above, and
     # at least a cell: between neighbours on one lattice, as navbake links them, exactly a cell.
     sources, targets = flat.step_ends()
     least = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
-    steps.length[:] = np.maximum(octile(flat.positions(sources) - flat.positions(targets)), least)
+    lengths = octile_length(flat.positions(sources) - flat.positions(targets))
+    steps.length[:] = np.maximum(lengths, least)
     return flat
+
+
+def _mark_slopes(step_array: Int, ends: Int, layout: Layout) -> NDArray[np.uint8]:
+    """Make the `slopes` of a flat grid, of its steps, shape (n, 4), and their ends by flat id."""
+    if not (step_array[:, 0] == step_array[:, 2]).any():
+        return np.zeros(0, dtype=np.uint8)
+    slopes = np.zeros(layout.start[-1], dtype=np.uint8)
+    level = step_array[:, 0]
+    width = layout.width[level]
+    lower_end = ends.min(axis=1)
+    difference = np.ptp(ends, axis=1)
+    is_on_level = level == step_array[:, 2]
+    rows = (ends - layout.start[level, None]) // width[:, None]
+    is_same_row = np.diff(rows)[:, 0] == 0
+    leads_east = is_on_level & (difference == 1) & is_same_row
+    leads_south = is_on_level & (difference == width)
+    slopes[lower_end[leads_east]] |= np.uint8(arrays.EAST)
+    slopes[lower_end[leads_south]] |= np.uint8(arrays.SOUTH)
+    return slopes
+
+
+# ---------------------------------------------------------------- rooms
 
 
 @dataclass(frozen=True, eq=False)
 class RoomMap:
-    """Rooms by number, from 1 in the order of `rooms`; 0 is no room."""
+    """Rooms by number, from 1 in the order of `rooms`; 0 is no room.
 
-    scene_id: str | None  # the grid's, for messages
-    rooms: list[Room]  # those of the grid, then those that only its cells name
-    number: Int32  # of each cell, by flat id, shape (n,)
+    Attributes:
+        scene_id: the grid's, for messages.
+        rooms: the rooms of the grid's table, then those that only its cells name.
+        number: the number of each cell's room, by flat id, shape (n,).
+    """
+
+    scene_id: str | None
+    rooms: list[Room]
+    number: Int32
 
     def find(self, name: str) -> int:
-        """The number of a room by its id, or by its name where only one room has it."""
+        """Find the number of a room by its id, or by its name where only one room has it.
+
+        Raises:
+            QueryError: there is no such room, or several rooms have the name.
+        """
         by_id = {room.id: number for number, room in enumerate(self.rooms, start=1)}
         if isinstance(name, str) and name in by_id:
             return by_id[name]
-        named = [room.id for room in self.rooms if room.name and room.name == name]
-        if len(named) == 1:
-            return by_id[named[0]]
-        if named:
-            rooms = f"{len(named)} rooms in {self.scene_id!r} have the name {name!r}"
-            raise QueryError(f"{rooms}: expected one of the ids {', '.join(named)}")
+        ids = [room.id for room in self.rooms if room.name and room.name == name]
+        if len(ids) == 1:
+            return by_id[ids[0]]
+        if ids:
+            rooms = f"{len(ids)} rooms in {self.scene_id!r} have the name {name!r}"
+            raise QueryError(f"{rooms}: expected one of the ids {', '.join(ids)}")
         names = [*by_id, *(room.name for room in self.rooms if room.name)]
         raise QueryError(f"no room {name!r} in {self.scene_id!r}: {suggest(name, names)}")
 
     def id_of(self, number: int) -> str | None:
-        """The id of a room by its number; None for 0."""
+        """Return the id of a room by its number; None for 0."""
         return self.rooms[number - 1].id if number else None
 
     def cells(self, name: str) -> Int:
-        """Flat ids of a room's cells, free or not; ascending, int64."""
+        """List the flat ids of a room's cells, free or not; ascending, int64."""
         return np.flatnonzero(self.number == self.find(name))
 
 
 def map_rooms(grid: NavGrid) -> RoomMap:
     """Number the rooms of a grid; rooms missing in its table get the id ``level:index``."""
     rooms = list(grid.rooms)
-    parts = []
-    for number, level in enumerate(grid.levels):
+    numbers_by_level = []
+    for level_number, level in enumerate(grid.levels):
         index = level.room_index
         numbers = np.zeros(int(index.max(initial=0)) + 1, dtype=np.int32)  # by index on the level
-        for position, room in enumerate(rooms, start=1):
-            if room.level == number and room.index < len(numbers):
-                numbers[room.index] = position
+        for number, room in enumerate(rooms, start=1):
+            if room.level == level_number and room.index < len(numbers):
+                numbers[room.index] = number
         # measuring rooms is slow: only where cells name a room that the table lacks
         if ((numbers[index] == 0) & (index > 0)).any():
-            for room in level.measure_rooms(number):
+            for room in level.measure_rooms(level_number):
                 if not numbers[room.index]:
                     rooms.append(room)
                     numbers[room.index] = len(rooms)
-        parts.append(numbers[index].ravel())
-    return RoomMap(grid.scene_id, rooms, np.concatenate(parts))
+        numbers_by_level.append(numbers[index].ravel())
+    return RoomMap(grid.scene_id, rooms, np.concatenate(numbers_by_level))
+
+
+# ---------------------------------------------------------------- doors and stairs
 
 
 DoorMap = dict[int, list[str]]
@@ -308,55 +487,91 @@ DoorMap = dict[int, list[str]]
 
 def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
     """Find each door's cells: those it blocks, closed or as it is, and those named in user data."""
-    found: DoorMap = {}
+    doors_by_cell: DoorMap = {}
     start = flat.layout.start.tolist()
     for door in grid.doors:
-        states = (door.cells_in(state, flat.num_levels) for state in ("closed", door.state))
-        cells = [start[k] + ids for by_level in states for k, ids in enumerate(by_level)]
-        for cell in np.unique(np.concatenate(cells)).tolist():
-            found.setdefault(cell, []).append(door.id)
+        door_cells = []
+        for state in ("closed", door.state):
+            for level, ids in enumerate(door.cells_in(state, flat.num_levels)):
+                door_cells.append(start[level] + ids)
+        for cell in np.unique(np.concatenate(door_cells)).tolist():
+            doors_by_cell.setdefault(cell, []).append(door.id)
     if not grid.doors and not grid.navbake:
-        for level, part in enumerate(grid.levels):
-            for cell, entry in part.user_data.items():
-                if isinstance(stored := entry.get("doors"), list):
-                    names = [name for name in stored if isinstance(name, str)]
-                    found[start[level] + cell] = names
-    return found
+        for level_number, level_grid in enumerate(grid.levels):
+            for cell, entry in level_grid.user_data.items():
+                names = entry.get("doors")
+                if isinstance(names, list):
+                    door_ids = [name for name in names if isinstance(name, str)]
+                    doors_by_cell[start[level_number] + cell] = door_ids
+    return doors_by_cell
 
 
 def find_leaf_cells(door: Door, flat: FlatGrid) -> Int:
-    """The flat ids of the cells that a door's leaf takes when closed."""
-    cells = door.solid_in if door.solid else door.cells_in
-    pairs = zip(flat.layout.start, cells("closed", flat.num_levels), strict=False)
-    return np.concatenate([start + ids for start, ids in pairs])
+    """List the flat ids of the cells that a door's leaf takes when closed.
+
+    Args:
+        door: a door of the grid.
+        flat: the grid.
+    """
+    cells_in = door.solid_in if door.solid else door.cells_in
+    cells_by_level = cells_in("closed", flat.num_levels)
+    starts = flat.layout.start[:-1]
+    return np.concatenate([start + ids for start, ids in zip(starts, cells_by_level, strict=True)])
 
 
-def doors_on(doors: DoorMap, cells: Int) -> list[str]:
-    """The doors along a route, in order; a door that is entered again is repeated."""
+def doors_along(doors: DoorMap, cells: Int) -> list[str]:
+    """List the doors along a route, in order; a door that is entered again is repeated.
+
+    Args:
+        doors: the doors by flat id.
+        cells: the route's flat ids.
+    """
     passed: list[str] = []
     current: Iterable[str] = ()
     for cell in cells.tolist():
-        here = doors.get(cell, ())
-        passed += [name for name in here if name not in current]
-        current = here
+        cell_doors = doors.get(cell, ())
+        passed += [name for name in cell_doors if name not in current]
+        current = cell_doors
     return passed
 
 
-def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[tuple[int, int, str, Int]]:
-    """Find the stairs and ramps between levels: steps whose cells touch on the lower level.
+class LevelStairs(NamedTuple):
+    """Stairs or a ramp between two levels: steps whose cells touch on the lower level.
 
-    Returns the lower and the upper level of each, ``stairs`` or ``ramp``, and the flat ids of the
-    cells of each step, the lower level's first, shape (n, 2).
+    Attributes:
+        lower_level: number of the lower level.
+        upper_level: number of the upper level.
+        kind: ``stairs`` or ``ramp``.
+        steps: the flat ids of the cells of each step, the lower level's first, shape (n, 2).
+    """
+
+    lower_level: int
+    upper_level: int
+    kind: str
+    steps: Int
+
+
+def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[LevelStairs]:
+    """Find the stairs and ramps between levels.
+
+    Args:
+        grid: the grid whose `step_array` lists the steps.
+        flat: the same grid, or one of the same cells.
     """
     steps = grid.step_array
-    found = []
-    steps = np.where((steps[:, 0] <= steps[:, 2])[:, None], steps, steps[:, [2, 3, 0, 1]])
-    for own in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
-        ends = flat.layout.start[own[:, ::2]] + own[:, 1::2]
+    is_upwards = (steps[:, 0] <= steps[:, 2])[:, None]
+    steps = np.where(is_upwards, steps, steps[:, [2, 3, 0, 1]])
+    stairs = []
+    for group in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
+        ends = flat.layout.start[group[:, ::2]] + group[:, 1::2]
         rise = np.abs(np.diff(flat.positions(ends)[..., 2], axis=1)).max()
-        low, high = own[0, ::2].tolist()
-        found.append((low, high, "stairs" if rise > RISE else "ramp", ends))
-    return found
+        lower_level, upper_level = group[0, ::2].tolist()
+        kind = "stairs" if rise > STAIRS_RISE else "ramp"
+        stairs.append(LevelStairs(lower_level, upper_level, kind, ends))
+    return stairs
+
+
+# ---------------------------------------------------------------- islands
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,32 +580,46 @@ class IslandMap:
 
     number: Int32  #: Of each cell, by flat id, shape (n,); 0 where it isn't free.
     areas: Float  #: Of each island [m²], shape (count + 1,); 0 for number 0.
-    ways: Int  #: Pairs of islands of which links lead from the first to the second only, (k, 2).
+    #: Pairs of islands of which links lead from the first to the second only, shape (k, 2).
+    one_way_links: Int
 
     @property
     def count(self) -> int:
+        """Number of islands."""
         return len(self.areas) - 1
 
     def check(self, island: int) -> int:
-        """Raise QueryError for an unknown island's number."""
+        """Check an island's number, and return it as an int.
+
+        Raises:
+            QueryError: there is no such island.
+        """
         if isinstance(island, int | np.integer) and 1 <= island <= self.count:
             return int(island)
-        there_are = f"1 to {self.count}, 1 the largest" if self.count else "none"
-        raise QueryError(f"no island {island!r}: there are {there_are}")
+        numbers = f"1 to {self.count}, 1 the largest" if self.count else "none"
+        raise QueryError(f"no island {island!r}: there are {numbers}")
 
     def reached_from(self, island: int) -> tuple[int, ...]:
-        """The islands that one leads to: itself, then others in ascending order."""
-        found = np.array([island])
+        """List the islands that one leads to: itself, then further ones in ascending order."""
+        reached = np.array([island])
         while True:
-            onward = np.unique(self.ways[np.isin(self.ways[:, 0], found), 1])
-            onward = onward[~np.isin(onward, found)]
+            is_from_reached = np.isin(self.one_way_links[:, 0], reached)
+            onward = np.unique(self.one_way_links[is_from_reached, 1])
+            onward = onward[~np.isin(onward, reached)]
             if not len(onward):
-                return island, *np.sort(found[1:]).tolist()
-            found = np.append(found, onward)
+                return island, *np.sort(reached[1:]).tolist()
+            reached = np.append(reached, onward)
 
 
 def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None = None) -> IslandMap:
-    """As `navbake.navgrid.islands.find_islands`; with `moves`, diagonal moves join cells, too."""
+    """Number the islands of a flat grid, as `navbake.navgrid.islands.find_islands`.
+
+    Args:
+        flat: the grid.
+        radius: of the agent [m]; it uses the links that are wide enough.
+        moves: by flat id, see `navbake.runtime.grid_arrays.Graph`; if given, diagonal moves join
+            cells, too.
+    """
     layout = flat.layout
     floors = flat.floors
     steps = [np.stack(flat.step_ends(), axis=1)]
@@ -398,17 +627,23 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     if moves is not None:
         for bit, across in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)
-            others = cells + layout.width[flat.level_of(cells)] + across
-            steps.append(np.stack([cells, others], axis=1))
+            diagonal_cells = cells + layout.width[flat.level_of(cells)] + across
+            steps.append(np.stack([cells, diagonal_cells], axis=1))
     number = label_islands(
-        layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(steps),
-        passages,
-    )  # fmt: skip
+        start=layout.start,
+        width=layout.width,
+        free=flat.free,
+        floor=floors.z,
+        limit=floors.max_step,
+        steps=np.concatenate(steps),
+        arcs=passages,
+    )
     # cells count by the area of their level's, which is the same on all levels but in few files
     areas = np.zeros(int(number.max(initial=0)) + 1)
     for level, size in enumerate(layout.cell_size):
-        of_level = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
-        areas[1:] += of_level[1:] * size**2
-    ways = number[passages]
-    ways = np.unique(ways[(ways > 0).all(axis=1) & (ways[:, 0] != ways[:, 1])], axis=0)
-    return IslandMap(number, areas, ways.astype(np.int64))
+        cells_by_island = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
+        areas[1:] += cells_by_island[1:] * size**2
+    links = number[passages]
+    is_between = (links > 0).all(axis=1) & (links[:, 0] != links[:, 1])
+    one_way_links = np.unique(links[is_between], axis=0)
+    return IslandMap(number, areas, one_way_links.astype(np.int64))

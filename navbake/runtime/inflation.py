@@ -14,7 +14,7 @@ floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
 """
 
 import math
-from typing import Any, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +25,9 @@ from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.lattice import Lattice, find_outline_fault, touch_cells
 from navbake.runtime import surroundings
-from navbake.runtime.flat_grid import REAL
+from navbake.runtime.flat_grid import RealNumber
 from navbake.runtime.surroundings import find_blocked
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Float, Int, Int32, Json
 
 ndimage = lazy("scipy.ndimage")
 
@@ -36,12 +36,45 @@ AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 MODES = ("exact", "minos")
 COSTS = ("step", "nav2")
 LEDGES = ("avoid", "ignore")
-STEP_COST = 10.0
+STEP_COST = 10.0  # weight of cells within the clearance, for costs ``step``
 LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
-SCALING = 10.0  # [1/m], nav2's default in code
-STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
+INSCRIBED_COST = 253  # nav2's cost of cells within the inscribed radius
+OCCUPIED_COST = 254  # nav2's cost of occupied cells
+NAV2_SCALING = 10.0  # [1/m], nav2's default in code
+STEEP_RISE = 1.001  # in cells: neighbours that differ by more are a step, not a slope
 MAX_HEADINGS = 720
-MAX_REACH = 1000  # [cells] of a footprint
+MAX_FOOTPRINT_REACH = 1000  # [cells] from a footprint's origin
+DISTANCE_SLACK = 1e-9  # share of a cell by which distances may be rounded
+COST_SLACK = 1e-9  # by which a cost may be rounded
+
+
+class Margins(NamedTuple):
+    """Least distances from an obstacle to a cell's centre [m].
+
+    Attributes:
+        standing: for an agent to stand there.
+        diagonal: to step diagonally from there.
+        anywhere: to be anywhere in the cell.
+    """
+
+    standing: float
+    diagonal: float
+    anywhere: float
+
+
+class OffCenterMasks(NamedTuple):
+    """Where an agent fits off the centres of cells, by flat id; False beside a step of the floor.
+
+    Attributes:
+        diagonal: whether it fits on a diagonal step.
+        anywhere: whether it fits anywhere in the cell.
+        sweepable: whether it fits anywhere in the cell, or only occupied squares of the cell's own
+            level are in its way.
+    """
+
+    diagonal: Bool
+    anywhere: Bool
+    sweepable: Bool
 
 
 def inflate(
@@ -51,30 +84,29 @@ def inflate(
     mode: str = "exact",
     *,
     costs: str = "step",
-    scaling: float = SCALING,
+    scaling: float = NAV2_SCALING,
     ledges: str = "avoid",
 ) -> AnyGrid:
-    """Inflate a grid for an agent of another radius; the metadata list it under ``inflation``.
+    """Inflate a grid for an agent of another radius: `SceneGrid2D.inflate`.
 
-    ``exact``: a cell stays free if the open disc of the radius round its centre overlaps no
-    occupied cell's square, and no floor more than a step higher or lower (see
-    `navbake.runtime.surroundings`). The radius replaces the baked one. ``minos``: the weights of
-    the original client's ``refine``, cell for cell.
-
-    A blocked cell stays so, unless only the baked disc blocked it (see `SceneGrid2D.solid`;
-    or in ``refine`` at radius 0 with a clearance). Occupancy stays as baked.
+    `navbake.runtime.surroundings` has the rule of mode ``exact``. A layer ``solid`` frees cells
+    that only the baked disc blocked.
 
     Args:
+        grid: the grid, which stays as it is.
         radius: of the agent [m], 0 to 10,000.
-        clearance: how far beyond the radius cells cost more [m]; None is 0 for ``step``, and
-            the distance where the cost falls to 1 for ``nav2``.
-        mode: ``exact`` or ``minos``.
-        costs: the least weight of such a cell: ``step``, 10; ``nav2``, the cost of nav2's
-            inflation layer, ``floor(252 exp(-scaling (d - radius)))``, d from the centre of
-            the nearest occupied cell of the level.
+        clearance: distance beyond the radius in which cells cost more [m]; None is 0 for costs
+            ``step``, and the distance where the cost falls to 1 for ``nav2``.
+        mode: ``exact``, or ``minos`` for the weights of the original client's ``refine``.
+        costs: ``step`` or ``nav2``.
         scaling: of ``nav2`` [1/m], > 0.
-        ledges: of ``exact``: ``avoid`` keeps the disc off floors more than a step lower,
-            ``ignore`` allows it to overhang them.
+        ledges: of ``exact``: ``avoid`` or ``ignore``.
+
+    Returns:
+        A new grid; its metadata list the inflation under ``inflation``.
+
+    Raises:
+        QueryError: an argument is out of its range, or they exclude each other.
     """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
@@ -82,75 +114,99 @@ def inflate(
         clearance = min(reaches_1, MAX_RADIUS) if costs == "nav2" else 0.0
     weights = []
     for number, level in enumerate(grid.levels):
-        cell = level.lattice.cell_size
         if mode == "minos":
-            weights.append(_refined(level, radius / cell, (radius + clearance) / cell))
+            cell = level.lattice.cell_size
+            weights.append(_refine_weights(level, radius / cell, (radius + clearance) / cell))
             continue
         blocked = find_blocked(grid, number, radius, ledges)
-        soft = level.weights
+        free_weights = level.weights
         if "solid" in level.attributes:
-            soft = np.where(level.free_for_point & ~level.free, 1.0, soft)
+            is_freed = level.free_for_point & ~level.free
+            free_weights = np.where(is_freed, 1.0, free_weights)
         if costs == "nav2":
-            falling = nav2_costs(level, radius, radius + clearance, scaling)
-            soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))
+            level_costs = nav2_costs(level, radius, radius + clearance, scaling)
+            free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, LETHAL_COST))
         elif clearance > 0:
             near = find_blocked(grid, number, radius + clearance, ledges)
-            soft = np.where(near, np.maximum(soft, STEP_COST), soft)
-        weights.append(np.where(blocked, np.inf, soft))
-    done = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
+            free_weights = np.where(near, np.maximum(free_weights, STEP_COST), free_weights)
+        weights.append(np.where(blocked, np.inf, free_weights))
+
+    entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
-        done["ledges"] = ledges
+        entry["ledges"] = ledges
     if clearance > 0:
-        done |= {"costs": costs, "scaling": float(scaling)} if costs == "nav2" else {"costs": costs}
-
-    def noted(metadata: dict[str, Any]) -> dict[str, Any]:
-        earlier: Any = metadata.get("inflation")
-        return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}
-
+        entry["costs"] = costs
+        if costs == "nav2":
+            entry["scaling"] = float(scaling)
     levels = []
-    for level, weight in zip(grid.levels, weights, strict=True):
+    for level, level_weights in zip(grid.levels, weights, strict=True):
         # Attributes that a file without them would derive from the weights are stored first, so
         # that inflating does not change them, and the grid can be inflated again.
-        baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
-        kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
+        baked_layers: dict[str, NDArray[np.generic]] = {
+            "occupancy": level.occupancy,
+            "floorHeight": level.floor_height,
+        }
+        attributes = {
+            name: layer.copy()
+            for name, layer in baked_layers.items()
+            if name not in level.attributes
+        }
         if not level.uses_cell_floors:  # the file's values are not the floor
-            kept["floorHeight"] = baked["floorHeight"].copy()
-        metadata = noted(level.metadata)
-        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=metadata))
-    inflated = grid.with_levels(levels, noted(grid.metadata))
+            attributes["floorHeight"] = baked_layers["floorHeight"].copy()
+        metadata = _list_inflation(level.metadata, entry)
+        levels.append(
+            level.with_layers(weights=level_weights, attributes=attributes, metadata=metadata)
+        )
+    inflated = grid.with_levels(levels, _list_inflation(grid.metadata, entry))
     if grid.navbake:  # in files of other programs these names may mean anything
         names = {name for level in levels for name in level.attributes}
         add_layers(inflated, names & {"island", "clearance"})
     return inflated
 
 
-def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
-    """The weights of the original client's ``refine``, by radii in cells.
+def _list_inflation(metadata: Json, entry: Json) -> Json:
+    """Return metadata whose list of inflations has one more entry."""
+    inflations = metadata.get("inflation")
+    earlier = inflations if isinstance(inflations, list) else []
+    return {**metadata, "inflation": [*earlier, entry]}
+
+
+def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> Float:
+    """Compute the weights of the original client's ``refine``, by radii in cells.
 
     The client divides the sum of radius and clearance; its window lacks its far row and column.
     """
     occupied = level.occupancy != 0
-    reach = min(math.ceil(far - 0.5), max(level.shape) + 1)
+    reach = min(math.ceil(outer_radius - 0.5), max(level.shape) + 1)
     if reach <= 0:
         return np.where(occupied, np.inf, 1.0)
     steps = np.arange(-reach, reach)
     squares = steps[:, None] ** 2 + steps**2
     inner = _to_runs(np.argwhere(squares < radius * radius) - reach)
-    outer = _to_runs(np.argwhere(squares < far * far) - reach)
-    masks = (occupied, np.ones_like(occupied), ~np.isnan(level.floor_height))
-    hits, within, with_floor = (count_runs(mask, inner) for mask in masks)
-    too_few = (within > 0) & (with_floor / np.maximum(within, 1) < surroundings.LEAST_FLOOR)
-    soft = np.where(count_runs(occupied, outer) > 0, STEP_COST, 1.0)
-    return np.where((hits > 0) | too_few, np.inf, soft)
+    outer = _to_runs(np.argwhere(squares < outer_radius * outer_radius) - reach)
+    num_occupied = count_runs(occupied, inner)
+    num_cells = count_runs(np.ones_like(occupied), inner)
+    num_with_floor = count_runs(~np.isnan(level.floor_height), inner)
+    floor_share = num_with_floor / np.maximum(num_cells, 1)
+    lacks_floor = (num_cells > 0) & (floor_share < surroundings.LEAST_FLOOR)
+    free_weights = np.where(count_runs(occupied, outer) > 0, STEP_COST, 1.0)
+    return np.where((num_occupied > 0) | lacks_floor, np.inf, free_weights)
 
 
 def nav2_costs(
-    level: SceneGrid2D, radius: float, inflation_radius: float, scaling: float = SCALING
+    level: SceneGrid2D, radius: float, inflation_radius: float, scaling: float = NAV2_SCALING
 ) -> NDArray[np.uint8]:
-    """The costs of nav2's inflation layer for a level's cells.
+    """Compute the costs of nav2's inflation layer for a level's cells.
 
-    254 on occupied cells, 253 up to the inscribed radius, then ``floor(252 exp(-scaling (d -
-    radius)))`` [1/m], 0 beyond the inflation radius [m]; d to the nearest occupied cell's centre.
+    Args:
+        level: a grid of one level.
+        radius: the inscribed radius [m].
+        inflation_radius: distance beyond which costs are 0 [m].
+        scaling: ``cost_scaling_factor`` [1/m].
+
+    Returns:
+        uint8, shape (height, width): 254 on occupied cells, 253 up to the inscribed radius, then
+        ``floor(252 exp(-scaling (d - radius)))``, d from the nearest occupied cell's centre [m].
     """
     solid = level.solid != 0
     cell = level.lattice.cell_size
@@ -158,167 +214,262 @@ def nav2_costs(
         return np.zeros(level.shape, dtype=np.uint8)
     # squared distances in cells are whole numbers: tabulate their costs
     squares = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
-    last = min(int(squares.max()), math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1)
-    distance = np.sqrt(np.arange(last + 1)) * cell
-    slack = 1e-9 * cell
-    falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(distance - radius, 0)) + 1e-9)
-    cost = np.where(distance <= radius + slack, 253, falling)
+    farthest = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
+    last_square = min(int(squares.max()), farthest)
+    distance = np.sqrt(np.arange(last_square + 1)) * cell
+    slack = DISTANCE_SLACK * cell
+    decay = np.exp(-scaling * np.maximum(distance - radius, 0))
+    cost = np.floor(LETHAL_COST * decay + COST_SLACK)
+    cost = np.where(distance <= radius + slack, INSCRIBED_COST, cost)
     cost[distance > inflation_radius + slack] = 0
-    cost[0] = 254
+    cost[0] = OCCUPIED_COST
     costs: NDArray[np.uint8] = cost.astype(np.uint8).take(squares, mode="clip")
     return costs
 
 
+# ---------------------------------------------------------------- arguments
+
+
 def check_radius(radius: float, name: str = "radius") -> None:
-    """Raise a QueryError for anything but a number from 0 to 10,000 m."""
-    if not isinstance(radius, REAL) or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
+    """Check a radius that a user passes.
+
+    Args:
+        radius: expected to be a number from 0 to 10,000 [m].
+        name: the argument's name in the error.
+
+    Raises:
+        QueryError: it is anything else.
+    """
+    is_number = isinstance(radius, RealNumber) and not isinstance(radius, bool)
+    if not is_number or not 0 <= radius <= MAX_RADIUS:
         raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
 
 
-def check_word(value: str, known: tuple[str, ...], name: str) -> None:
-    if value not in known:
-        raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
+def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
+    """Check a word that a user passes.
+
+    Args:
+        value: expected to be one of the choices.
+        choices: the words that are allowed.
+        name: the argument's name in the error.
+
+    Raises:
+        QueryError: it is none of them.
+    """
+    if value not in choices:
+        raise QueryError(f"expected {' or '.join(choices)} as {name}, got {value!r}")
 
 
 def check_arguments(
     radius: float, clearance: float | None, mode: str, *, costs: str, scaling: float, ledges: str
 ) -> None:
-    """Raise a QueryError for arguments that `inflate` doesn't take."""
+    """Check the arguments of `inflate`.
+
+    Args:
+        radius: see `inflate`, as the others.
+        clearance: see there.
+        mode: see there.
+        costs: see there.
+        scaling: see there.
+        ledges: see there.
+
+    Raises:
+        QueryError: an argument is out of its range, or they exclude each other.
+    """
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
-    check_word(mode, MODES, "mode")
-    check_word(costs, COSTS, "costs")
-    check_word(ledges, LEDGES, "ledges")
+    check_choice(mode, MODES, "mode")
+    check_choice(costs, COSTS, "costs")
+    check_choice(ledges, LEDGES, "ledges")
     if mode == "minos" and costs != "step":
         raise QueryError("mode minos has costs of its own (step): leave `costs` out")
-    if not isinstance(scaling, REAL) or not 0 < scaling < math.inf:
+    if not isinstance(scaling, RealNumber) or not 0 < scaling < math.inf:
         raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
 
 
-def ledges_of(grid: NavGrid) -> str:
-    """The `ledges` of the grid's inflation; ``ignore`` in files without it, ``avoid`` for none."""
+# ---------------------------------------------------------------- off the centres of cells
+
+
+def ledges_setting(grid: NavGrid) -> str:
+    """Return the `ledges` of the grid's inflation.
+
+    ``ignore`` where the file doesn't say, ``avoid`` where the grid is not inflated.
+    """
     avoids = any(entry.get("ledges") == "avoid" for entry in grid.exact_inflations)
     return "avoid" if avoids or not grid.inflated_radius else "ignore"
 
 
-def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:
-    """Least distances [m] from a block to stand, to step diagonally, and to be off the centre."""
+def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
+    """Compute the least distances from an added obstacle to the centres of cells.
+
+    Args:
+        grid: the grid; where it isn't inflated, all distances are the radius.
+        radius: of the agent [m]; the grid's if None.
+
+    Raises:
+        QueryError: the radius is no number from 0 to 10,000.
+    """
     if radius is not None:
         check_radius(radius, "margin")
     radius = grid.radius if radius is None else float(radius)
     if not grid.inflated_radius:
-        return radius, radius, radius
-    return radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels))
+        return Margins(radius, radius, radius)
+    largest_cell = max(level.lattice.cell_size for level in grid.levels)
+    return Margins(
+        standing=radius,
+        diagonal=_diagonal_radius(radius, largest_cell),
+        anywhere=_anywhere_radius(radius, largest_cell),
+    )
 
 
-def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
+def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     """Find the cells of an inflated grid where an agent fits off their centres.
 
-    Returns three masks over flat cells, False beside a step of the floor: (1) fits on a diagonal
-    step; (2) fits anywhere in the cell; (3) as 2, but cells blocked only by occupied squares of
-    their own level count, too. None if the radius is 0.
+    None where the grid isn't inflated, or its radius is 0.
     """
     radius = grid.inflated_radius
     if radius == 0.0:
         return None
-    ledges = ledges_of(grid)
-    masks = []
+    ledges = ledges_setting(grid)
+    diagonal = []
+    anywhere = []
+    sweepable = []
     for number, level in enumerate(grid.levels):
         # not beside a neighbour whose floor is a step higher or lower, not a slope
         floor = level.floor_height.astype(np.float64)
-        inside = np.ones(level.shape, dtype=np.bool_)
-        for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-            is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
-            inside[near] &= ~is_step
-            inside[far] &= ~is_step
-        diagonal, anywhere = _larger(radius, level.lattice.cell_size)
-        is_clear = inside & ~find_blocked(grid, number, anywhere, ledges)
-        by_squares = inside & ~find_blocked(grid, number, anywhere, ledges, by_own=False)
-        can_turn = inside & ~find_blocked(grid, number, diagonal, ledges)
-        masks.append([mask.ravel() for mask in (can_turn, is_clear, is_clear | by_squares)])
-    one, two, three = (np.concatenate(parts) for parts in zip(*masks, strict=True))
-    return one, two, three
+        is_even = np.ones(level.shape, dtype=np.bool_)
+        columns = (np.s_[:, :-1], np.s_[:, 1:])
+        rows = (np.s_[:-1], np.s_[1:])
+        for first, second in (columns, rows):
+            rise = np.abs(floor[first] - floor[second])
+            is_step = rise > STEEP_RISE * level.cell_size  # False for NaN
+            is_even[first] &= ~is_step
+            is_even[second] &= ~is_step
+        cell = level.lattice.cell_size
+        anywhere_radius = _anywhere_radius(radius, cell)
+        is_blocked = find_blocked(grid, number, anywhere_radius, ledges)
+        is_blocked_by_floors = find_blocked(
+            grid, number, anywhere_radius, ledges, by_own_level=False
+        )
+        is_blocked_diagonally = find_blocked(grid, number, _diagonal_radius(radius, cell), ledges)
+        diagonal.append((is_even & ~is_blocked_diagonally).ravel())
+        anywhere.append((is_even & ~is_blocked).ravel())
+        sweepable.append((is_even & ~(is_blocked & is_blocked_by_floors)).ravel())
+    return OffCenterMasks(
+        diagonal=np.concatenate(diagonal),
+        anywhere=np.concatenate(anywhere),
+        sweepable=np.concatenate(sweepable),
+    )
 
 
-def _larger(radius: float, cell_size: float) -> tuple[float, float]:
-    """Radii [m] at a cell's centre that free a diagonal step, and any position in the cell."""
+def _diagonal_radius(radius: float, cell_size: float) -> float:
+    """Compute the radius [m] at a cell's centre that frees a diagonal step from there."""
     # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
-    # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
-    # from its centre.
-    return math.sqrt(radius**2 + cell_size**2 / 2), radius + cell_size / math.sqrt(2)
+    # line is the farthest from them: sqrt(r² + (s / sqrt 2)²).
+    return math.sqrt(radius**2 + cell_size**2 / 2)
+
+
+def _anywhere_radius(radius: float, cell_size: float) -> float:
+    """Compute the radius [m] at a cell's centre that frees any position in the cell."""
+    # a corner of the cell is s / sqrt 2 from its centre
+    return radius + cell_size / math.sqrt(2)
+
+
+# ---------------------------------------------------------------- footprints
 
 
 def inflate_footprint(
     grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
 ) -> list[Bool]:
-    """Find where an agent with a polygonal footprint can stand, by heading.
+    """Find where an agent with a polygonal footprint can stand: `SceneGrid2D.inflate_footprint`.
 
     Args:
-        polygon: its outline from above, shape (n, 2), n >= 3, in its own frame [m]: x ahead,
+        grid: a grid of one or several levels.
+        polygon: the outline from above, shape (n, 2), n >= 3, in the agent's frame [m]: x ahead,
             y to the left, its centre at the origin. Without crossings.
-        num_headings: number k is ``2 π k / num_headings``, counter-clockwise from the world's x.
+        num_headings: number k is ``2 π k / num_headings`` [rad], counter-clockwise from the
+            world's x.
         ledges: as of `inflate`.
 
     Returns:
         For each level, shape (num_headings, height, width), bool: whether the cell is free
         and the polygon, its origin on the cell's centre, overlaps no occupied cell's square.
+
+    Raises:
+        QueryError: the polygon or another argument is not valid.
     """
-    check_word(ledges, LEDGES, "ledges")
-    wanted = "expected a polygon of shape (n, 2) [m]"
-    try:
-        outline = np.asarray(polygon, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise QueryError(f"{wanted}, got {polygon!r}") from error
-    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
-        raise QueryError(f"{wanted}, n >= 3, got {outline.shape}")
-    if not np.isfinite(outline).all():
-        raise QueryError("expected a polygon of finite numbers [m]")
-    fault = find_outline_fault(outline)
-    if fault:
-        raise QueryError(f"expected the outline of an area, got {fault}")
+    check_choice(ledges, LEDGES, "ledges")
+    outline = _check_polygon(polygon)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
+    radius = float(np.hypot(*outline.T).max())
     masks = []
     for number, level in enumerate(grid.levels):
-        radius = float(np.hypot(*outline.T).max())
         cell = level.lattice.cell_size
         reach = math.ceil(radius / cell) + 1
-        if reach > MAX_REACH:
-            raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
-        stack, inside = surroundings.find_surroundings(grid, number, reach)
+        if reach > MAX_FOOTPRINT_REACH:
+            limit = f"within {MAX_FOOTPRINT_REACH} cells"
+            raise QueryError(f"expected a polygon {limit}, got one of {reach}")
+        stack, inside = surroundings.stack_levels(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
-        # the cells round the agent's, by which the polygon's squares are found in their unit
-        around = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
+        # the cells round the agent's, by which the polygon's squares are listed in their unit
+        window = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
+        x, y = outline.T / cell
         for k in range(num_headings):
             angle = 2 * math.pi * k / num_headings
             cos = math.cos(angle)
             sin = math.sin(angle)
-            x, y = outline.T / cell
-            turned = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
-            offsets = np.ascontiguousarray(np.argwhere(touch_cells([turned], around)) - reach)
-            runs = _to_runs(offsets)
-            blocked = count_runs(stack.occupied[stack.level] != 0, runs) > 0
-            surroundings.block_by_others(grid, number, stack, radius, offsets, ledges, blocked)
+            rotated = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+            offsets = np.ascontiguousarray(np.argwhere(touch_cells([rotated], window)) - reach)
+            num_occupied = count_runs(stack.occupied[stack.level] != 0, _to_runs(offsets))
+            blocked = num_occupied > 0
+            surroundings.block_by_floors(grid, number, stack, radius, offsets, ledges, blocked)
             free[k] = level.free_for_point & ~blocked[inside]
         masks.append(free)
     return masks
 
 
+def _check_polygon(polygon: ArrayLike) -> Float:
+    """Check the outline of a footprint; returns it as float64, shape (n, 2)."""
+    expected = "expected a polygon of shape (n, 2) [m]"
+    try:
+        outline = np.asarray(polygon, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise QueryError(f"{expected}, got {polygon!r}") from error
+    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+        raise QueryError(f"{expected}, n >= 3, got {outline.shape}")
+    if not np.isfinite(outline).all():
+        raise QueryError("expected a polygon of finite numbers [m]")
+    fault = find_outline_fault(outline)
+    if fault:
+        raise QueryError(f"expected the outline of an area, got {fault}")
+    return outline
+
+
 def count_runs(mask: Bool, runs: Int) -> Int32:
-    """Count the marked cells under a shape of runs (row, first column, last column)."""
+    """Count the marked cells under a shape, with its origin on each cell in turn.
+
+    Args:
+        mask: shape (rows, cols).
+        runs: the shape's runs of cells: row, first column and last column of each, relative to the
+            origin, shape (n, 3).
+
+    Returns:
+        int32, shape (rows, cols).
+    """
     rows, cols = mask.shape
     pad = int(np.abs(runs).max(initial=0)) + 1
-    before = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
+    sums = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
     count = np.zeros(mask.shape, dtype=np.int32)
     for row, first, last in (runs + pad).tolist():
-        line = before[row : row + rows]
-        count += line[:, last : last + cols] - line[:, first - 1 : first - 1 + cols]
+        row_sums = sums[row : row + rows]
+        count += row_sums[:, last : last + cols] - row_sums[:, first - 1 : first - 1 + cols]
     return count
 
 
 def _to_runs(offsets: Int) -> Int:
-    """Pack steps (row, col) into runs: row, first column, last column."""
+    """Pack steps (row, col) into runs: row, first column, last column, shape (n, 3)."""
     row, col = offsets.T
     is_first = np.ones(len(row), dtype=np.bool_)
     is_first[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)

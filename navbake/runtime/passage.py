@@ -7,8 +7,9 @@ floors don't count.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,30 +21,28 @@ from navbake.navgrid.cells import place_in
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.runtime import inflation
 from navbake.runtime.flat_grid import (
-    RISE,
-    doors_on,
+    STAIRS_RISE,
+    doors_along,
     find_leaf_cells,
     find_stairs,
+    format_position,
     map_islands,
-    text_of,
 )
 from navbake.runtime.paths import Goal, find_target
-from navbake.runtime.search import NO_CELLS, Search
-from navbake.runtime.surroundings import free_for
+from navbake.runtime.search import NO_CELLS, Route, Search
+from navbake.runtime.surroundings import find_free
 from navbake.types import Bool, Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-NARROW = 1000.0  # weight of a cell that is blocked for a larger agent: a way avoids it if it can
-SHUT = 10_000.0  # weight of a cell that a door blocks: a way of 10 km costs as much as 1 m of it
+# weight of a cell that is blocked for a larger agent: a route avoids it if it can
+NARROW_WEIGHT = 1000.0
+# weight of a cell that a door blocks: a route of 10 km costs as much as 1 m of it
+DOOR_WEIGHT = 10_000.0
 MAX_NAMES = 4  # of obstacles, listed in a sentence
-LEAST_AREA = 0.5  # m² on both levels: what steps that stay free have to lead to
-BESIDE = 3  # cells along a route before and after its block, for its rise
-
-
-Widest = tuple[float, Bool, Bool]
-"""The largest radius that passes [m], inf if none is too large, and the cells that are free for it
-and for the next larger one."""
+LEAST_AREA = 0.5  # [m²] on both levels: what steps that stay free have to lead to
+RISE_MARGIN = 3  # cells along a route before and after its obstacle, for its rise
+ALL_MOVES = 255  # of a cell all of whose neighbours are free
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,209 +55,377 @@ class Passage:
     blocked for any larger agent. None where no radius is too large."""
 
 
+class WidestRadius(NamedTuple):
+    """The largest radius that passes from one place to another.
+
+    Attributes:
+        radius: of the agent [m]; inf where no radius is too large.
+        free: the cells that are free for it, by flat id.
+        free_for_next: the cells that are free for the next larger radius, by flat id.
+    """
+
+    radius: float
+    free: Bool
+    free_for_next: Bool
+
+
+class ClosedConnection(NamedTuple):
+    """Steps between levels, a link or a door that is open on one grid and closed on another.
+
+    Attributes:
+        name: as in a sentence.
+        cells: flat ids of the steps' ends, the link's stops or the door's leaf.
+    """
+
+    name: str
+    cells: Int
+
+
+# ---------------------------------------------------------------- the widest agent
+
+
 def find_passage(
     search: Search, start: ArrayLike, goal: Goal, level: int | None, ledges: str
 ) -> Passage | None:
-    """`PathFinder.max_radius`."""
-    inflation.check_word(ledges, inflation.LEDGES, "ledges")
-    grid = deflated(search.grid)
-    flat = search.flat
-    corners = search.cut_corners
-    standable = free_for(grid, 0.0, ledges)
+    """Find the widest agent that passes, and its bottleneck: `PathFinder.max_radius`.
 
-    def reason(inside: bool) -> str:
+    Args:
+        search: of the grid, up to date.
+        start: world x, y, z [m].
+        goal: a position, several of them, or ``room:NAME``.
+        level: the level of positions; None finds each one's level by its z.
+        ledges: ``avoid`` or ``ignore``.
+
+    Returns:
+        None if not even a point passes.
+
+    Raises:
+        QueryError: start or goal is outside the grid or occupied, or the goal is an object.
+    """
+    inflation.check_choice(ledges, inflation.LEDGES, "ledges")
+    grid = without_inflation(search.grid)
+    flat = search.flat
+    is_standable = find_free(grid, 0.0, ledges)
+
+    def refusal(inside: bool) -> str:
         return "no agent can stand there" if inside else "it lies beside the grid"
 
-    p, origin = flat.locate(start, level, "start")
-    if origin < 0 or not standable[origin]:
-        raise QueryError(f"no way from {text_of(p)}: {reason(origin >= 0)}")
+    start_position, start_cell = flat.locate(start, level, "start")
+    if start_cell < 0 or not is_standable[start_cell]:
+        reason = refusal(start_cell >= 0)
+        raise QueryError(f"no way from {format_position(start_position)}: {reason}")
     if isinstance(goal, str) and goal.startswith("object:"):
         because = "how near an agent gets to an object depends on its radius"
         raise QueryError(f"expected a position or room:NAME as goal, got {goal!r}: {because}")
     target = find_target(search, goal, level)
     goals = np.unique(target.cells[target.cells >= 0])
-    goals = goals[standable[goals]]
+    goals = goals[is_standable[goals]]
     if not len(goals):
-        raise QueryError(f"no way to {target.name}: {reason(bool((target.cells >= 0).any()))}")
-    widest = find_widest(grid, search, origin, goals, ledges, corners=corners)
+        reason = refusal(bool((target.cells >= 0).any()))
+        raise QueryError(f"no way to {target.name}: {reason}")
+    widest = find_widest(grid, search, start_cell, goals, ledges, cut_corners=search.cut_corners)
     if widest is None:
         return None
-    radius = widest[0]
-    if math.isinf(radius):
+    if math.isinf(widest.radius):
         return Passage(math.inf, None)
-    cell = find_bottleneck(grid, search, origin, goals, widest, corners)
-    return Passage(radius, flat.positions(cell))
+    cell = find_bottleneck(grid, search, start_cell, goals, widest, cut_corners=search.cut_corners)
+    return Passage(widest.radius, flat.positions(cell))
 
 
 def find_widest(
-    grid: NavGrid, search: Search, origin: int, goals: Int, ledges: str, *, corners: bool = False
-) -> Widest | None:
-    """Find the largest radius that passes from a cell to the nearest of several, by flat ids.
+    grid: NavGrid,
+    search: Search,
+    start_cell: int,
+    goals: Int,
+    ledges: str,
+    *,
+    cut_corners: bool = False,
+) -> WidestRadius | None:
+    """Find the largest radius that passes from a cell to the nearest of several.
 
-    None if not even a point passes. Links and areas are as `search` has them.
+    Args:
+        grid: without inflation.
+        search: whose links and areas count, on the same cells.
+        start_cell: flat id.
+        goals: flat ids.
+        ledges: ``avoid`` or ``ignore``.
+        cut_corners: whether diagonal steps past blocked corners are allowed.
+
+    Returns:
+        None if not even a point passes.
     """
     flat = search.flat
-    is_barred = ~np.isfinite(search.flat.price)
+    is_barred = ~np.isfinite(flat.area_factor)
 
     def passes(radius: float) -> bool:
-        free = free_for(grid, radius, ledges) & ~is_barred
-        ends = goals[free[goals]]
-        if not free[origin] or not len(ends):
+        free = find_free(grid, radius, ledges) & ~is_barred
+        free_goals = goals[free[goals]]
+        if not free[start_cell] or not len(free_goals):
             return False
         moves = None
-        if corners:  # they join islands, too
+        if cut_corners:  # diagonal moves join islands, too
             weights = np.where(free, 1.0, np.inf)
             moves = Search(with_weights(grid, weights), cut_corners=True).graph.moves
         islands = map_islands(replace(flat, free=free), radius, moves)
-        reached = islands.reached_from(int(islands.number[origin]))
-        return bool(np.isin(islands.number[ends], reached).any())
+        reached = islands.reached_from(int(islands.number[start_cell]))
+        return bool(np.isin(islands.number[free_goals], reached).any())
 
     if not passes(0.0):
         return None
     # the largest radius is in [low, high)
-    size = float(flat.layout.cell_size.min())
+    smallest_cell = float(flat.layout.cell_size.min())
     low = 0.0
-    high = size
+    high = smallest_cell
     while passes(high):
         if high == MAX_RADIUS:
-            free = free_for(grid, high, ledges)
-            return math.inf, free, free
+            free = find_free(grid, high, ledges)
+            return WidestRadius(math.inf, free, free)
         low = high
         high = min(2.0 * high, MAX_RADIUS)
-    while high - low > size:  # so that few radii are left
+    while high - low > smallest_cell:  # so that few radii remain
         middle = (low + high) / 2
-        low, high = (middle, high) if passes(middle) else (low, middle)
-    told_apart = [np.array([grid.agent_radius]), search.flat.arcs.width / 2.0]
+        if passes(middle):
+            low = middle
+        else:
+            high = middle
+    radii = _radii_that_change_cells(grid, search, low, high)
+    passing = 0
+    failing = len(radii) - 1
+    while failing - passing > 1:
+        middle_index = (passing + failing) // 2
+        if passes(radii[middle_index]):
+            passing = middle_index
+        else:
+            failing = middle_index
+    return WidestRadius(
+        radius=radii[passing],
+        free=find_free(grid, radii[passing], ledges),
+        free_for_next=find_free(grid, radii[passing + 1], ledges),
+    )
+
+
+def _radii_that_change_cells(grid: NavGrid, search: Search, low: float, high: float) -> list[float]:
+    """List the radii in [low, high) at which cells or links may close, ascending, and `high`."""
+    flat = search.flat
+    candidates = [np.array([grid.agent_radius]), flat.arcs.width / 2.0]
     for cell in set(flat.layout.cell_size.tolist()):
         first = math.floor((2 * low / cell) ** 2)
         last = math.ceil((2 * high / cell) ** 2)
-        told_apart.append(np.sqrt(np.arange(first, last + 1)) * (cell / 2))
-    listed = np.unique(np.concatenate(told_apart))
-    radii = [*listed[(listed >= low) & (listed < high)].tolist(), high]
-    good = 0
-    bad = len(radii) - 1
-    while bad - good > 1:
-        half = (good + bad) // 2
-        good, bad = (half, bad) if passes(radii[half]) else (good, half)
-    return radii[good], *(free_for(grid, radii[k], ledges) for k in (good, good + 1))
+        candidates.append(np.sqrt(np.arange(first, last + 1)) * (cell / 2))
+    radii = np.unique(np.concatenate(candidates))
+    return [*radii[(radii >= low) & (radii < high)].tolist(), high]
 
 
-def find_closed_connections(before: Search, after: Search) -> list[tuple[str, Int]]:
-    """Find the steps between levels, the links and the doors that only one of two grids has open.
+def find_bottleneck(
+    grid: NavGrid,
+    search: Search,
+    start_cell: int,
+    goals: Int,
+    widest: WidestRadius,
+    *,
+    cut_corners: bool,
+) -> int:
+    """Find the bottleneck, the cell where the widest agent only just fits.
 
-    Steps side by side are one way. They are closed where no free step is left, or where the free
-    ones lead to less than 0.5 m² on one of the levels, as a landing between blocked treads. A door
-    is closed where none of its leaf's cells is free, a link where it is too narrow, or where fewer
-    than two of its stops are. Both searches are on the same cells.
+    The route avoids the cells that are lost to a larger agent if it can. The bottleneck is the
+    middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
+    diagonal step.
+
+    Args:
+        grid: without inflation.
+        search: whose agent plans, on the same cells.
+        start_cell: flat id.
+        goals: flat ids.
+        widest: of `find_widest` with the same arguments.
+        cut_corners: whether diagonal steps past blocked corners are allowed.
+
+    Returns:
+        The flat id.
     """
-    flat = before.flat
-    found = list[tuple[str, Int]]()
-    for low, high, what, ends in find_stairs(before.grid, flat):
-        leads = []  # whether a step is free, and leads to enough of both levels
-        for search in (before, after):
-            number = search.islands.number
-            count = np.zeros(ends.shape, dtype=np.int64)
-            for side, level in enumerate((low, high)):
-                on_level = np.bincount(number[flat.cells_of(level)])
-                count[:, side] = on_level[number[ends[:, side]]]
-            size = flat.layout.cell_size[[low, high]] ** 2
-            leads.append((search.flat.free[ends] & (count * size >= LEAST_AREA)).all(axis=1).any())
-        if leads[0] and not leads[1]:
-            x, y, _ = flat.positions(ends).mean(axis=(0, 1))
-            name = f"the {what} between level {low} and {high} near ({x:.2f}, {y:.2f})"
-            found.append((name, ends.ravel()))
-    for link in before.grid.links:
-        cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
-        was_fit = before.flat.free[cells].sum() > 1 and link.fits(before.radius)
-        is_fit = after.flat.free[cells].sum() > 1 and link.fits(after.radius)
-        if was_fit and not is_fit:
-            found.append((f"the link {link.name!r} ({link.kind})", cells))
-    for door in before.grid.doors:
-        cells = find_leaf_cells(door, flat)
-        cells = cells[flat.free[cells]]
-        if len(cells) and not after.flat.free[cells].any():
-            found.append((f"door {door.id!r}", cells))
-    return found
+    flat = search.flat
+    is_lost = widest.free & ~widest.free_for_next
+    weights = np.where(widest.free, np.where(is_lost, NARROW_WEIGHT, 1.0), np.inf)
+    weighted_search = similar_search(
+        with_weights(grid, weights), search, cut_corners=cut_corners, radius=widest.radius
+    )
+    route = weighted_search.route(start_cell, goals)
+    assert route is not None  # the islands say that there is one
+    lost_places = np.flatnonzero(is_lost[route.cells])
+    if len(lost_places):
+        run_ends = np.flatnonzero(np.diff(lost_places) > 1) + 1
+        first_run = np.split(lost_places, run_ends)[0]
+        return int(route.cells[first_run[(len(first_run) - 1) // 2]])
+    for index in np.flatnonzero(route.by_link).tolist():
+        ends = route.cells[index - 1 : index + 1]
+        is_taken = (flat.arcs.ends == ends).all(axis=1)
+        if is_taken.any():
+            width = flat.arcs.width[is_taken].max()
+            if math.isclose(width, 2.0 * widest.radius):
+                return int(route.cells[index - 1])
+    # the route passes diagonally between two cells
+    level, row, col = flat.split(route.cells)
+    steps = np.abs(np.diff([level, row, col])).T
+    diagonal_steps = np.flatnonzero((steps == (0, 1, 1)).all(axis=1))
+    across = col[diagonal_steps + 1] - col[diagonal_steps]
+    beside = np.concatenate([
+        route.cells[diagonal_steps] + across,
+        route.cells[diagonal_steps + 1] - across,
+    ])  # fmt: skip
+    return int(beside[is_lost[beside]][0])
 
 
-def deflated(grid: NavGrid) -> NavGrid:
-    """The grid for a point agent: weights of 1 where a point can stand, inf elsewhere.
+# ---------------------------------------------------------------- other grids of the same cells
+
+
+def without_inflation(grid: NavGrid) -> NavGrid:
+    """Make the grid for a point agent: weights of 1 where a point can stand, inf elsewhere.
 
     The grid itself if it was never inflated.
     """
     if "inflation" not in grid.metadata:
         return grid
-    free = [(v.solid == 0) & ~np.isnan(v.floor_height) | v.free for v in grid.levels]
-    return with_weights(grid, np.where(np.concatenate([m.ravel() for m in free]), 1.0, np.inf))
+    free_by_level = [
+        (level.solid == 0) & ~np.isnan(level.floor_height) | level.free for level in grid.levels
+    ]
+    free = np.concatenate([free.ravel() for free in free_by_level])
+    return with_weights(grid, np.where(free, 1.0, np.inf))
 
 
 def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
-    """The grid with other weights, by flat id, as if never inflated."""
+    """Make a grid with other weights, by flat id, as if never inflated.
+
+    Args:
+        grid: the grid, which stays as it is.
+        weights: by flat id, inf where an agent can't stand.
+    """
     metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
     ends = np.cumsum([level.free.size for level in grid.levels])
-    pairs = zip(grid.levels, np.split(weights, ends[:-1]), strict=True)
-    return grid.with_levels(
-        [level.with_layers(weights=w.reshape(level.shape)) for level, w in pairs], metadata
+    weights_by_level = np.split(weights, ends[:-1])
+    levels = [
+        level.with_layers(weights=level_weights.reshape(level.shape))
+        for level, level_weights in zip(grid.levels, weights_by_level, strict=True)
+    ]
+    return grid.with_levels(levels, metadata)
+
+
+def similar_search(
+    grid: NavGrid,
+    search: Search,
+    *,
+    cut_corners: bool | None = None,
+    radius: float | None = None,
+    penalty: float | None = None,
+) -> Search:
+    """Make a search on another grid by the rules of a search, for its agent whatever its size.
+
+    Args:
+        grid: of the same cells.
+        search: whose rules count.
+        cut_corners: as of `Search`; that of `search` if None.
+        radius: that links have to be wide enough for [m]; that of `search` if None.
+        penalty: as of `Search`.
+    """
+    return Search(
+        grid,
+        cut_corners=search.cut_corners if cut_corners is None else cut_corners,
+        agent=search.agent and search.agent.of_any_size(),
+        radius=search.radius if radius is None else radius,
+        penalty=penalty,
     )
 
 
-def find_route(grid: NavGrid, like: Search, origin: int, goals: Int) -> Int | None:
-    """The cells of the cheapest route on a grid, for the agent of a search whatever its size."""
-    found = search_as(grid, like).route(origin, goals)
-    return found and found.cells
+def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int) -> Int | None:
+    """List the cells of the cheapest route on a grid by the rules of a search; None for none.
+
+    Args:
+        grid: of the same cells.
+        search: whose rules count.
+        start_cell: flat id.
+        goals: flat ids.
+    """
+    route = similar_search(grid, search).route(start_cell, goals)
+    return None if route is None else route.cells
 
 
-def search_as(grid: NavGrid, like: Search, **options: Any) -> Search:
-    """A search on another grid by the rules of one, for its agent whatever its size."""
-    agent = like.agent and like.agent.of_any_size()
-    options = {"cut_corners": like.cut_corners, "radius": like.radius} | options
-    return Search(grid, agent=agent, **options)
+def find_closed_connections(before: Search, after: Search) -> list[ClosedConnection]:
+    """Find the steps between levels, the links and the doors that only the first grid has open.
+
+    Steps side by side are one connection. They are closed where no free step is left, or where the
+    free ones lead to less than 0.5 m² on one of the levels, as a landing between blocked treads. A
+    door is closed where none of its leaf's cells is free, a link where it is too narrow, or where
+    fewer than two of its stops are free.
+
+    Args:
+        before: a search on the first grid.
+        after: a search on the second grid, of the same cells.
+    """
+    flat = before.flat
+    closed: list[ClosedConnection] = []
+    for stairs in find_stairs(before.grid, flat):
+        levels = [stairs.lower_level, stairs.upper_level]
+        if _has_open_step(before, levels, stairs.steps) and not _has_open_step(
+            after, levels, stairs.steps
+        ):
+            x, y, _ = flat.positions(stairs.steps).mean(axis=(0, 1))
+            between = f"between level {stairs.lower_level} and {stairs.upper_level}"
+            name = f"the {stairs.kind} {between} near ({x:.2f}, {y:.2f})"
+            closed.append(ClosedConnection(name, stairs.steps.ravel()))
+    for link in before.grid.links:
+        cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
+        was_open = before.flat.free[cells].sum() > 1 and link.fits(before.radius)
+        is_open = after.flat.free[cells].sum() > 1 and link.fits(after.radius)
+        if was_open and not is_open:
+            closed.append(ClosedConnection(f"the link {link.name!r} ({link.kind})", cells))
+    for door in before.grid.doors:
+        cells = find_leaf_cells(door, flat)
+        cells = cells[flat.free[cells]]
+        if len(cells) and not after.flat.free[cells].any():
+            closed.append(ClosedConnection(f"door {door.id!r}", cells))
+    return closed
 
 
-def find_bottleneck(
-    grid: NavGrid, search: Search, origin: int, goals: Int, widest: Widest, corners: bool
-) -> int:
-    """Find the flat id of the bottleneck, the cell where the widest agent only just fits.
+def _has_open_step(search: Search, levels: list[int], steps: Int) -> bool:
+    """Whether one of the steps between two levels is free, and leads to enough of both levels.
 
-    The route avoids the cells that are lost to a larger agent if it can. The bottleneck is the
-    middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
-    diagonal step.
+    `steps` are flat ids, shape (n, 2), those on the first of `levels` first.
     """
     flat = search.flat
-    radius, free, for_larger = widest
-    lost = free & ~for_larger
-    weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
-    like = search_as(with_weights(grid, weights), search, cut_corners=corners, radius=radius)
-    found = like.route(origin, goals)
-    assert found is not None  # the islands say that there is one
-    route = found.cells
-    stops = np.flatnonzero(lost[route])
-    if len(stops):
-        row = np.split(stops, np.flatnonzero(np.diff(stops) > 1) + 1)[0]
-        return int(route[row[(len(row) - 1) // 2]])
-    for at in np.flatnonzero(found.by_link).tolist():
-        is_taken = (flat.arcs.ends == route[at - 1 : at + 1]).all(axis=1)
-        if is_taken.any() and math.isclose(flat.arcs.width[is_taken].max(), 2.0 * radius):
-            return int(route[at - 1])
-    # the route passes diagonally between two cells
-    level, row, col = flat.split(route)
-    one = np.flatnonzero((np.abs(np.diff([level, row, col])).T == (0, 1, 1)).all(axis=1))
-    across = col[one + 1] - col[one]
-    beside = np.concatenate([route[one] + across, route[one + 1] - across])
-    return int(beside[lost[beside]][0])
+    number = search.islands.number
+    num_cells = np.zeros(steps.shape, dtype=np.int64)  # of the island on the level
+    for side, level in enumerate(levels):
+        cells_by_island = np.bincount(number[flat.cells_of(level)])
+        num_cells[:, side] = cells_by_island[number[steps[:, side]]]
+    areas = num_cells * flat.layout.cell_size[levels] ** 2
+    return bool((flat.free[steps] & (areas >= LEAST_AREA)).all(axis=1).any())
+
+
+# ---------------------------------------------------------------- why there is no path
 
 
 def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> str | None:
-    """`PathFinder.why_not`."""
+    """Say in one sentence why there is no path: `PathFinder.why_not`.
+
+    Args:
+        search: of the grid, up to date.
+        start: world x, y, z [m].
+        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+        level: the level of positions; None finds each one's level by its z.
+
+    Returns:
+        None if there is a path.
+
+    Raises:
+        QueryError: an argument is not valid.
+    """
     flat = search.flat
-    p, origin = flat.locate(start, level, "start")
+    start_position, start_cell = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
-    if origin < 0 or not flat.free[origin]:
-        return f"the start {_why_not_free(search, p, origin)}"
+    if start_cell < 0 or not flat.free[start_cell]:
+        return f"the start {_describe_blocked(search, start_position, start_cell)}"
     goals = target.free_cells(flat)
     if not len(goals):
         if target.positions is not None:
-            first = _why_not_free(search, target.positions[0], int(target.cells[0]))
+            first = _describe_blocked(search, target.positions[0], int(target.cells[0]))
             if len(target.positions) == 1:
                 return f"the goal {first}"
             return f"none of the {len(target.positions)} goals is free: the first {first}"
@@ -266,244 +433,353 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         if not target.name.startswith("room"):
             where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
         return f"{where} is free for a radius of {search.grid.radius:g} m"
-    if search.route(origin, goals) is not None:
+    if search.route(start_cell, goals) is not None:
         return None
-    apart, cells = _apart(search, origin, goals)
-    answers = (name(search, origin, goals) for name in CAUSES)
-    because = next((answer for answer in answers if answer), None)
-    if not because and cells is not None:  # objects on the line between the nearest cells
-        on, row, col = flat.split(cells)
-        count = int(np.abs(np.diff([row, col])).max()) + 1
-        line = np.rint(np.linspace((row[0], col[0]), (row[1], col[1]), count)).astype(np.int64)
-        first = flat.layout.start[on[0]]
-        width = flat.layout.width[on[0]]
-        names = _names(search, first + line @ [width, 1])
-        because = f"between them: {names}" if names else None
-    return f"{apart}; {because}" if because else apart
+    description, nearest_cells = _describe_islands(search, start_cell, goals)
+    reason = None
+    for find_reason in REASONS:
+        reason = find_reason(search, start_cell, goals)
+        if reason:
+            break
+    if not reason and nearest_cells is not None:
+        names = _name_obstacles(search, _cells_between(search, nearest_cells))
+        reason = f"between them: {names}" if names else None
+    return f"{description}; {reason}" if reason else description
 
 
-def _why_not_free(search: Search, position: Float, cell: int) -> str:
+def _describe_blocked(search: Search, position: Float, cell: int) -> str:
     """Say why a position isn't free, and where the nearest free cell is."""
     grid = search.grid
     flat = search.flat
+    area = None if cell < 0 else _barring_area(search, cell)
     if cell < 0:
         boxes = np.array([level.lattice.bounds for level in grid.levels])
         x0, y0 = boxes[:, :2].min(axis=0)
         x1, y1 = boxes[:, 2:].max(axis=0)
-        what = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        reason = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
-            what = "has no floor below it"
-    elif (area := _barring_area(search, cell)) is not None:
-        what = f"lies in the {', which '.join(area)}"
-    elif (place := place_in(grid, flat.cell(cell))).is_blocked:
-        what = "is blocked for now"
-    elif place.floor is None:
-        what = "is on no floor"
-    elif place.occupied:
-        names = _names(search, np.array([cell]))
-        what = f"is where something stands{f' ({names})' if names else ''}"
+            reason = "has no floor below it"
+    elif area is not None:
+        reason = f"lies in the {area.name}, which {area.verdict}"
     else:
-        what = f"is too near to what stands beside it for a radius of {grid.radius:g} m"
-    what = f"{_text(position)} {what}"
-    free = np.flatnonzero(flat.free)
-    if not len(free):
-        return f"{what}, and no cell is free at all"
+        place = place_in(grid, flat.cell(cell))
+        if place.is_blocked:
+            reason = "is blocked for now"
+        elif place.floor is None:
+            reason = "is on no floor"
+        elif place.occupied:
+            names = _name_obstacles(search, np.array([cell]))
+            reason = f"is where something stands{f' ({names})' if names else ''}"
+        else:
+            reason = f"is too near to what stands beside it for a radius of {grid.radius:g} m"
+    description = f"{_format_point(position)} {reason}"
+    free_cells = np.flatnonzero(flat.free)
+    if not len(free_cells):
+        return f"{description}, and no cell is free at all"
     level = 0 if cell < 0 else int(flat.level_of(cell))
     z = position[2] if len(position) == 3 else flat.floors.ground[level]
-    places = flat.positions(free)
+    places = flat.positions(free_cells)
     distance = np.linalg.norm(places - [position[0], position[1], z], axis=1)
-    k = int(np.argmin(distance))
-    return f"{what}; the nearest free cell is at {_text(places[k])}, {distance[k]:.2f} m away"
+    nearest = int(np.argmin(distance))
+    where = f"at {_format_point(places[nearest])}, {distance[nearest]:.2f} m away"
+    return f"{description}; the nearest free cell is {where}"
 
 
-def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
-    """Name the two islands, and find their two nearest cells on one level."""
+def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str, Int | None]:
+    """Name the islands of start and goal, and find their two nearest cells on one level."""
     flat = search.flat
     islands = search.islands
-    home = islands.number[origin]
-    away = np.unique(islands.number[goals])
-    edge = flat.free & (search.graph.moves != 255)
-    ones = np.flatnonzero(edge & np.isin(islands.number, home))
-    others = np.flatnonzero(edge & np.isin(islands.number, away))
+    start_island = islands.number[start_cell]
+    goal_islands = np.unique(islands.number[goals])
+    is_rim = flat.free & (search.graph.moves != ALL_MOVES)
+    start_rim = np.flatnonzero(is_rim & np.isin(islands.number, start_island))
+    goal_rim = np.flatnonzero(is_rim & np.isin(islands.number, goal_islands))
     # One tree for all levels: as a third coordinate, each level is farther from the next than any
     # two cells of one level can be.
-    reach = 10.0 * float(flat.layout.start[-1])
-    here = np.column_stack([flat.positions(ones)[:, :2], flat.level_of(ones) * reach])
-    there = np.column_stack([flat.positions(others)[:, :2], flat.level_of(others) * reach])
-    distance, index = spatial.cKDTree(there).query(here)
-    one = int(np.argmin(distance))
-    cells = np.array([ones[one], others[index[one]]])
-    goal = int(islands.number[cells[1]])
-    its = f"{goal} ({islands.areas[goal]:.2f} m²)"
-    own = f"{home} ({islands.areas[home]:.2f} m²)"
-    text = f"the goal is in island {its}, the start in island {own}"
-    if distance[one] >= reach:
-        return f"{text}, which have no level in common", None
-    a, b = (_text(place) for place in flat.positions(cells))
-    return f"{text}; their nearest cells are {distance[one]:.2f} m apart, at {a} and {b}", cells
+    level_distance = 10.0 * float(flat.layout.start[-1])
+
+    def spread(cells: Int) -> Float:
+        heights = flat.level_of(cells) * level_distance
+        return np.column_stack([flat.positions(cells)[:, :2], heights])
+
+    distance, index = spatial.cKDTree(spread(goal_rim)).query(spread(start_rim))
+    nearest = int(np.argmin(distance))
+    cells = np.array([start_rim[nearest], goal_rim[index[nearest]]])
+    goal_island = int(islands.number[cells[1]])
+    goal_text = f"{goal_island} ({islands.areas[goal_island]:.2f} m²)"
+    start_text = f"{start_island} ({islands.areas[start_island]:.2f} m²)"
+    description = f"the goal is in island {goal_text}, the start in island {start_text}"
+    if distance[nearest] >= level_distance:
+        return f"{description}, which have no level in common", None
+    start_point, goal_point = flat.positions(cells)
+    where = f"at {_format_point(start_point)} and {_format_point(goal_point)}"
+    gap = f"their nearest cells are {distance[nearest]:.2f} m apart, {where}"
+    return f"{description}; {gap}", cells
 
 
-def name_blocks(search: Search, origin: int, goals: Int) -> str | None:
-    """Name the current blocks on the route that a grid without them has."""
+def _cells_between(search: Search, ends: Int) -> Int:
+    """List the cells on the straight line between two cells of a level, by flat id."""
+    flat = search.flat
+    level, row, col = flat.split(ends)
+    count = int(np.abs(np.diff([row, col])).max()) + 1
+    line = np.linspace((row[0], col[0]), (row[1], col[1]), count)
+    line_cells = np.rint(line).astype(np.int64)
+    width = flat.layout.width[level[0]]
+    cells: Int = flat.layout.start[level[0]] + line_cells @ [width, 1]
+    return cells
+
+
+def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the added obstacles on the route that the grid has without them.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if there are no obstacles, or no route without them.
+    """
     grid = search.grid
     flat = search.flat
     clean = grid.without_blocks()
-    route = None if clean is grid else find_route(clean, search, origin, goals)
+    if clean is grid:
+        return None
+    route = find_route_cells(clean, search, start_cell, goals)
     if route is None:
         return None
-    stops = np.flatnonzero(~flat.free[route])
-    around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
-    is_stairs = np.ptp(flat.positions(around)[:, 2]) > RISE
+    blocked_places = np.flatnonzero(~flat.free[route])
+    first = max(blocked_places[0] - RISE_MARGIN, 0)
+    last = blocked_places[-1] + RISE_MARGIN
+    blocked_part = route[first : last + 1]
+    is_stairs = np.ptp(flat.positions(blocked_part)[:, 2]) > STAIRS_RISE
     levels = np.unique(flat.level_of(route)).tolist()
     between = ""
     if is_stairs and len(levels) > 1:
-        between = f" between {_level(grid, levels[0])} and {_level(grid, levels[-1])}"
-    where = f"{_text(flat.positions(route[stops[0]]))}{between}"
-    what, verb = ("stairs", "are") if is_stairs else ("way", "is")
+        first_level = _name_level(grid, levels[0])
+        between = f" between {first_level} and {_name_level(grid, levels[-1])}"
+    where = f"{_format_point(flat.positions(route[blocked_places[0]]))}{between}"
     closed = "".join(f" {steps}," for steps in _closed_steps(search))
-    return f"the {what} at {where}{',' if closed else ''}{closed} {verb} blocked for now"
+    comma = "," if closed else ""
+    if is_stairs:
+        return f"the stairs at {where}{comma}{closed} are blocked for now"
+    return f"the way at {where}{comma}{closed} is blocked for now"
 
 
-def name_doors(search: Search, origin: int, goals: Int) -> str | None:
-    """Name the doors on the route through the fewest cells that doors block."""
+def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the doors on the route through the fewest cells that doors block.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if no door is on it, or there is no such route.
+    """
     grid = search.grid
     flat = search.flat
     if not grid.doors:
         return None
-    radius = grid.inflated_radius
-    without = deflated(grid.without_blocks()).with_doors("removed")
-    free = np.concatenate([level.free.ravel() for level in without.levels])
-    without = with_weights(without, np.where(free, np.where(flat.free, 1.0, SHUT), np.inf))
-    if radius:
-        without = without.inflate(radius, ledges=inflation.ledges_of(grid))
-    route = find_route(without, search, origin, goals)
+    doorless = without_inflation(grid.without_blocks()).with_doors("removed")
+    free = np.concatenate([level.free.ravel() for level in doorless.levels])
+    weights = np.where(free, np.where(flat.free, 1.0, DOOR_WEIGHT), np.inf)
+    doorless = with_weights(doorless, weights)
+    if grid.inflated_radius:
+        ledges = inflation.ledges_setting(grid)
+        doorless = doorless.inflate(grid.inflated_radius, ledges=ledges)
+    route = find_route_cells(doorless, search, start_cell, goals)
     blocked = NO_CELLS if route is None else route[~flat.free[route]]
     # a door blocks all cells from which the agent's disc reaches it
-    stands = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
+    leaf_cells = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
     reach = grid.radius + 1.5 * float(flat.layout.cell_size.max())
-    tree = spatial.cKDTree(flat.positions(stands))
-    near = tree.query(flat.positions(blocked), distance_upper_bound=reach)[1]
-    names = list(dict.fromkeys(doors_on(search.doors, stands[near[near < len(stands)]])))
+    tree = spatial.cKDTree(flat.positions(leaf_cells))
+    _, nearest = tree.query(flat.positions(blocked), distance_upper_bound=reach)
+    passed_leaf_cells = leaf_cells[nearest[nearest < len(leaf_cells)]]
+    names = list(dict.fromkeys(doors_along(search.doors, passed_leaf_cells)))
     if not names:
         return None
     states = {door.id: door.state for door in grid.doors}
-    states |= {name: "as modelled" for name, state in states.items() if state == "modelled"}
-    listed = " and ".join(f"{name!r} ({states[name]})" for name in names)
-    return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
+    state_words = {
+        name: "as modelled" if state == "modelled" else state for name, state in states.items()
+    }
+    doors = " and ".join(f"{name!r} ({state_words[name]})" for name in names)
+    return f"doors {doors} are in the way" if len(names) > 1 else f"door {doors} is in the way"
 
 
-def name_gap(search: Search, origin: int, goals: Int) -> str | None:
-    """Name what the agent's radius closed: steps, links and doors on the way, else the gap [m].
+def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the steps, links and doors that the agent's radius closed, else the gap [m].
 
-    None if the grid isn't inflated, or no smaller radius passes.
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if the grid isn't inflated, or no smaller radius passes.
     """
     grid = search.grid
     flat = search.flat
-    agent = search.grid.inflated_radius
-    if not agent:
+    agent_radius = grid.inflated_radius
+    if not agent_radius:
         return None
-    plain = search_as(deflated(grid.without_blocks()), search)
-    widest = find_widest(plain.grid, search, origin, goals, inflation.ledges_of(grid))
+    point_search = similar_search(without_inflation(grid.without_blocks()), search)
+    point_grid = point_search.grid
+    ledges = inflation.ledges_setting(grid)
+    widest = find_widest(point_grid, search, start_cell, goals, ledges)
     if widest is None:
         return None
-    radius = widest[0]
-    width = 2 * widest[0]
-    weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
-    route = find_route(with_weights(plain.grid, weights), search, origin, goals)
-    way = NO_CELLS if route is None else route
+    radius = widest.radius
+    weights = np.where(point_search.flat.free, np.where(flat.free, 1.0, NARROW_WEIGHT), np.inf)
+    weighted_grid = with_weights(point_grid, weights)
+    route = find_route_cells(weighted_grid, search, start_cell, goals)
+    route_cells = NO_CELLS if route is None else route
     closed = [
-        name for name, cells in find_closed_connections(plain, search) if np.isin(cells, way).any()
+        connection.name
+        for connection in find_closed_connections(point_search, search)
+        if np.isin(connection.cells, route_cells).any()
     ]
     if closed:
-        is_one = len(closed) == 1 and not closed[0].startswith("the stairs")
-        names = f"{' and '.join(closed)} {'is' if is_one else 'are'}"
-        return f"{names} closed for a radius of {agent:g} m, and {radius:g} m passes"
+        is_singular = len(closed) == 1 and not closed[0].startswith("the stairs")
+        names = f"{' and '.join(closed)} {'is' if is_singular else 'are'}"
+        return f"{names} closed for a radius of {agent_radius:g} m, and {radius:g} m passes"
     if math.isinf(radius):
         return None
-    cell = find_bottleneck(plain.grid, search, origin, goals, widest, False)
-    # the occupied squares round it
-    number, row, col = flat.cell(cell)
-    level = plain.grid.levels[number]
-    size = flat.layout.cell_size[number]
-    span = int(4 * radius / size) + 2
-    row0 = max(row - span, 0)
-    col0 = max(col - span, 0)
-    rows, cols = np.nonzero(level.solid[row0 : row + span + 1, col0 : col + span + 1])
-    centers = level.lattice.positions(rows + row0, cols + col0)
-    here = level.lattice.positions(row, col)
+    cell = find_bottleneck(point_grid, search, start_cell, goals, widest, cut_corners=False)
+    width = _measure_gap(point_search, cell, radius)
+    where = _format_point(flat.positions(cell))
+    agent_width = f"the agent {2 * agent_radius:.2f} m"
+    return f"the gap between, at {where}, is {width:.2f} m wide, {agent_width}"
+
+
+def _measure_gap(search: Search, cell: int, radius: float) -> float:
+    """Measure the gap between the occupied squares round a bottleneck [m].
+
+    Twice the radius that fits there where no squares are on opposite sides of the cell.
+    """
+    level_number, row, col = search.flat.cell(cell)
+    level = search.grid.levels[level_number]
+    size = search.flat.layout.cell_size[level_number]
+    reach = int(4 * radius / size) + 2
+    first_row = max(row - reach, 0)
+    first_col = max(col - reach, 0)
+    window = level.solid[first_row : row + reach + 1, first_col : col + reach + 1]
+    rows, cols = np.nonzero(window)
+    centers = level.lattice.positions(rows + first_row, cols + first_col)
+    point = level.lattice.positions(row, col)
     low = centers - size / 2
     high = centers + size / 2
-    nearest = np.clip(here, low, high) - here
-    distance = np.linalg.norm(nearest, axis=1)
-    if len(distance):
-        # from the square nearest to the other side, within 60 degrees of the opposite direction
-        k = int(np.argmin(distance))
-        opposite = nearest @ -nearest[k] > 0.5 * distance * distance[k]
-        if opposite.any():
-            side = here + nearest[k]
-            across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)
-            width = float(across[opposite].min())
-    where = _text(flat.positions(cell))
-    return f"the gap between, at {where}, is {width:.2f} m wide, the agent {2 * agent:.2f} m"
+    to_squares = np.clip(point, low, high) - point
+    distance = np.linalg.norm(to_squares, axis=1)
+    if not len(distance):
+        return 2 * radius
+    # from the square nearest to the other side, within 60 degrees of the opposite direction
+    nearest = int(np.argmin(distance))
+    is_opposite = to_squares @ -to_squares[nearest] > 0.5 * distance * distance[nearest]
+    if not is_opposite.any():
+        return 2 * radius
+    side = point + to_squares[nearest]
+    across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)
+    return float(across[is_opposite].min())
 
 
-def name_links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
-    """Name the first link or area that the agent can't use on the route with all of them open."""
+def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the first link or area that the agent can't use on the route with all of them open.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if there is no such link, area or route.
+    """
     grid = search.grid
     flat = search.flat
     if not (grid.links or grid.areas):
         return None
-    is_open = search_as(grid, search, radius=0.0, penalty=SHUT)
-    found = is_open.route(origin, goals)
-    if found is None:
+    open_search = similar_search(grid, search, radius=0.0, penalty=DOOR_WEIGHT)
+    route = open_search.route(start_cell, goals)
+    if route is None:
         return None
-    numbers = dict(is_open.measure(found, flat.split(found.cells), "cost")[2])
-    by_name = {link.name: link for link in grid.links}
-    radius = search.radius
-    for at, cell in enumerate(found.cells.tolist()):
-        if at in numbers:
-            link = by_name[numbers[at]]
-            why = link.refuses(search.agent)
-            if why is None and not link.fits(radius):
-                why = f"is {link.width:g} m wide, narrower than the agent's {2.0 * radius:g} m"
-            ends = [found.cells[at - 1], cell]
-            if why is None and not (flat.arcs.ends == ends).all(axis=1).any():
-                why = "leads the other way only"
-            if why:
-                return f"the link {link.name!r} ({link.kind}) {why}"
+    taken_links = dict(open_search.measure(route, flat.split(route.cells), "cost").links)
+    for index, cell in enumerate(route.cells.tolist()):
+        if index in taken_links:
+            sentence = _explain_link(search, route, index, taken_links[index])
+            if sentence:
+                return sentence
         # a diagonal step also needs the two cells beside it
-        before = int(found.cells[at - 1]) if at and not found.by_link[at] else cell
+        has_step = index > 0 and not route.by_link[index]
+        before = int(route.cells[index - 1]) if has_step else cell
         across = flat.cell(cell).col - flat.cell(before).col
-        for needed in (before + across, cell - across, cell):
-            if (area := _barring_area(search, needed)) is not None:
-                return f"the {' '.join(area)}"
+        for needed_cell in (before + across, cell - across, cell):
+            area = _barring_area(search, needed_cell)
+            if area is not None:
+                return f"the {area.name} {area.verdict}"
     return None
 
 
-def _barring_area(search: Search, cell: int) -> tuple[str, str] | None:
-    """The area of a cell that bars the agent, as "area 'lab'", and whom it bars; None for none."""
-    price = search.flat.price
+def _explain_link(search: Search, route: Route, index: int, name: str) -> str | None:
+    """Say why an agent can't use a link that a route takes; None if it can.
+
+    `index` is the place in the route of the cell that the link leads to.
+    """
+    link = next(link for link in search.grid.links if link.name == name)
+    reason = link.refuses(search.agent)
+    if reason is None and not link.fits(search.radius):
+        agent_width = f"the agent's {2.0 * search.radius:g} m"
+        reason = f"is {link.width:g} m wide, narrower than {agent_width}"
+    ends = route.cells[index - 1 : index + 1]
+    if reason is None and not (search.flat.arcs.ends == ends).all(axis=1).any():
+        reason = "leads the other way only"
+    return f"the link {link.name!r} ({link.kind}) {reason}" if reason else None
+
+
+class BarringArea(NamedTuple):
+    """An area that bars the agent.
+
+    Attributes:
+        name: as "area 'lab'".
+        verdict: whom it bars, as "bars all agents".
+    """
+
+    name: str
+    verdict: str
+
+
+def _barring_area(search: Search, cell: int) -> BarringArea | None:
+    """Find the area of a cell that bars the agent; None for none."""
+    area_factor = search.flat.area_factor
     agent = search.agent
-    if len(price) == 1 or math.isfinite(price[cell]):
+    if len(area_factor) == 1 or math.isfinite(area_factor[cell]):
         return None
     level, row, col = search.flat.cell(cell)
     area = search.grid.areas[search.grid.levels[level].area_index[row, col] - 1]
-    whom = repr(agent.name) if agent and math.isfinite(area.cost) else "all agents"
-    return f"area {area.name!r}", f"bars {whom}"
+    barred = repr(agent.name) if agent and math.isfinite(area.cost) else "all agents"
+    return BarringArea(f"area {area.name!r}", f"bars {barred}")
 
 
-def name_steps(search: Search, origin: int, goals: Int) -> str | None:
-    """Name the levels that no step joins, or only steps that are blocked."""
+def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the levels that no step joins, or only steps that are blocked.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if a goal is on the start's level, or steps between levels are free.
+    """
     flat = search.flat
-    home = int(flat.level_of(origin))
-    if home in flat.level_of(goals):
+    start_level = int(flat.level_of(start_cell))
+    if start_level in flat.level_of(goals):
         return None
     closed = _closed_steps(search)
     if closed:
         leads = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
         return f"{', '.join(closed)} {leads} to cells that aren't free"
     if not len(flat.steps.cell):
-        return f"no steps lead from {_level(search.grid, home)} to another level"
+        return f"no steps lead from {_name_level(search.grid, start_level)} to another level"
     return None
 
 
@@ -511,38 +787,54 @@ def _closed_steps(search: Search) -> list[str]:
     """Describe each pair of levels whose steps are all blocked."""
     flat = search.flat
     closed = []
-    source, target = flat.step_ends()
-    low = flat.level_of(source)
-    high = flat.level_of(target)
-    is_open = flat.free[source] & flat.free[target]
-    for a, b in np.unique(np.stack([low, high], axis=1)[low < high], axis=0).tolist():
-        of_pair = (low == a) & (high == b)
-        if not is_open[of_pair].any():
-            steps = "the step" if of_pair.sum() == 1 else f"all {of_pair.sum()} steps"
-            closed.append(f"{steps} from {_level(search.grid, a)} to {_level(search.grid, b)}")
+    sources, targets = flat.step_ends()
+    source_levels = flat.level_of(sources)
+    target_levels = flat.level_of(targets)
+    is_open = flat.free[sources] & flat.free[targets]
+    is_upwards = source_levels < target_levels
+    level_pairs = np.stack([source_levels, target_levels], axis=1)[is_upwards]
+    for lower, upper in np.unique(level_pairs, axis=0).tolist():
+        is_between = (source_levels == lower) & (target_levels == upper)
+        if not is_open[is_between].any():
+            num_steps = is_between.sum()
+            steps = "the step" if num_steps == 1 else f"all {num_steps} steps"
+            lower_name = _name_level(search.grid, lower)
+            closed.append(f"{steps} from {lower_name} to {_name_level(search.grid, upper)}")
     return closed
 
 
-CAUSES = (name_blocks, name_doors, name_links_and_areas, name_gap, name_steps)
-"""What may be why there is no path, in the order in which they are looked for."""
+REASONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
+    explain_by_obstacles,
+    explain_by_doors,
+    explain_by_links_and_areas,
+    explain_by_gap,
+    explain_by_steps,
+)
+"""The functions that explain why there is no path, in the order in which they are called."""
 
 
-def _names(search: Search, cells: Int) -> str:
-    """The names of the things that block cells, if the file has them."""
+# ---------------------------------------------------------------- words of sentences
+
+
+def _name_obstacles(search: Search, cells: Int) -> str:
+    """List the names of the things that block cells, if the file has them."""
     grid = search.grid
     flat = search.flat
     blocked = cells[~flat.free[cells]]
     levels = flat.level_of(blocked)
-    x, y, _ = flat.positions(blocked).T
-    ways = zip(x.tolist(), y.tolist(), levels.tolist(), strict=True)
-    listed = list(dict.fromkeys(name for at in ways for name in grid.blockers(*at)))
-    return list_first(listed, MAX_NAMES)
+    positions = flat.positions(blocked)
+    names: list[str] = []
+    for (x, y, _), level in zip(positions.tolist(), levels.tolist(), strict=True):
+        names += grid.blockers(x, y, level)
+    return list_first(list(dict.fromkeys(names)), MAX_NAMES)
 
 
-def _level(grid: NavGrid, number: int) -> str:
+def _name_level(grid: NavGrid, number: int) -> str:
+    """Name a level in a sentence, by its number and the name that the file has for it."""
     name = grid.level_names[number]
     return name if name == f"level {number}" else f"level {number} ({name})"
 
 
-def _text(position: ArrayLike) -> str:
+def _format_point(position: ArrayLike) -> str:
+    """Format a position for a sentence, to the centimetre and in parentheses."""
     return f"({', '.join(f'{v:.2f}' for v in np.asarray(position))})"

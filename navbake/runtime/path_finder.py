@@ -1,25 +1,41 @@
-"""Plans paths on a grid, and answers queries about places on it."""
+"""Plans paths on a grid, and answers queries about places on it.
 
+`PathFinder` holds the interface and its documentation; the modules that its methods call hold the
+code. All of them take a `navbake.runtime.search.Search`.
+"""
+
+import math
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, NoReturn, TypeAlias, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.lazy import resolve
+from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
-from navbake.runtime.draws import DrawQuestions
-from navbake.runtime.passage import Passage, find_passage, why_not
-from navbake.runtime.path_following import Follower
-from navbake.runtime.paths import Goal, Path, find_field, find_path
+from navbake.runtime import draws, passage, paths, places
+from navbake.runtime.draws import Pose, SpawnRules, Spawns
+from navbake.runtime.flat_grid import IslandMap, RoomMap
+from navbake.runtime.passage import Passage
+from navbake.runtime.path_following import DriveLimits, Follower
+from navbake.runtime.paths import Goal, Path
+from navbake.runtime.places import MAX_DROP, NearestObstacle
 from navbake.runtime.search import Search
-from navbake.types import Float
+from navbake.types import Bool, Float
 
-# what others call the same
-_MEANT = {
+OnePosition: TypeAlias = Sequence[float]
+"""x, y, z of one position, as a tuple or a list."""
+
+ManyPositions: TypeAlias = Sequence[Sequence[float]]
+"""x, y, z of several positions, as a list of tuples."""
+
+# methods by names that users may expect
+_SUGGESTIONS = {
     "distance": "distances(starts, goal)",
     "geodesic_distance": "distances(starts, goal)",
     "get_random_navigable_point": "random_point(rng)",
@@ -31,7 +47,7 @@ _MEANT = {
 }
 
 
-class PathFinder(DrawQuestions):
+class PathFinder:
     """Plans paths on a grid, and answers queries about places on it.
 
     A path steps over the edges and corners of free cells, to other levels where the grid has
@@ -74,7 +90,14 @@ class PathFinder(DrawQuestions):
         QueryError: a weight is negative, or the agent is unknown, higher than the grid's or takes
             higher steps.
         FormatError: the file can't be read, or is no NavGrid.
+
+    Example:
+        >>> grid = navbake.load("apartment.grid.json")
+        >>> finder = navbake.PathFinder(grid.inflate(0.2))
+        >>> path = finder.find_path((1.0, 0.5, 0.0), "room:kitchen")
     """
+
+    grid: NavGrid
 
     def __init__(
         self,
@@ -88,22 +111,32 @@ class PathFinder(DrawQuestions):
         self.use(grid)
 
     def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
-        """Switch to another grid, as after `Baker.update`."""
+        """Switch to another grid, as after `Baker.update`.
+
+        Args:
+            grid: a grid of one or several levels, or its file.
+
+        Raises:
+            QueryError: as when a PathFinder is made.
+            FormatError: the file can't be read, or is no NavGrid.
+
+        Example:
+            >>> baker.update(data)
+            >>> finder.use(baker.grid)
+        """
+        new_grid: NavGrid
         if isinstance(grid, str | os.PathLike):
-            read: NavGrid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
+            new_grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
         else:
-            read = grid
-        self._search = Search(read, cut_corners=self._cut_corners, agent=self._agent)
+            new_grid = grid
+        self._search = Search(new_grid, cut_corners=self._cut_corners, agent=self._agent)
         self.grid = self._search.grid
 
-    @property
-    def agent(self) -> Agent | None:
-        """Who plans; None for the grid's own agent."""
-        return self._search.agent
+    if not TYPE_CHECKING:  # so that type checkers report names that don't exist
 
-    def __getattr__(self, name: str) -> Any:
-        meant = f": write `{_MEANT[name]}`" if name in _MEANT else ""
-        raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{meant}")
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = f": write `{_SUGGESTIONS[name]}`" if name in _SUGGESTIONS else ""
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}")
 
     def __repr__(self) -> str:
         count = self.islands.count
@@ -116,6 +149,47 @@ class PathFinder(DrawQuestions):
     def _repr_png_(self) -> bytes:
         return self.grid._repr_png_()
 
+    # ---------------------------------------------------------------- the grid as it is now
+
+    @property
+    def agent(self) -> Agent | None:
+        """The agent that plans; None for the grid's own agent."""
+        return self._search.agent
+
+    @property
+    def search(self) -> Search:
+        """The search over the cells, up to date with the grid's obstacles."""
+        self._search.update()
+        return self._search
+
+    @property
+    def rooms(self) -> RoomMap:
+        """The rooms of the grid: ``rooms``, in the order of their numbers."""
+        return self._search.rooms
+
+    @property
+    def islands(self) -> IslandMap:
+        """The connected parts of the currently free cells: ``count``, ``areas`` [m²]."""
+        return self.search.islands
+
+    @property
+    def navigable_area(self) -> float:
+        """Area of all free cells [m²]."""
+        return float(self.islands.areas.sum())
+
+    @property
+    def bounds(self) -> tuple[Float, Float]:
+        """Lower and upper corner of the bounding box of all free cells' floors.
+
+        Each is world x, y, z [m], shape (3,).
+
+        Raises:
+            QueryError: no cell is free.
+        """
+        return places.find_bounds(self.search)
+
+    # ---------------------------------------------------------------- paths
+
     def find_path(
         self,
         start: ArrayLike,
@@ -125,40 +199,88 @@ class PathFinder(DrawQuestions):
         by: str = "cost",
         smooth: bool = True,
     ) -> Path | None:
-        """Find the cheapest path; None if there is none, for the reason that `why_not` returns.
+        """Find the cheapest path, or the quickest.
 
-        By ``time``, the quickest: steps last their length over the agent's speed or their area's,
-        whatever they cost.
+        The path begins and ends at the given positions, unless they are nearer to obstacles than
+        the agent may be: then it begins and ends at the centres of their cells.
 
-        If `smooth`, it is pulled straight where that stays free; else it runs through the cells'
-        centres. It begins and ends at the given positions, unless they are nearer to obstacles
-        than the agent may be.
+        Args:
+            start: world x, y, z [m], shape (3,).
+            goal: a position, several of them (the cheapest to reach counts), ``room:NAME`` or
+                ``object:NAME``.
+            level: the level of positions, for which x, y are then enough; None finds it by z.
+            by: ``cost`` for the cheapest path. ``time`` for the quickest: steps last their length
+                over the agent's speed or their area's, whatever they cost.
+            smooth: whether the path is pulled straight where that stays free; else it runs
+                through the cells' centres.
+
+        Returns:
+            The path; None if there is none, for the reason that `why_not` returns.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level, room or object.
+
+        Example:
+            >>> path = finder.find_path((1.0, 0.5, 0.0), (4.0, 2.0, 0.0))
+            >>> if path is not None:
+            ...     print(path.length, path.positions)
         """
-        return find_path(self.search, start, goal, level, by=by, smooth=smooth)
+        return paths.find_path(self.search, start, goal, level, by=by, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
-        """Say in one sentence why there is no path; None if there is one.
+        """Say in one sentence why there is no path.
 
         The sentence names a start or goal that isn't free, with the nearest free cell; else the
-        islands of both, and the first obstacle found of these: blocked cells, doors, the first link
-        or area that the path would use if all were open, a gap that is too narrow, blocked steps
-        between levels, and things in between by name.
+        islands of both, and the first obstacle of these: cells that `grid.block` blocks, doors, the
+        first link or area that the path would use if all were open, a gap that is too narrow,
+        blocked steps between levels, and things in between by name.
+
+        Args:
+            start: world x, y, z [m], shape (3,).
+            goal: as of `find_path`.
+            level: the level of positions, for which x, y are then enough; None finds it by z.
+
+        Returns:
+            The sentence; None if there is a path.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level, room or object.
+
+        Example:
+            >>> if finder.find_path(start, goal) is None:
+            ...     print(finder.why_not(start, goal))
         """
-        return why_not(self.search, start, goal, level)
+        return passage.why_not(self.search, start, goal, level)
 
     def distance_field(
         self, goal: Goal, *, level: int | None = None, weighted: bool = True, by: str = "cost"
     ) -> list[Float]:
-        """Compute the cost of the cheapest path from every cell to the goal.
+        """Compute the cost of the cheapest path from every cell to a goal.
 
-        If `weighted`, as in `find_path`; else the length of the shortest path [m], on which links
-        count what they cost; by ``time``, the seconds of the quickest. One array a level, shape
-        (height, width), float64, inf where no path leads to the goal; read-only. Raises a
-        QueryError for lengths by ``time``.
+        Args:
+            goal: as of `find_path`.
+            level: the level of positions, for which x, y are then enough; None finds it by z.
+            weighted: whether the costs are those of `find_path`; else the length of the shortest
+                path [m], on which links count what they cost.
+            by: ``cost``; or ``time`` for the seconds of the quickest path.
+
+        Returns:
+            One array a level, shape (height, width), float64, inf where no path leads to the goal;
+            read-only.
+
+        Raises:
+            QueryError: a position is not valid, there is no such level, room or object, or lengths
+                are wanted by ``time``.
+
+        Example:
+            >>> (field,) = finder.distance_field("room:kitchen")  # of a grid of one level
         """
-        field = find_field(self.search, goal, level, weighted=weighted, by=by)
+        field = paths.find_field(self.search, goal, level, weighted=weighted, by=by)
         flat = self._search.flat
-        return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
+        return [
+            field[flat.cells_of(number)].reshape(level_grid.shape)
+            for number, level_grid in enumerate(self.grid.levels)
+        ]
 
     def distances(
         self,
@@ -170,20 +292,42 @@ class PathFinder(DrawQuestions):
         weighted: bool = True,
         by: str = "cost",
     ) -> Float:
-        """Look up `distance_field` at starts of shape (..., 3): shape (...), inf for no path.
+        """Look up `distance_field` at starts, for one goal or for each of several.
 
-        With m `goals`, the distances from each start to each goal: shape (..., m). The fields of
-        the last few goals are cached.
+        The fields of the last few goals are cached. Pass either `goal` or `goals`.
+
+        Args:
+            starts: world x, y, z [m], shape (..., 3).
+            goal: as of `find_path`: of several positions, the cheapest to reach counts.
+            goals: m goals, each as of `find_path`.
+            level: the level of positions, for which x, y are then enough; None finds it by z.
+            weighted: as of `distance_field`.
+            by: as of `distance_field`.
+
+        Returns:
+            float64, inf for no path: shape (...) for a `goal`; (..., m) for `goals`.
+
+        Raises:
+            QueryError: a position is not valid, there is no such level, room or object, lengths are
+                wanted by ``time``, or not exactly one of `goal` and `goals` is given.
+
+        Example:
+            >>> starts = finder.random_point(rng, 100)
+            >>> finder.distances(starts, goals=["room:kitchen", "room:bath"]).shape
+            (100, 2)
         """
-        if (goal is None) == (goals is None):
+        if goals is not None and goal is None:
+            goal_list = list(goals)
+        elif goal is not None and goals is None:
+            goal_list = [goal]
+        else:
             raise QueryError("expected a goal, or goals=[…], one of them")
-        asked: Sequence[Any] = [goal] if goals is None else goals
         cells = self.search.flat.cells_at(starts, level)
-        found = np.full((*cells.shape, len(asked)), np.inf)
-        for k, one in enumerate(asked):
-            field = find_field(self._search, one, level, weighted=weighted, by=by)
-            found[..., k] = np.where(cells >= 0, field[cells], np.inf)
-        return found[..., 0] if goals is None else found
+        distances = np.full((*cells.shape, len(goal_list)), np.inf)
+        for k, single_goal in enumerate(goal_list):
+            field = paths.find_field(self._search, single_goal, level, weighted=weighted, by=by)
+            distances[..., k] = np.where(cells >= 0, field[cells], np.inf)
+        return distances[..., 0] if goals is None else distances
 
     def max_radius(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"
@@ -191,12 +335,26 @@ class PathFinder(DrawQuestions):
         """Find the widest agent that can get from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for no larger one; `ledges` as there. Current blocks, and the agent's rights but not its
-        size count. The result for an inflated grid is that of the grid before, if the file has it.
-        None if not even a point gets there. Raises QueryError if start or goal is outside the grid
-        or occupied, or if the goal is an object.
+        for no larger one. Obstacles that `grid.block` added count, and the agent's rights but not
+        its size. The result for an inflated grid is that of the grid before, if the file has it.
+
+        Args:
+            start: world x, y, z [m], shape (3,).
+            goal: a position, several of them, or ``room:NAME``.
+            level: the level of positions, for which x, y are then enough; None finds it by z.
+            ledges: ``avoid`` or ``ignore``, as of `grid.inflate`.
+
+        Returns:
+            The radius and the bottleneck; None if not even a point gets there.
+
+        Raises:
+            QueryError: start or goal is outside the grid or occupied, or the goal is an object.
+
+        Example:
+            >>> passage = finder.max_radius(start, "room:kitchen")
+            >>> passage.radius, passage.position
         """
-        return find_passage(self.search, start, goal, level, ledges)
+        return passage.find_passage(self.search, start, goal, level, ledges)
 
     def follow(
         self,
@@ -220,14 +378,646 @@ class PathFinder(DrawQuestions):
             turn_rate: the highest [rad/s].
             lookahead: distance along the path to the point that the base heads for [m].
             tolerance: distance to the goal at which the base has arrived [m].
+
+        Returns:
+            The follower, which holds the progress along the path.
+
+        Raises:
+            QueryError: a limit is no number > 0, or `path` is no path.
+
+        Example:
+            >>> follower = finder.follow(path, speed=0.5)
+            >>> command = follower.command(position, heading)  # in each control step
         """
         if not isinstance(path, Path):
             raise QueryError(f"expected a path that find_path has found, got {path!r}")
-        limits = {
-            "speed": speed, "acceleration": acceleration, "turn_rate": turn_rate,
-            "lookahead": lookahead, "tolerance": tolerance,
-        }  # fmt: skip
+        limits = DriveLimits(
+            speed=speed,
+            acceleration=acceleration,
+            turn_rate=turn_rate,
+            lookahead=lookahead,
+            tolerance=tolerance,
+        )
         return Follower(self._search, path, limits)
+
+    # ---------------------------------------------------------------- islands and rooms
+
+    def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | None:
+        """Find the number of the island of a position, from 1, the largest.
+
+        Args:
+            position: world x, y, z [m], shape (3,).
+            level: the position's level, for which x, y are then enough; None finds it by z.
+
+        Returns:
+            The number; None where the position's cell isn't free.
+
+        Raises:
+            QueryError: the position is not valid, or there is no such level.
+        """
+        return places.island_at(self.search, position, level)
+
+    def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
+        """Whether both positions are on one island, so that paths lead from each to the other.
+
+        Args:
+            a: world x, y, z [m], shape (3,).
+            b: world x, y, z [m], shape (3,).
+            level: the level of both, for which x, y are then enough; None finds it by z.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level.
+        """
+        search = self.search
+        island_a = places.island_at(search, a, level)
+        island_b = places.island_at(search, b, level)
+        return island_a is not None and island_a == island_b
+
+    def island_area(self, island: int) -> float:
+        """Look up the area of an island [m²].
+
+        Args:
+            island: its number, from 1, the largest.
+
+        Raises:
+            QueryError: there is no such island.
+        """
+        islands = self.islands
+        return float(islands.areas[islands.check(island)])
+
+    def room_at(self, position: ArrayLike, *, level: int | None = None) -> str | None:
+        """Find the id of a position's room.
+
+        Args:
+            position: world x, y, z [m], shape (3,).
+            level: the position's level, for which x, y are then enough; None finds it by z.
+
+        Returns:
+            The id; None where the position is in no room.
+
+        Raises:
+            QueryError: the position is not valid, or there is no such level.
+        """
+        return places.room_at(self.search, position, level)
+
+    def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
+        """Whether both positions are in one room.
+
+        Args:
+            a: world x, y, z [m], shape (3,).
+            b: world x, y, z [m], shape (3,).
+            level: the level of both, for which x, y are then enough; None finds it by z.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level.
+        """
+        search = self.search
+        room_a = places.room_at(search, a, level)
+        room_b = places.room_at(search, b, level)
+        return room_a is not None and room_a == room_b
+
+    def room_near(
+        self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
+    ) -> str | None:
+        """Find the id of the room nearest on the position's level.
+
+        Args:
+            position: world x, y, z [m], shape (3,).
+            max_distance: largest distance to a cell's centre, on the map [m], >= 0.
+            level: the position's level, for which x, y are then enough; None finds it by z.
+
+        Returns:
+            The id; None if no room is within the distance.
+
+        Raises:
+            QueryError: the position is not valid, or there is no such level.
+        """
+        return places.room_near(self.search, position, max_distance, level)
+
+    def room_of(self, name: str) -> str | None:
+        """Find the id of the room that holds most cells of an object.
+
+        Args:
+            name: of an object, door or wall, in the user data.
+
+        Returns:
+            The id; None if its cells are in no room.
+
+        Raises:
+            QueryError: the grid has no such name.
+
+        Example:
+            >>> finder.room_of("fridge")
+            'kitchen'
+        """
+        return places.room_of_object(self.search, name)
+
+    # ---------------------------------------------------------------- free space
+
+    @overload
+    def is_navigable(
+        self, position: OnePosition, *, level: int | None = None, max_drop: float = MAX_DROP
+    ) -> bool: ...
+    @overload
+    def is_navigable(
+        self, position: ManyPositions, *, level: int | None = None, max_drop: float = MAX_DROP
+    ) -> Bool: ...
+    @overload
+    def is_navigable(
+        self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
+    ) -> bool | Bool: ...
+    def is_navigable(
+        self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
+    ) -> bool | Bool:
+        """Whether an agent can stand at a position, or at each of many.
+
+        It can where the position's cell is free, and the cell's floor at most `max_drop` below the
+        position.
+
+        Args:
+            position: world x, y, z [m], shape (3,), or (..., 3) for many.
+            level: the level of all positions, for which x, y are then enough; None finds each one's
+                level by its z.
+            max_drop: largest height above the floor [m], >= 0; it doesn't count with `level`.
+
+        Returns:
+            bool for one position; an array of shape (...) for many.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level.
+
+        Example:
+            >>> free = finder.is_navigable(positions)  # shape (n, 3)
+        """
+        return places.is_navigable(self.search, position, level, max_drop)
+
+    def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
+        """Find level, row and column of a position's cell, free or not.
+
+        Args:
+            position: world x, y, z [m], shape (3,).
+            level: the position's level, for which x, y are then enough; None finds it by z, see
+                `navbake.navgrid.cells.cell_at`.
+
+        Returns:
+            The cell; None outside the grid, and below all of its floors.
+
+        Raises:
+            QueryError: the position is not valid, or there is no such level.
+        """
+        flat = self.search.flat
+        _, cell = flat.locate(position, level)
+        return flat.cell(cell) if cell >= 0 else None
+
+    @overload
+    def snap(
+        self,
+        position: ManyPositions,
+        *,
+        level: int | None = None,
+        same_level: bool = True,
+        same_room: bool = False,
+        room: str | None = None,
+        island: int | None = None,
+        in_sight: bool = False,
+        max_distance: float = math.inf,
+    ) -> Float: ...
+    @overload
+    def snap(
+        self,
+        position: ArrayLike,
+        *,
+        level: int | None = None,
+        same_level: bool = True,
+        same_room: bool = False,
+        room: str | None = None,
+        island: int | None = None,
+        in_sight: bool = False,
+        max_distance: float = math.inf,
+    ) -> Float | None: ...
+    def snap(
+        self,
+        position: ArrayLike,
+        *,
+        level: int | None = None,
+        same_level: bool = True,
+        same_room: bool = False,
+        room: str | None = None,
+        island: int | None = None,
+        in_sight: bool = False,
+        max_distance: float = math.inf,
+    ) -> Float | None:
+        """Find the nearest place where an agent can stand, for one position or each of many.
+
+        If the position's own cell is allowed and its floor at most 0.5 m below, that is the
+        position itself, put on the floor. Else it is the nearest centre of a cell: on the map
+        of the position's level, or in space on any level.
+
+        Args:
+            position: world x, y, z [m], shape (3,), or (..., 3) for many. `same_room` and
+                `in_sight` take one position.
+            level: the level of all positions, for which x, y are then enough; None finds each one's
+                level by its z.
+            same_level: stay on its level. A position on none snaps to the nearest floor in space.
+            same_room: stay in its room; None if it is in none.
+            room: only cells of this room.
+            island: only cells of this island.
+            in_sight: no obstacle may be in between. From inside an object, the line must leave
+                it within its room.
+            max_distance: at most this far away [m], >= 0.
+
+        Returns:
+            World x, y and floor z [m], float64: shape (3,), None for no such place; for many
+            positions shape (..., 3), a row of NaN for no such place.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level, room or island.
+
+        Example:
+            >>> start = finder.snap((1.0, 0.5, 0.0), max_distance=0.5)
+        """
+        return places.snap(
+            self.search,
+            position,
+            level=level,
+            same_level=same_level,
+            same_room=same_room,
+            room=room,
+            island=island,
+            in_sight=in_sight,
+            max_distance=max_distance,
+        )
+
+    def try_step(
+        self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
+    ) -> Float:
+        """Move straight from a position towards another, and stop at cells that are not free.
+
+        The walk runs over the map from cell to cell and over steps to other levels, not over links,
+        and so never passes thin walls. It may end anywhere in a free cell, up to half a cell nearer
+        to obstacles than at its centre.
+
+        Sliding goes on from where the straight walk stops, to the point nearest to the end among
+        those within a walk as long as the rest of the straight one.
+
+        Args:
+            start: world x, y, z [m], shape (3,), or (..., 3) for many.
+            end: world x, y, z [m]: one for each start, or shape (3,) for all; z is ignored.
+            slide: whether to slide on.
+            level: the level of all starts, for which x, y are then enough; None finds each one's
+                level by its z.
+
+        Returns:
+            World x, y and floor z of where the walks end [m], shape (..., 3), float64.
+
+        Raises:
+            QueryError: a start isn't free, a position is not valid, or there is no such level.
+
+        Example:
+            >>> position = finder.try_step(position, position + velocity * 0.1)
+        """
+        return places.try_step(self.search, start, end, slide=slide, level=level)
+
+    def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
+        """Whether the straight line between two positions crosses no occupied cell.
+
+        The line runs over the map, from cell to cell and over steps, and through a corner of four
+        if one of the two cells beside it is clear; heights are not compared.
+
+        Args:
+            a: world x, y, z [m], shape (3,).
+            b: world x, y, z [m], shape (3,).
+            level: the level of both, for which x, y are then enough; None finds it by z.
+
+        Returns:
+            False also if one of the positions is outside the grid or occupied.
+
+        Raises:
+            QueryError: a position is not valid, or there is no such level.
+        """
+        return places.line_of_sight(self.search, a, b, level)
+
+    def nearest_obstacle(
+        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
+    ) -> NearestObstacle | None:
+        """Find the nearest point of an occupied cell's square on the position's level.
+
+        The area outside the grid has no obstacles. Where the level ends and another goes on, as at
+        the top of stairs, the other level counts where its floor is less than the agent's height,
+        less a step, above or below, and its own isn't.
+
+        Args:
+            position: world x, y, z [m], shape (3,).
+            level: the position's level, for which x, y are then enough; None finds it by z.
+            max_distance: largest distance on the map [m], >= 0.
+
+        Returns:
+            ``distance`` on the map [m], 0 inside an occupied cell, and ``position``, world x, y and
+            floor z at the given position [m]; None if there is no obstacle within the distance.
+
+        Raises:
+            QueryError: the position is in no cell or not valid, or there is no such level.
+        """
+        return places.nearest_obstacle(self.search, position, level, max_distance)
+
+    @overload
+    def clearance(
+        self, position: OnePosition, *, level: int | None = None, max_distance: float = math.inf
+    ) -> float: ...
+    @overload
+    def clearance(
+        self, position: ManyPositions, *, level: int | None = None, max_distance: float = math.inf
+    ) -> Float: ...
+    @overload
+    def clearance(
+        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
+    ) -> float | Float: ...
+    def clearance(
+        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
+    ) -> float | Float:
+        """Compute the distance to the nearest obstacle; see `nearest_obstacle`.
+
+        Args:
+            position: world x, y, z [m], shape (3,), or (..., 3) for many.
+            level: the level of all positions, for which x, y are then enough; None finds each one's
+                level by its z.
+            max_distance: the largest distance that is returned [m], >= 0.
+
+        Returns:
+            Distances [m]: float for one position; float64 of shape (...) for many.
+
+        Raises:
+            QueryError: a position is in no cell or not valid, or there is no such level.
+
+        Example:
+            >>> reward -= 0.1 * (finder.clearance(position, max_distance=1.0) < 0.2)
+        """
+        return places.clearance(self.search, position, level, max_distance)
+
+    def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
+        """Draw a level's free cells as an image.
+
+        Args:
+            level: number of the level, 0 is the lowest.
+            metres_per_pixel: > 0: a pixel shows the cell at its middle. None for one pixel a cell.
+
+        Returns:
+            RGB, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free, blocked, no
+            floor; rows and columns as in the grid's arrays.
+
+        Raises:
+            QueryError: there is no such level, or `metres_per_pixel` is no number > 0.
+
+        Example:
+            >>> pyplot.imshow(finder.top_down(0, metres_per_pixel=0.05))
+        """
+        return places.draw_top_down(self.search, level, metres_per_pixel)
+
+    # ---------------------------------------------------------------- random places and poses
+
+    def random_point(
+        self,
+        rng: Generator | None = None,
+        count: int | None = None,
+        *,
+        level: int | None = None,
+        room: str | None = None,
+        island: int | None = None,
+        reachable_from: ArrayLike | None = None,
+        anywhere: bool = False,
+    ) -> Float:
+        """Draw places where an agent can stand, uniformly by area.
+
+        Args:
+            rng: a numpy Generator; None makes a new one.
+            count: how many, with repetition; None for one place.
+            level: only on this level.
+            room: only in this room.
+            island: only on this island.
+            reachable_from: only where a path leads to from this free position, world x, y, z [m].
+            anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles;
+                else the cells' centres, where the agent's radius fits.
+
+        Returns:
+            World x, y and floor z [m], float64: shape (3,), or (count, 3).
+
+        Raises:
+            QueryError: there is no such place, level, room or island, or `rng` is no numpy
+                Generator.
+
+        Example:
+            >>> rng = np.random.default_rng(0)
+            >>> goals = finder.random_point(rng, 10, room="kitchen")
+        """
+        return draws.random_point(
+            self.search,
+            rng,
+            count,
+            level=level,
+            room=room,
+            island=island,
+            reachable_from=reachable_from,
+            anywhere=anywhere,
+        )
+
+    def random_point_near(
+        self,
+        rng: Generator | None,
+        position: ArrayLike,
+        max_distance: float,
+        count: int | None = None,
+        *,
+        min_distance: float = 0.0,
+        straight: bool = False,
+        room: str | None = None,
+        level: int | None = None,
+        anywhere: bool = False,
+    ) -> Float:
+        """Draw places near a position, uniformly by area.
+
+        Distances to cells' centres are those of the shortest path from the position; or, if
+        `straight`, straight-line distances on the map of its level, also through walls.
+
+        Args:
+            rng: a numpy Generator; None makes a new one.
+            position: world x, y, z [m], shape (3,); free, unless `straight`.
+            max_distance: the largest distance [m].
+            count: how many, with repetition; None for one place.
+            min_distance: the smallest distance [m], >= 0.
+            straight: whether distances are straight lines.
+            room: only in this room.
+            level: the position's level, for which x, y are then enough; None finds it by z.
+            anywhere: draw points anywhere in the cells, as of `random_point`.
+
+        Returns:
+            World x, y and floor z [m], float64: shape (3,), or (count, 3).
+
+        Raises:
+            QueryError: there is no such place, level or room, the position is not valid or not
+                free, or `rng` is no numpy Generator.
+
+        Example:
+            >>> start = finder.random_point_near(rng, goal, 5.0, min_distance=1.0)
+        """
+        return draws.random_point_near(
+            self.search,
+            rng,
+            position,
+            max_distance,
+            count,
+            min_distance=min_distance,
+            straight=straight,
+            room=room,
+            level=level,
+            anywhere=anywhere,
+        )
+
+    def any_free_in_annulus(
+        self,
+        position: ArrayLike,
+        min_distance: float,
+        max_distance: float,
+        *,
+        level: int | None = None,
+    ) -> bool:
+        """Whether a free cell's centre lies in an annulus round a position, on its level.
+
+        Args:
+            position: world x, y, z [m], shape (3,).
+            min_distance: inner radius [m], >= 0.
+            max_distance: outer radius [m].
+            level: the position's level, for which x, y are then enough; None finds it by z.
+
+        Raises:
+            QueryError: the position is in no cell or not valid, or there is no such level.
+        """
+        return draws.any_free_in_annulus(self.search, position, min_distance, max_distance, level)
+
+    def random_pose(
+        self,
+        rng: Generator | None = None,
+        target: ArrayLike | None = None,
+        max_distance: float = 1.0,
+        *,
+        min_distance: float = 0.0,
+        in_sight: bool = True,
+        same_room: bool = False,
+        level: int | None = None,
+    ) -> Pose:
+        """Draw a pose, facing a target if there is one.
+
+        Args:
+            rng: a numpy Generator; None makes a new one.
+            target: a position, world x, y, z [m], which may be inside an object; the agent stands
+                on its level. None for a random heading anywhere.
+            max_distance: largest distance from the target, in a straight line on the map [m].
+            min_distance: smallest distance from the target [m], >= 0.
+            in_sight: only the object that the target is in may be in between, as with `snap`.
+            same_room: stand in the target's room.
+            level: of the target; without a target, of the agent.
+
+        Returns:
+            ``position``, world x, y and floor z [m], shape (3,), and ``heading``, 0 along x,
+            counted towards y, -pi to pi [rad].
+
+        Raises:
+            QueryError: there is no such place or level, the target is not valid, or `rng` is no
+                numpy Generator.
+
+        Example:
+            >>> position, heading = finder.random_pose(rng, target=(1.0, 2.0, 0.8))
+        """
+        return draws.random_pose(
+            self.search,
+            rng,
+            target,
+            min_distance=min_distance,
+            max_distance=max_distance,
+            in_sight=in_sight,
+            same_room=same_room,
+            level=level,
+        )
+
+    def spawn(
+        self,
+        rng: Generator | None,
+        n: int,
+        *,
+        rooms: str | Sequence[str] | None = None,
+        level: int | None = None,
+        island: int | None = None,
+        reachable_from: ArrayLike | None = None,
+        clearance: float | None = None,
+        min_distance: float | None = None,
+        facing: ArrayLike | None = None,
+        stratify: str | None = None,
+    ) -> Spawns:
+        """Draw collision-free start poses for many agents.
+
+        Positions are centres of cells, drawn one after the other, uniformly by area, from the
+        cells far enough from all earlier ones on the map (Poisson-disc sampling). Agents whose
+        floors are the agent's height or more apart are always far enough.
+
+        Args:
+            rng: a numpy Generator; None makes a new one.
+            n: how many agents, >= 1.
+            rooms: in these rooms; one or several.
+            level: only on this level.
+            island: only on this island.
+            reachable_from: only where a path leads to from this free position, world x, y, z [m].
+            clearance: a disc of this radius round each agent overlaps no obstacle and no drop, as
+                with `grid.inflate` [m]; nor another agent's, unless `min_distance` is given.
+            min_distance: between the centres of any two agents [m]; always more than twice the
+                agent's radius, that of the grid's inflation, or else of its bake.
+            facing: a position or a heading [rad] that all face; random headings if None.
+            stratify: ``area`` draws one agent in each of n parts of equal area; ``room`` and
+                ``island`` share the agents out evenly, and none stand in cells without a room.
+                Agents that don't fit into a part go to others.
+
+        Returns:
+            ``positions``, world x, y and floor z [m], shape (n, 3), and ``headings`` [rad],
+            shape (n,).
+
+        Raises:
+            QueryError: they don't fit; the message has an upper bound where one is known. Or there
+                is no such level, room or island, or an argument is not valid.
+
+        Example:
+            >>> positions, headings = finder.spawn(rng, 8, rooms="living_room", min_distance=0.6)
+        """
+        rules = SpawnRules(
+            rooms=rooms,
+            level=level,
+            island=island,
+            reachable_from=reachable_from,
+            clearance=clearance,
+            min_distance=min_distance,
+            facing=facing,
+            stratify=stratify,
+        )
+        return draws.spawn(self.search, rng, n, rules)
+
+    def reachable_positions(
+        self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
+    ) -> Float:
+        """List the lattice positions that steps along x and y reach from a start, as AI2-THOR does.
+
+        The square lattice goes through the start, a free position. A step counts if `try_step`
+        reaches its end without sliding and the agent's disc is free of obstacles there.
+
+        Args:
+            start: world x, y, z [m], shape (3,); free.
+            spacing: of the lattice [m], at least a cell's size.
+            level: the start's level, for which x, y are then enough; None finds it by z.
+
+        Returns:
+            World x, y and floor z [m], shape (n, 3): the start, then positions by number of steps.
+
+        Raises:
+            QueryError: the start isn't free or not valid, the spacing is too small, or there is no
+                such level.
+        """
+        return draws.reachable_positions(self.search, start, spacing, level)
 
 
 def plan_path(
@@ -243,6 +1033,21 @@ def plan_path(
     """Find the cheapest path on a grid, see `PathFinder.find_path`.
 
     Each call prepares the whole grid; use a `PathFinder` for many queries.
+
+    Args:
+        grid: a grid of one or several levels.
+        start: as of `PathFinder.find_path`, as the other arguments.
+        goal: see there.
+        level: see there.
+        by: see there.
+        smooth: see there.
+        agent: as of `PathFinder`.
+
+    Returns:
+        The path, None if there is none.
+
+    Raises:
+        QueryError: an argument is not valid.
     """
     finder = PathFinder(grid, agent=agent)
     return finder.find_path(start, goal, level=level, by=by, smooth=smooth)

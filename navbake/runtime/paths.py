@@ -11,27 +11,32 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import Method, lazy
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAMES, UserData, names_in
-from navbake.runtime.flat_grid import FlatGrid, doors_on
-from navbake.runtime.inflation import check_word
+from navbake.runtime.flat_grid import FlatGrid, doors_along
+from navbake.runtime.inflation import check_choice
 from navbake.runtime.search import Search
-from navbake.types import Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
-lines = lazy("navbake.runtime.line_kernels")  # numba loads slowly
+line_kernels = lazy("navbake.runtime.line_kernels")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
 BY = ("cost", "time")
-NOWHERE = np.full(2, np.nan)
-MAX_REACH = 1.0  # [m] from an object to a place next to it
+NO_POINT = np.full(2, np.nan)
+OBJECT_REACH = 1.0  # [m] from an object to a place next to it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Path:
-    """A path on the floor; a notebook shows its picture."""
+    """A path on the floor; a notebook shows its picture.
+
+    Example:
+        >>> path = finder.find_path((1.0, 0.5, 0.0), "room:kitchen")
+        >>> path.length, path.rooms
+    """
 
     positions: Float
     """World x, y, z [m], shape (n, 3), n >= 1; z is the floor's height. Straight in between."""
@@ -43,8 +48,8 @@ class Path:
     #: Of the route: of each step [m] times the weight of the cell that it leads to, and its area's
     #: cost; and of links [m].
     cost: float
-    rooms: list[str]  #: Ids of the rooms on the way, in order, repeated where entered again.
-    doors: list[str]  #: Ids of the doors on the way, in order.
+    rooms: list[str]  #: Ids of the rooms along the path, in order, repeated where entered again.
+    doors: list[str]  #: Ids of the doors along the path, in order.
     links: list[str]  #: Names of the links that it takes, in order.
     seconds: float  #: Of the route, at the agent's speed and those of areas and links.
     by: str  #: What it was planned for, ``cost`` or ``time``.
@@ -66,33 +71,62 @@ class Path:
         return self.positions
 
     def at(self, distance: ArrayLike) -> Float:
-        """World x, y, z [m] at distances [m] from the start, seen from above: shape (..., 3)."""
-        run = run_of(self.positions)
+        """Compute positions at distances along the path.
+
+        Args:
+            distance: from the start, seen from above [m], shape (...); less than 0 is the start,
+                more than `length` the end.
+
+        Returns:
+            World x, y, z [m], shape (..., 3).
+        """
+        run = distances_along(self.positions)
         along = np.asarray(distance, dtype=np.float64)
         return np.stack([np.interp(along, run, axis) for axis in self.positions.T], axis=-1)
 
 
-def run_of(positions: Float) -> Float:
-    """Distances along a polyline up to each of its points, seen from above [m]."""
+def distances_along(positions: Float) -> Float:
+    """Compute the distances along a polyline up to each of its points, seen from above [m].
+
+    `positions` have x and y, shape (n, 2 or more); returns shape (n,).
+    """
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(positions[:, :2], axis=0).T)))
+
+
+# ---------------------------------------------------------------- goals
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """The cells of a goal."""
+    """The cells of a goal.
 
-    name: str  # for messages
-    cells: Int  # flat ids, free or not; -1 for positions in no cell
-    positions: Float | None = None  # given ones, world, shape (n, 2) or (n, 3)
+    Attributes:
+        name: of the goal, for messages.
+        cells: flat ids, free or not; -1 for positions in no cell.
+        positions: of a goal that is one or several positions, world, shape (n, 2) or (n, 3).
+    """
+
+    name: str
+    cells: Int
+    positions: Float | None = None
 
     def free_cells(self, flat: FlatGrid) -> Int:
-        """The free ones, ascending and each once."""
+        """List the free ones of the cells, ascending and each once."""
         inside = self.cells[self.cells >= 0]
         return np.unique(inside[flat.free[inside]])
 
 
 def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
-    """Find the cells of a goal; raises QueryError for an unknown or wrong one."""
+    """Find the cells of a goal.
+
+    Args:
+        search: of the grid, up to date.
+        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+        level: the level of positions; None finds each one's level by its z.
+
+    Raises:
+        QueryError: there is no such room or object, or a position is not valid.
+    """
     flat = search.flat
     if isinstance(goal, str):
         kind, _, name = goal.partition(":")
@@ -110,111 +144,191 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
 
 
 def cells_next_to_object(search: Search, name: str) -> Int:
-    """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
+    """List the free cells next to an object, or on it where it is no obstacle.
 
     A search runs ring by ring on each level from the object's cells, up to 1 m away, over cells
-    without obstacles; an object enclosed by others, as on a table, is left over these. Each
-    island's nearest ring and the next one count.
+    without obstacles. Where it meets no free cell, as for an object on a table, it runs over cells
+    that objects alone block, too. Each island's nearest ring and the next one count.
+
+    Args:
+        search: of the grid, up to date.
+        name: of the object, in the grid's user data.
+
+    Returns:
+        Flat ids, ascending.
+
+    Raises:
+        QueryError: there is no such object.
     """
-    grid = search.grid
     flat = search.flat
-    islands = search.islands.number
-    found = []
-    named = cells_named(grid, flat, name)
-    for number, level in enumerate(grid.levels):
-        part = flat.cells_of(number)
-        cells = named[(named >= part.start) & (named < part.stop)] - part.start
-        if not len(cells):
+    object_cells = cells_with_name(search.grid, flat, name)
+    goal_cells = []
+    for number, level in enumerate(search.grid.levels):
+        level_cells = flat.cells_of(number)
+        is_on_level = (object_cells >= level_cells.start) & (object_cells < level_cells.stop)
+        ids = object_cells[is_on_level] - level_cells.start
+        if not len(ids):
             continue
-        reach = math.ceil(MAX_REACH / level.lattice.cell_size)
-        rows, cols = (
-            np.arange(max(v.min() - reach, 0), min(v.max() + reach + 1, size))
-            for v, size in zip(np.divmod(cells, level.width), level.shape, strict=True)
-        )
-        ids = rows[:, None] * level.width + cols
-        island = islands[part.start + ids]
-        own = np.isin(ids, cells)
-        passable = own | (island > 0) | (level.solid.take(ids) == 0)
-        is_goal = np.zeros(ids.shape, dtype=np.bool_)
-        for over_objects in (False, True):
-            if is_goal.any():
-                break
-            if over_objects:
-                # cells that are empty or blocked by objects alone, and by no wall
-                entries = UserData.of(level.user_data).find(ids.ravel())
-                walls = {name for entry in entries for name in names_in(entry, "walls")}
-                holds = []
-                for entry in entries:
-                    names = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
-                    is_wall = names_in(entry, "walls") or names & walls
-                    holds.append(bool(names) and not is_wall)
-                passable |= np.reshape(holds, ids.shape)
-            ring = np.where(own, 0, -1)
-            for step in range(1, reach + 1):
-                ring[ndimage.binary_dilation(ring >= 0) & passable & (ring < 0)] = step
-            is_near = (ring >= 0) & (ring < reach)
-            for one in np.unique(island[is_near & (island > 0)]):
-                first = ring[is_near & (island == one)].min()
-                is_goal |= (island == one) & (ring >= 0) & (ring <= first + 1)
-        found.append(part.start + ids[is_goal])
-    return np.concatenate(found)
+        island = search.islands.number[level_cells]
+        goal_cells.append(level_cells.start + _cells_next_to(level, ids, island))
+    return np.concatenate(goal_cells)
 
 
-def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
-    """The flat ids of a named object's, door's or wall's cells, at least one."""
+def _cells_next_to(level: SceneGrid2D, object_ids: Int, island: Int32) -> Int:
+    """List the free cells of a level next to an object's cells; see `cells_next_to_object`.
+
+    `object_ids` are ids of cells on the level, at least one; `island` has the number of each of the
+    level's cells. Returns ids on the level, ascending.
+    """
+    # a window round the object
+    reach = math.ceil(OBJECT_REACH / level.lattice.cell_size)
+    object_rows, object_cols = np.divmod(object_ids, level.width)
+    first_row = max(object_rows.min() - reach, 0)
+    end_row = min(object_rows.max() + reach + 1, level.height)
+    first_col = max(object_cols.min() - reach, 0)
+    end_col = min(object_cols.max() + reach + 1, level.width)
+    rows = np.arange(first_row, end_row)
+    cols = np.arange(first_col, end_col)
+    ids = rows[:, None] * level.width + cols
+    island = island[ids]
+    is_object = np.isin(ids, object_ids)
+    is_passable = is_object | (island > 0) | (level.solid.take(ids) == 0)
+    is_goal = _find_nearest_rings(is_object, is_passable, island, reach)
+    if not is_goal.any():
+        is_passable |= _mark_blocked_by_objects(level, ids)
+        is_goal = _find_nearest_rings(is_object, is_passable, island, reach)
+    next_cells: Int = ids[is_goal]
+    return next_cells
+
+
+def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, reach: int) -> Bool:
+    """Mark each island's cells in the ring round an object that is nearest, and in the next one.
+
+    The rings grow over passable cells. All arrays have the shape of the window.
+    """
+    ring = np.where(is_object, 0, -1)
+    for step in range(1, reach + 1):
+        is_next = ndimage.binary_dilation(ring >= 0) & is_passable & (ring < 0)
+        ring[is_next] = step
+    is_goal = np.zeros(ring.shape, dtype=np.bool_)
+    is_near = (ring >= 0) & (ring < reach)
+    for number in np.unique(island[is_near & (island > 0)]):
+        nearest_ring = ring[is_near & (island == number)].min()
+        is_goal |= (island == number) & (ring >= 0) & (ring <= nearest_ring + 1)
+    return is_goal
+
+
+def _mark_blocked_by_objects(level: SceneGrid2D, ids: Int) -> Bool:
+    """Mark the cells of a level that objects alone block, and no wall; shape of `ids`."""
+    entries = UserData.of(level.user_data).find(ids.ravel())
+    walls = {name for entry in entries for name in names_in(entry, "walls")}
+    has_objects_only = []
+    for entry in entries:
+        names = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
+        is_wall = names_in(entry, "walls") or names & walls
+        has_objects_only.append(bool(names) and not is_wall)
+    return np.reshape(has_objects_only, ids.shape)
+
+
+def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
+    """List the cells of an object, door or wall.
+
+    Args:
+        grid: the grid with the names.
+        flat: the grid's cells.
+        name: of the object, door or wall, in the user data.
+
+    Returns:
+        Flat ids, at least one.
+
+    Raises:
+        QueryError: there is no such name.
+    """
     if not isinstance(name, str):
         raise QueryError(f"expected the name of an object, got {name!r}")
-    found = list[Int]()
-    known = set[str]()
-    for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
-        cells, number, entries = UserData.of(level.user_data).shared()
-        names = [{n for key in NAMES for n in names_in(entry, key)} for entry in entries]
-        has_name = np.array([name in of_entry for of_entry in names], dtype=np.bool_)
-        found.append(start + cells[has_name[number]])
-        known.update(*names)
-    if name not in known:
-        raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {suggest(name, sorted(known))}")
-    return np.concatenate(found)
+    named_cells: list[Int] = []
+    known_names: set[str] = set()
+    starts = flat.layout.start[:-1].tolist()
+    for start, level in zip(starts, grid.levels, strict=True):
+        cells, entry_number, entries = UserData.of(level.user_data).shared()
+        names_by_entry = [
+            {entry_name for key in NAMES for entry_name in names_in(entry, key)}
+            for entry in entries
+        ]
+        has_name = np.array([name in names for names in names_by_entry], dtype=np.bool_)
+        named_cells.append(start + cells[has_name[entry_number]])
+        known_names.update(*names_by_entry)
+    if name not in known_names:
+        hint = suggest(name, sorted(known_names))
+        raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {hint}")
+    return np.concatenate(named_cells)
+
+
+# ---------------------------------------------------------------- planning
 
 
 def find_path(
     search: Search, start: ArrayLike, goal: Goal, level: int | None, *, by: str, smooth: bool
 ) -> Path | None:
-    """`PathFinder.find_path`."""
-    check_word(by, BY, "by")
+    """Find the cheapest or the quickest path: `PathFinder.find_path`.
+
+    Args:
+        search: of the grid, up to date.
+        start: world x, y, z [m].
+        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+        level: the level of positions; None finds each one's level by its z.
+        by: ``cost`` or ``time``.
+        smooth: whether the path is pulled straight.
+
+    Returns:
+        The path, None if there is none.
+
+    Raises:
+        QueryError: an argument is not valid.
+    """
+    check_choice(by, BY, "by")
     flat = search.flat
-    rooms = search.rooms
-    p, origin = flat.locate(start, level, "start")
+    start_position, start_cell = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
     goals = target.free_cells(flat)
-    if origin < 0 or not flat.free[origin] or not len(goals):
+    if start_cell < 0 or not flat.free[start_cell] or not len(goals):
         return None
-    found = search.route(origin, goals, by)
-    if found is None:
+    route = search.route(start_cell, goals, by)
+    if route is None:
         return None
-    route, by_link, _ = found
-    places = flat.split(route)
-    cost, seconds, links = search.measure(found, places, by)
-    end = NOWHERE
+    places = flat.split(route.cells)
+    costs = search.measure(route, places, by)
+    end = NO_POINT
     if target.positions is not None:  # the first that is in the cell
-        end = target.positions[int(np.argmax(target.cells == route[-1])), :2]
-    positions, levels, leads_to = lines.lay_route(
-        route, by_link, p[:2], end, smooth, search.graph_by(by), flat.floors, search.off_center
+        end = target.positions[int(np.argmax(target.cells == route.cells[-1])), :2]
+    positions, levels, link_to = line_kernels.lay_route(
+        route.cells,
+        route.by_link,
+        start_position[:2],
+        end,
+        smooth,
+        search.graph_by(by),
+        flat.floors,
+        search.off_center,
     )
-    # the points before and after each link, by the cell that a link leads to after each point
-    stops = [np.flatnonzero(leads_to == at)[[0, -1]] + [0, 1] for at, _ in links]
-    numbers = rooms.number[route]
-    entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
+    # the points before and after each link: `link_to` has the index of the cell that a link leads
+    # to, at the points before it and, where the floor rises over the link, at those on it
+    stops = []
+    for link in costs.links:
+        on_link = np.flatnonzero(link_to == link.place)
+        stops.append([on_link[0], on_link[-1] + 1])
+    numbers = search.rooms.number[route.cells]
+    is_entered = np.append(True, numbers[1:] != numbers[:-1])
     return Path(
         positions=positions,
         levels=levels,
         cells=np.stack(places, axis=1),
         length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
-        cost=cost,
-        rooms=[str(rooms.id_of(int(n))) for n in entered if n],
-        doors=doors_on(search.doors, route),
-        links=[name for _, name in links],
-        seconds=seconds,
+        cost=costs.cost,
+        rooms=[str(search.rooms.id_of(int(n))) for n in numbers[is_entered] if n],
+        doors=doors_along(search.doors, route.cells),
+        links=[link.name for link in costs.links],
+        seconds=costs.seconds,
         by=by,
         stops=np.array(stops, dtype=np.int64).reshape(-1, 2),
         grid=search.grid,
@@ -224,17 +338,30 @@ def find_path(
 def find_field(
     search: Search, goal: Goal, level: int | None, *, weighted: bool = True, by: str = "cost"
 ) -> Float:
-    """The costs of `PathFinder.distance_field`, by flat id; read-only."""
-    check_word(by, BY, "by")
+    """Compute the costs of `PathFinder.distance_field`.
+
+    Args:
+        search: of the grid, up to date.
+        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+        level: the level of positions; None finds each one's level by its z.
+        weighted: whether weights and areas count; else lengths [m].
+        by: ``cost`` or ``time``.
+
+    Returns:
+        float64, by flat id, inf for no path; read-only. Goals of the same cells share one array.
+
+    Raises:
+        QueryError: an argument is not valid, or lengths are wanted by ``time``.
+    """
+    check_choice(by, BY, "by")
     if not weighted and by == "time":
         raise QueryError("expected by='cost' for lengths (weighted=False), got by='time'")
-    by = by if weighted else "length"
-    # goals of the same cells share a field
+    measure = by if weighted else "length"
     goals = find_target(search, goal, level).free_cells(search.flat)
 
-    def make() -> Float:
-        field = search.field(goals, by=by)
+    def compute_field() -> Float:
+        field = search.field(goals, by=measure)
         field.flags.writeable = False
         return field
 
-    return search.cached("fields", (by, goals.tobytes()), make)
+    return search.cached("fields", (measure, goals.tobytes()), compute_field)

@@ -1,4 +1,9 @@
-"""Queries about places: free space, neighbourhood, lines of sight, and steps."""
+"""Queries about places: free space, neighbourhood, lines of sight, and steps.
+
+The functions answer the methods of `navbake.runtime.path_finder.PathFinder` of the same names. A
+position is world x, y, z [m], on the level of the nearest floor below, or on `level`; QueryError is
+raised for one that is not valid. `search` is up to date with the grid.
+"""
 
 import math
 from dataclasses import dataclass
@@ -8,375 +13,481 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
-from navbake.navgrid.cells import Cell, check_level, check_positions
+from navbake.navgrid.cells import check_level, check_positions
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
-from navbake.navgrid.grid import NavGrid
-from navbake.runtime import flat_grid
-from navbake.runtime.flat_grid import REAL, FlatGrid
-from navbake.runtime.paths import cells_named
+from navbake.runtime.flat_grid import (
+    FlatGrid,
+    RealNumber,
+    check_distance,
+    format_position,
+    to_kernel_positions,
+)
+from navbake.runtime.paths import cells_with_name
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
-places = lazy("navbake.runtime.place_kernels")  # numba loads slowly
-walks = lazy("navbake.runtime.walk_kernels")
+place_kernels = lazy("navbake.runtime.place_kernels")  # numba loads slowly
+walk_kernels = lazy("navbake.runtime.walk_kernels")
 
-MAX_DROP = 0.5  # [m], see `navbake.runtime.place_kernels`, which loads numba
-FIRST_LOOK = 1.0  # [m], first radius of the search in sight
-SLACK = 1e-9  # metres
+MAX_DROP = 0.5  # [m], that of `navbake.runtime.place_kernels`, which loads numba
+FIRST_SIGHT_RADIUS = 1.0  # [m], first radius of the search for a place in sight
+DISTANCE_SLACK = 1e-9  # [m] by which distances may be rounded
+PIXEL_SLACK = 1e-6  # share of a pixel that the last one may lack
 
 
 @dataclass(frozen=True, eq=False)
-class Obstacle:
+class NearestObstacle:
     """The nearest point of an obstacle."""
 
     distance: float  #: On the map [m].
-    position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the given position.
+    position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the queried position.
 
 
-class PlaceQuestions:
-    """Queries about islands, rooms, free places, and their surroundings."""
+# ---------------------------------------------------------------- islands and rooms
 
-    grid: NavGrid
-    _search: Search
 
-    @property
-    def search(self) -> Search:
-        """The search over the cells, up to date with the grid's blocks."""
-        self._search.update()
-        return self._search
+def find_bounds(search: Search) -> tuple[Float, Float]:
+    """Compute the lower and upper corner of the box of all free cells' floors, world [m].
 
-    @property
-    def rooms(self) -> flat_grid.RoomMap:
-        return self._search.rooms
+    Raises:
+        QueryError: no cell is free.
+    """
+    flat = search.flat
+    cells = np.flatnonzero(flat.free)
+    if not len(cells):
+        raise QueryError(f"no cell of {search.grid.scene_id!r} is free: it has no bounds")
+    centers = flat.positions(cells)
+    half = (flat.layout.cell_size[flat.level_of(cells)] / 2)[:, None] * [1.0, 1.0, 0.0]
+    return (centers - half).min(axis=0), (centers + half).max(axis=0)
 
-    @property
-    def islands(self) -> flat_grid.IslandMap:
-        """The connected parts of the currently free cells: ``count``, ``areas`` [m²]."""
-        return self.search.islands
 
-    @property
-    def navigable_area(self) -> float:
-        """Area of all free cells [m²]."""
-        return float(self.islands.areas.sum())
+def island_at(search: Search, position: ArrayLike, level: int | None = None) -> int | None:
+    """Find the number of the island of a position; None where it isn't free.
 
-    @property
-    def bounds(self) -> tuple[Float, Float]:
-        """Lower and upper corner of the bounding box of all free cells' floors, world [m]."""
-        flat = self.search.flat
-        cells = np.flatnonzero(flat.free)
-        if not len(cells):
-            raise QueryError(f"no cell of {self.grid.scene_id!r} is free: it has no bounds")
-        centers = flat.positions(cells)
-        half = (flat.layout.cell_size[flat.level_of(cells)] / 2)[:, None] * [1.0, 1.0, 0.0]
-        return (centers - half).min(axis=0), (centers + half).max(axis=0)
+    Args:
+        search: of the grid.
+        position: world x, y, z [m].
+        level: the position's level; None finds it by z.
+    """
+    _, cell = search.flat.locate(position, level)
+    if cell < 0:
+        return None
+    return int(search.islands.number[cell]) or None
 
-    def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | None:
-        """Number of the island of a position, from 1, the largest; None where it isn't free."""
-        _, cell = self.search.flat.locate(position, level)
-        return int(self.islands.number[cell]) or None if cell >= 0 else None
 
-    def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether both positions are on one island, so that paths lead from each to the other."""
-        one = self.island_at(a, level=level)
-        other = self.island_at(b, level=level)
-        return one is not None and one == other
+def room_at(search: Search, position: ArrayLike, level: int | None = None) -> str | None:
+    """Find the id of a position's room; None for none.
 
-    def island_area(self, island: int) -> float:
-        """Area of an island [m²]."""
-        return float(self.islands.areas[self.islands.check(island)])
+    Args:
+        search: of the grid.
+        position: world x, y, z [m].
+        level: the position's level; None finds it by z.
+    """
+    _, cell = search.flat.locate(position, level)
+    return search.rooms.id_of(int(search.rooms.number[cell])) if cell >= 0 else None
 
-    def room_at(self, position: ArrayLike, *, level: int | None = None) -> str | None:
-        """The id of a position's room, None for none."""
-        _, cell = self.search.flat.locate(position, level)
-        return self.rooms.id_of(int(self.rooms.number[cell])) if cell >= 0 else None
 
-    def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether both positions are in one room."""
-        one = self.room_at(a, level=level)
-        other = self.room_at(b, level=level)
-        return one is not None and one == other
+def room_near(
+    search: Search, position: ArrayLike, max_distance: float, level: int | None
+) -> str | None:
+    """Find the id of the room nearest on a position's level; None for none.
 
-    def room_near(
-        self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
-    ) -> str | None:
-        """The id of the room nearest on the level, None if none is within `max_distance` [m]."""
-        flat = self.search.flat
-        number = self.rooms.number
-        p, home = flat.locate(position, level)
-        flat_grid.check_distance(max_distance)
-        if home < 0:
-            return None
-        on = int(flat.level_of(home))
-        _, cell = snap(flat, number > 0, p, on, max_distance=max_distance)
-        return self.rooms.id_of(int(number[cell])) if cell >= 0 else None
+    Args:
+        search: of the grid.
+        position: world x, y, z [m].
+        max_distance: largest distance to a cell's centre [m].
+        level: the position's level; None finds it by z.
+    """
+    flat = search.flat
+    number = search.rooms.number
+    p, home_cell = flat.locate(position, level)
+    check_distance(max_distance)
+    if home_cell < 0:
+        return None
+    home_level = int(flat.level_of(home_cell))
+    _, cell = snap_to_cells(flat, number > 0, p, home_level, max_distance=max_distance)
+    return search.rooms.id_of(int(number[cell])) if cell >= 0 else None
 
-    def room_of(self, name: str) -> str | None:
-        """The id of the room that holds most cells of a named object; None for none."""
-        numbers = self.rooms.number[cells_named(self.grid, self.search.flat, name)]
-        counts = np.bincount(numbers[numbers > 0], minlength=1)
-        return self.rooms.id_of(int(np.argmax(counts)))
 
-    def is_navigable(
-        self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
-    ) -> bool | Bool:
-        """Whether a position's cell is free, its floor at most `max_drop` below it [m].
+def room_of_object(search: Search, name: str) -> str | None:
+    """Find the id of the room that holds most cells of a named object; None for none.
 
-        For positions of shape (..., 3), bool of shape (...).
-        """
-        flat_grid.check_distance(max_drop, "max_drop")
-        flat = self.search.flat
-        p = check_positions(position, flat.num_levels, level)
-        on, points = flat_grid.as_points(p, level)
-        if on >= 0:
-            cells = places.locate(flat.layout, flat.floors, on, points)
-            answers = (cells >= 0) & flat.free[cells]
-        else:
-            answers = places.mark_standing(
-                flat.layout, flat.floors, flat.free, float(max_drop), points
-            )
-        return bool(answers[0]) if p.ndim == 1 else answers.reshape(p.shape[:-1])
+    Raises:
+        QueryError: the grid has no such name.
+    """
+    numbers = search.rooms.number[cells_with_name(search.grid, search.flat, name)]
+    counts = np.bincount(numbers[numbers > 0], minlength=1)
+    return search.rooms.id_of(int(np.argmax(counts)))
 
-    def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
-        """A position's cell; see `navbake.navgrid.cells.cell_at`."""
-        flat = self.search.flat
-        _, cell = flat.locate(position, level)
-        return flat.cell(cell) if cell >= 0 else None
 
-    def snap(
-        self,
-        position: ArrayLike,
-        *,
-        level: int | None = None,
-        same_level: bool = True,
-        same_room: bool = False,
-        room: str | None = None,
-        island: int | None = None,
-        in_sight: bool = False,
-        max_distance: float = math.inf,
-    ) -> Float | None:
-        """Find the nearest place where an agent can stand, for one position or each of many.
+# ---------------------------------------------------------------- free space
 
-        If the position's own cell is allowed and its floor at most 0.5 m below, that is the
-        position itself, put on the floor. Else it is the nearest centre of a cell: on the map
-        of the position's level, or in space on any level. Without such a place, None, or a row of
-        NaN for many positions. `same_room` and `in_sight` take one position.
 
-        Args:
-            same_level: stay on its level. A position on none snaps to the nearest floor in space.
-            same_room: stay in its room; None if it is in none.
-            room, island: only cells of these.
-            in_sight: no obstacle may be in between. From inside an object, the line must leave
-                it within its room.
-            max_distance: at most this far away [m].
-        """
-        search = self.search
-        flat = search.flat
-        flat_grid.check_distance(max_distance)
-        if same_room or in_sight:
-            p = flat.check_one(position, level)
-        else:
-            p = check_positions(position, flat.num_levels, level)
-        if same_room:
-            here = self.room_at(p, level=level)
-            if here is None or self.rooms.find(room or here) != self.rooms.find(here):
-                return None
-            room = here
-        allowed = search.allowed(room=room, islands=search.chosen_islands(island, None))
-        if in_sight:
-            return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
-        found, cells = snap(
-            flat, allowed, p, level, same_level=same_level, max_distance=max_distance
+def is_navigable(
+    search: Search, position: ArrayLike, level: int | None, max_drop: float
+) -> bool | Bool:
+    """Whether each position's cell is free, and its floor at most `max_drop` below it.
+
+    Args:
+        search: of the grid.
+        position: world x, y, z [m], shape (3,) or (..., 3).
+        level: the level of all positions; None finds each one's level by its z.
+        max_drop: largest height of a position above its floor [m].
+
+    Returns:
+        bool for one position, an array of shape (...) for many.
+    """
+    check_distance(max_drop, "max_drop")
+    flat = search.flat
+    p = check_positions(position, flat.num_levels, level)
+    kernel_level, points = to_kernel_positions(p, level)
+    if kernel_level >= 0:
+        cells = place_kernels.locate(flat.layout, flat.floors, kernel_level, points)
+        is_free = (cells >= 0) & flat.free[cells]
+    else:
+        is_free = place_kernels.mark_standing(
+            flat.layout, flat.floors, flat.free, float(max_drop), points
         )
-        return None if p.ndim == 1 and cells < 0 else found
-
-    def try_step(
-        self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
-    ) -> Float:
-        """Move straight from a position towards another, and stop at cells that are not free.
-
-        Starts of shape (..., 3) have an end each, or one in common. The way runs over the map from
-        cell to cell and over steps to other levels, not over links, and so never passes thin walls.
-        It may end anywhere in a free cell, up to half a cell nearer to obstacles than at its
-        centre. The end's z is ignored. Raises QueryError if the start isn't free.
-
-        Sliding goes on from where the straight way stops, to the point nearest to the end among
-        those within a walk as long as the rest of the way.
-        """
-        flat = self.search.flat
-        p = check_positions(start, flat.num_levels, level)
-        q = check_positions(end, flat.num_levels, 0)  # the level follows from the way
-        if q.shape[:-1] not in (p.shape[:-1], ()):
-            counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
-            raise QueryError(f"expected an end for each start, {counts}")
-        on, points = flat_grid.as_points(p, level)
-        to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
-        found, bad = walks.step_each(
-            flat.layout, flat.steps, flat.floors, flat.free, on, points,
-            np.ascontiguousarray(to), slide,
-        )  # fmt: skip
-        if bad >= 0:
-            flat.free_cell_at(points[bad], level)  # raises with the position and a remedy
-        return np.asarray(found.reshape(*p.shape[:-1], 3))
-
-    def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether the straight line between two positions crosses no occupied cell.
-
-        The line runs over the map, from cell to cell and over steps, and through a corner of four
-        if one of the two cells beside it is clear; heights are not compared. False also if one of
-        the positions is outside the grid or occupied.
-        """
-        search = self.search
-        p, one = search.flat.locate(a, level)
-        q, other = search.flat.locate(b, level)
-        if one < 0 or other < 0:
-            return False
-        return search.first_in_sight(one, p, np.array([other]), q[None]) == 0
-
-    def nearest_obstacle(
-        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> Obstacle | None:
-        """Find the nearest point of an occupied cell's square on the position's level.
-
-        The area outside the grid has no obstacles. Where the level ends and another goes on, as at
-        the top of stairs, the other level counts where its floor is less than the agent's height,
-        less a step, above or below, and its own isn't. None if there is none within `max_distance`
-        [m]; distance 0 inside an occupied cell.
-        """
-        flat = self.search.flat
-        p = flat.check_one(position, level)
-        (home,), (cell,), (distance,) = _find_obstacles(self._search, p, level, max_distance)
-        if cell < 0:
-            return None
-        half = flat.layout.cell_size[flat.level_of(home)] / 2
-        center = flat.positions(cell)[:2]
-        point = np.clip(p[:2], center - half, center + half)
-        return Obstacle(float(distance), np.append(point, flat.positions(home)[2]))
-
-    def clearance(
-        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> float | Float:
-        """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`.
-
-        For positions of shape (..., 3), float64 of shape (...).
-        """
-        p = check_positions(position, self.search.flat.num_levels, level)
-        _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
-        found = np.where(cells < 0, max_distance, distances)
-        return float(found[0]) if p.ndim == 1 else found.reshape(p.shape[:-1])
-
-    def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
-        """Draw a level's free cells as an image.
-
-        RGB, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free, blocked, no
-        floor; rows and columns as in the grid's arrays. A pixel shows the cell at its middle;
-        without `metres_per_pixel`, > 0, there is one pixel a cell.
-        """
-        flat = self.search.flat
-        if level is None:
-            raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
-        check_level(level, flat.num_levels)
-        cells = flat.cells_of(level)
-        shape = self.grid.levels[level].shape
-        has_floor = ~np.isnan(flat.floors.z[cells])
-        kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
-        if metres_per_pixel is not None:
-            if not (isinstance(metres_per_pixel, REAL) and 0 < metres_per_pixel < math.inf):
-                raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
-            each = metres_per_pixel / float(flat.layout.cell_size[level])
-            middles = ((np.arange(math.ceil(n / each - 1e-6)) + 0.5) * each for n in shape)
-            at = (np.minimum(m.astype(int), n - 1) for m, n in zip(middles, shape, strict=True))
-            kind = kind[np.ix_(*at)]
-        palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
-        return palette[kind]
+    return bool(is_free[0]) if p.ndim == 1 else is_free.reshape(p.shape[:-1])
 
 
 def snap(
+    search: Search,
+    position: ArrayLike,
+    *,
+    level: int | None,
+    same_level: bool,
+    same_room: bool,
+    room: str | None,
+    island: int | None,
+    in_sight: bool,
+    max_distance: float,
+) -> Float | None:
+    """Find the nearest place where an agent can stand: `PathFinder.snap`.
+
+    Args:
+        search: of the grid.
+        position: as of `PathFinder.snap`, as the other arguments.
+        level: see there.
+        same_level: see there.
+        same_room: see there.
+        room: see there.
+        island: see there.
+        in_sight: see there.
+        max_distance: see there [m].
+    """
+    flat = search.flat
+    check_distance(max_distance)
+    if same_room or in_sight:
+        p = flat.check_one(position, level)
+    else:
+        p = check_positions(position, flat.num_levels, level)
+    if same_room:
+        own_room = room_at(search, p, level)
+        if own_room is None:
+            return None
+        if search.rooms.find(room or own_room) != search.rooms.find(own_room):
+            return None
+        room = own_room
+    allowed = search.allowed(room=room, islands=search.allowed_islands(island, None))
+    if in_sight:
+        return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
+    places, cells = snap_to_cells(
+        flat, allowed, p, level, same_level=same_level, max_distance=max_distance
+    )
+    return None if p.ndim == 1 and cells < 0 else places
+
+
+def snap_to_cells(
     flat: FlatGrid,
     allowed: Bool,
-    p: Float,
+    positions: Float,
     level: int | None = None,
     *,
     same_level: bool = True,
     max_distance: float = math.inf,
 ) -> tuple[Float, Int]:
-    """`PathFinder.snap` of checked positions to the cells of a mask.
+    """Find the nearest places in the cells of a mask, as `PathFinder.snap` does.
 
-    Returns places, shape (..., 3), NaN for none, and their cells by flat id, -1 for none.
+    Args:
+        flat: the grid.
+        allowed: the mask, by flat id.
+        positions: checked positions, world x, y, z [m], shape (..., 3), or x, y, shape (..., 2).
+        level: the level of all positions; None finds each one's level by its z.
+        same_level: whether a place must be on its position's level.
+        max_distance: largest distance to a place [m].
+
+    Returns:
+        World x, y, z of the places [m], shape (..., 3), NaN for none; and their cells, flat ids,
+        shape (...), -1 for none.
     """
-    on, points = flat_grid.as_points(p, level)
+    kernel_level, points = to_kernel_positions(positions, level)
     if points.shape[1] == 2:
         same_level = True
-        points = np.column_stack([points, np.full(len(points), flat.floors.ground[on])])
-    found, cells = places.snap_positions(
-        flat.layout, flat.floors, allowed, on, same_level, float(max_distance), points
+        z = np.full(len(points), flat.floors.ground[kernel_level])
+        points = np.column_stack([points, z])
+    places, cells = place_kernels.snap_positions(
+        flat.layout,
+        flat.floors,
+        allowed,
+        kernel_level,
+        same_level,
+        float(max_distance),
+        points,
     )
-    return found.reshape(*p.shape[:-1], 3), cells.reshape(p.shape[:-1])
+    return places.reshape(*positions.shape[:-1], 3), cells.reshape(positions.shape[:-1])
 
 
 def _snap_in_sight(
-    search: Search, allowed: Bool, p: Float, level: int | None, same_level: bool, farthest: float
+    search: Search,
+    allowed: Bool,
+    position: Float,
+    level: int | None,
+    same_level: bool,
+    max_distance: float,
 ) -> Float | None:
-    """`PathFinder.snap` in sight; searches growing radii, as lines cost more than distances."""
+    """Snap to a place in sight; searches growing radii, as lines cost more than distances."""
     flat = search.flat
-    home = int(search.flat.cells_at(p, level))
-    place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=farthest)
-    if home < 0 or cell < 0:
+    home_cell = int(flat.cells_at(position, level))
+    place, cell = snap_to_cells(
+        flat, allowed, position, level, same_level=same_level, max_distance=max_distance
+    )
+    if home_cell < 0 or cell < 0:
         return None
-    if cell == home:
+    if cell == home_cell:
         return place
-    axes = 2 if same_level or len(p) == 2 else 3
-    levels = [int(flat.level_of(home))] if axes == 2 else list(range(flat.num_levels))
-    most = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
-    radius = min(FIRST_LOOK, float(farthest))
+    num_axes = 2 if same_level or len(position) == 2 else 3
+    levels = [int(flat.level_of(home_cell))] if num_axes == 2 else list(range(flat.num_levels))
+    num_allowed = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
+    radius = min(FIRST_SIGHT_RADIUS, float(max_distance))
     while True:
-        discs = [cells_in_annulus(flat, k, p, (0.0, radius), allowed) for k in levels]
-        cells = np.concatenate(discs)
+        cells = np.concatenate(
+            [cells_in_annulus(flat, k, position, 0.0, radius, allowed) for k in levels]
+        )
         centers = flat.positions(cells)
-        distance = np.linalg.norm(centers[:, :axes] - p[:axes], axis=1)
+        distance = np.linalg.norm(centers[:, :num_axes] - position[:num_axes], axis=1)
         # stable, so that of equally near cells the lowest id comes first
         order = np.argsort(distance, kind="stable")
         near = order[: np.count_nonzero(distance <= radius)]
-        found = search.first_in_sight(home, p, cells[near], centers[near], search.rooms.number)
-        if found >= 0:
-            return np.asarray(centers[near[found]])
-        if len(near) == most or radius >= farthest:
+        first = search.first_in_sight(
+            home_cell, position, cells[near], centers[near], search.rooms.number
+        )
+        if first >= 0:
+            return np.asarray(centers[near[first]])
+        if len(near) == num_allowed or radius >= max_distance:
             return None
-        radius = min(2.0 * radius, float(farthest))
-
-
-def _find_obstacles(
-    search: Search, p: Float, level: int | None, max_distance: float
-) -> tuple[Int, Int, Float]:
-    """Own cells, nearest occupied cells, -1 for none, and distances [m] of checked positions."""
-    flat_grid.check_distance(max_distance)
-    flat = search.flat
-    # floors less than this apart are at one height for an agent, as in `grid.inflate`
-    overlap = search.grid.agent_height - flat.floors.max_step
-    on, points = flat_grid.as_points(p, level)
-    homes, cells, distances = places.find_nearest_obstacles(
-        flat.layout, flat.floors, search.occupied, overlap, on, float(max_distance), points
-    )
-    if (homes < 0).any():
-        first = points[int(np.argmax(homes < 0))]
-        raise QueryError(f"{flat_grid.text_of(first)} lies beside the grid: no obstacles")
-    return homes, cells, distances
+        radius = min(2.0 * radius, float(max_distance))
 
 
 def cells_in_annulus(
-    flat: FlatGrid, level: int, point: Float, distances: tuple[float, float], allowed: Bool
+    flat: FlatGrid,
+    level: int,
+    point: Float,
+    min_distance: float,
+    max_distance: float,
+    allowed: Bool,
 ) -> Int:
-    """The allowed cells of a level with centres in an annulus round a point, ascending."""
+    """List the allowed cells of a level with centres in an annulus round a point.
+
+    Args:
+        flat: the grid.
+        level: number of the level.
+        point: world x, y [m].
+        min_distance: inner radius [m].
+        max_distance: outer radius [m].
+        allowed: by flat id.
+
+    Returns:
+        Flat ids, ascending.
+    """
     layout = flat.layout
     size = layout.cell_size[level]
-    shape = (layout.height[level], layout.width[level])
-    at = (layout.y_max[level] - point[1], point[0] - layout.x_min[level])
-    off = [
-        (np.arange(count) + 0.5) * size - middle for count, middle in zip(shape, at, strict=True)
-    ]
-    rows, cols = (np.flatnonzero(np.abs(v) <= distances[1] + SLACK) for v in off)
-    squared = (off[0][rows, None] ** 2) + off[1][cols] ** 2
-    low = max(distances[0] - SLACK, 0.0)
-    high = distances[1] + SLACK
-    near = (squared >= low**2) & (squared <= high**2)
-    cells: Int = (layout.start[level] + rows[:, None] * shape[1] + cols)[near]
+    num_rows = layout.height[level]
+    num_cols = layout.width[level]
+    # distances along the axes from the point to the rows' and columns' middles
+    row_offsets = (np.arange(num_rows) + 0.5) * size - (layout.y_max[level] - point[1])
+    col_offsets = (np.arange(num_cols) + 0.5) * size - (point[0] - layout.x_min[level])
+    outer = max_distance + DISTANCE_SLACK
+    inner = max(min_distance - DISTANCE_SLACK, 0.0)
+    rows = np.flatnonzero(np.abs(row_offsets) <= outer)
+    cols = np.flatnonzero(np.abs(col_offsets) <= outer)
+    squared = (row_offsets[rows, None] ** 2) + col_offsets[cols] ** 2
+    is_within = (squared >= inner**2) & (squared <= outer**2)
+    cells: Int = (layout.start[level] + rows[:, None] * num_cols + cols)[is_within]
     return cells[allowed[cells]]
+
+
+# ---------------------------------------------------------------- steps and lines
+
+
+def try_step(
+    search: Search, start: ArrayLike, end: ArrayLike, *, slide: bool, level: int | None
+) -> Float:
+    """Move straight from positions towards others: `PathFinder.try_step`.
+
+    Args:
+        search: of the grid.
+        start: world x, y, z [m], shape (..., 3).
+        end: world x, y, z [m], shape (3,) or that of `start`.
+        slide: whether to slide on from where the straight walk stops.
+        level: the level of all starts; None finds each one's level by its z.
+
+    Returns:
+        World x, y and floor z [m], shape (..., 3).
+    """
+    flat = search.flat
+    starts = check_positions(start, flat.num_levels, level)
+    ends = check_positions(end, flat.num_levels, 0)  # the level follows from the walk
+    if ends.shape[:-1] not in (starts.shape[:-1], ()):
+        counts = f"{starts.shape[:-1]} of them, got {ends.shape[:-1]}"
+        raise QueryError(f"expected an end for each start, {counts}")
+    kernel_level, points = to_kernel_positions(starts, level)
+    end_points = np.broadcast_to(ends[..., :2], (*starts.shape[:-1], 2)).reshape(-1, 2)
+    places, blocked_start = walk_kernels.step_each(
+        flat.layout,
+        flat.steps,
+        flat.floors,
+        flat.free,
+        kernel_level,
+        points,
+        np.ascontiguousarray(end_points),
+        slide,
+    )
+    if blocked_start >= 0:
+        flat.free_cell_at(points[blocked_start], level)  # raises with the position and a remedy
+    return np.asarray(places.reshape(*starts.shape[:-1], 3))
+
+
+def line_of_sight(search: Search, first: ArrayLike, second: ArrayLike, level: int | None) -> bool:
+    """Whether the straight line between two positions crosses no occupied cell.
+
+    Args:
+        search: of the grid.
+        first: world x, y, z [m].
+        second: world x, y, z [m].
+        level: the level of both; None finds each one's level by its z.
+    """
+    start, start_cell = search.flat.locate(first, level)
+    end, end_cell = search.flat.locate(second, level)
+    if start_cell < 0 or end_cell < 0:
+        return False
+    return search.first_in_sight(start_cell, start, np.array([end_cell]), end[None]) == 0
+
+
+# ---------------------------------------------------------------- obstacles
+
+
+def nearest_obstacle(
+    search: Search, position: ArrayLike, level: int | None, max_distance: float
+) -> NearestObstacle | None:
+    """Find the nearest point of an occupied cell's square: `PathFinder.nearest_obstacle`.
+
+    Args:
+        search: of the grid.
+        position: world x, y, z [m].
+        level: the position's level; None finds it by z.
+        max_distance: largest distance to the obstacle [m].
+    """
+    flat = search.flat
+    p = flat.check_one(position, level)
+    own_cells, obstacle_cells, distances = _find_obstacles(search, p, level, max_distance)
+    own_cell = own_cells[0]
+    obstacle_cell = obstacle_cells[0]
+    if obstacle_cell < 0:
+        return None
+    half = flat.layout.cell_size[flat.level_of(own_cell)] / 2
+    center = flat.positions(obstacle_cell)[:2]
+    point = np.clip(p[:2], center - half, center + half)
+    floor = flat.positions(own_cell)[2]
+    return NearestObstacle(float(distances[0]), np.append(point, floor))
+
+
+def clearance(
+    search: Search, position: ArrayLike, level: int | None, max_distance: float
+) -> float | Float:
+    """Compute the distances to the nearest obstacles [m]: `PathFinder.clearance`.
+
+    Args:
+        search: of the grid.
+        position: world x, y, z [m], shape (3,) or (..., 3).
+        level: the level of all positions; None finds each one's level by its z.
+        max_distance: largest distance [m].
+
+    Returns:
+        float for one position, an array of shape (...) for many.
+    """
+    p = check_positions(position, search.flat.num_levels, level)
+    _, obstacle_cells, distances = _find_obstacles(search, p, level, max_distance)
+    distances = np.where(obstacle_cells < 0, max_distance, distances)
+    return float(distances[0]) if p.ndim == 1 else distances.reshape(p.shape[:-1])
+
+
+def _find_obstacles(
+    search: Search, positions: Float, level: int | None, max_distance: float
+) -> tuple[Int, Int, Float]:
+    """Find the obstacles nearest to checked positions.
+
+    Returns the positions' own cells, and the nearest occupied cells, flat ids, -1 for none; and
+    distances [m].
+    """
+    check_distance(max_distance)
+    flat = search.flat
+    # floors less than this apart are at one height for an agent, as in `grid.inflate`
+    overlap = search.grid.agent_height - flat.floors.max_step
+    kernel_level, points = to_kernel_positions(positions, level)
+    own_cells, obstacle_cells, distances = place_kernels.find_nearest_obstacles(
+        flat.layout,
+        flat.floors,
+        search.occupied,
+        overlap,
+        kernel_level,
+        float(max_distance),
+        points,
+    )
+    if (own_cells < 0).any():
+        first = points[int(np.argmax(own_cells < 0))]
+        raise QueryError(f"{format_position(first)} lies beside the grid: no obstacles")
+    return own_cells, obstacle_cells, distances
+
+
+# ---------------------------------------------------------------- images
+
+
+def draw_top_down(
+    search: Search, level: int | None, metres_per_pixel: float | None
+) -> NDArray[np.uint8]:
+    """Draw a level's free cells as an image: `PathFinder.top_down`.
+
+    Args:
+        search: of the grid.
+        level: number of the level.
+        metres_per_pixel: > 0; None for one pixel a cell.
+
+    Returns:
+        RGB, shape (rows, cols, 3).
+    """
+    flat = search.flat
+    if level is None:
+        raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
+    check_level(level, flat.num_levels)
+    cells = flat.cells_of(level)
+    shape = search.grid.levels[level].shape
+    has_floor = ~np.isnan(flat.floors.z[cells])
+    kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
+    if metres_per_pixel is not None:
+        if not (isinstance(metres_per_pixel, RealNumber) and 0 < metres_per_pixel < math.inf):
+            raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
+        cells_per_pixel = metres_per_pixel / float(flat.layout.cell_size[level])
+        rows = _cells_at_pixels(shape[0], cells_per_pixel)
+        cols = _cells_at_pixels(shape[1], cells_per_pixel)
+        kind = kind[np.ix_(rows, cols)]
+    palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
+    return palette[kind]
+
+
+def _cells_at_pixels(num_cells: int, cells_per_pixel: float) -> Int:
+    """List the cells at the middles of the pixels along an axis."""
+    num_pixels = math.ceil(num_cells / cells_per_pixel - PIXEL_SLACK)
+    middles = (np.arange(num_pixels) + 0.5) * cells_per_pixel
+    cells: Int = np.minimum(middles.astype(int), num_cells - 1)
+    return cells

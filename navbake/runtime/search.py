@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,51 +15,88 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import Cells, check_level
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
-from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, Window
+from navbake.navgrid.obstacle_state import NO_DIAGONAL, NO_OFF_CENTER, ObstacleState, Window
 from navbake.runtime import flat_grid
 from navbake.runtime.blocking import find_agent, fit_grid
-from navbake.runtime.flat_grid import octile
-from navbake.runtime.inflation import find_room
+from navbake.runtime.flat_grid import octile_length
+from navbake.runtime.inflation import OffCenterMasks, find_off_center_masks
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
-    from navbake.runtime.grid_arrays import Graph
+    from navbake.runtime.grid_arrays import Graph, OffCenter, Visits
 
 arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
-lines = lazy("navbake.runtime.line_kernels")
-routes = lazy("navbake.runtime.search_kernels")
-walks = lazy("navbake.runtime.walk_kernels")
+line_kernels = lazy("navbake.runtime.line_kernels")
+search_kernels = lazy("navbake.runtime.search_kernels")
+walk_kernels = lazy("navbake.runtime.walk_kernels")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
-FIRST_ROOM = 1 << 15  # entries for open cells at first
-MAX_KEPT = 8  # cached results of each kind
+FIRST_QUEUE_SIZE = 1 << 15  # entries of the queue at first
+MAX_CACHED = 8  # results of each kind
 NO_CELLS = np.empty(0, dtype=np.int64)
 NO_ROOMS = np.empty(0, dtype=np.int32)
-Kept = TypeVar("Kept")
+CachedResult = TypeVar("CachedResult")
 
 
 class Route(NamedTuple):
-    """The cheapest cells from one to another."""
+    """The cheapest cells from one to another.
 
-    cells: Int  # flat ids
-    by_link: Bool  # whether a link led to each, or a step to another level
-    cost: float  # by what was planned for
+    Attributes:
+        cells: flat ids, from the start to the goal, shape (n,).
+        by_link: whether a link led to each, or a step to another level, shape (n,).
+        cost: of the route, [m] or [s], as it was planned for.
+    """
+
+    cells: Int
+    by_link: Bool
+    cost: float
+
+
+class TakenLink(NamedTuple):
+    """A named link that a route takes.
+
+    Attributes:
+        place: index in the route of the cell that the link leads to.
+        name: of the link.
+    """
+
+    place: int
+    name: str
+
+
+class RouteCosts(NamedTuple):
+    """The cost of a route [m], how long it takes [s], and the named links that it takes."""
+
+    cost: float
+    seconds: float
+    links: list[TakenLink]
 
 
 class Search:
     """Searches over the cells of all levels of a grid, and cached results.
 
-    Not thread-safe. `grid` is fitted to the agent, see `navbake.runtime.blocking`; `flat` are its
-    cells, `graph` the steps between them; `free_diagonally` marks free cells with room for a
-    diagonal step, `off_center` those where a line may leave the centres. `update` takes over the
-    grid's blocks; each change increments `version`.
+    Not thread-safe.
 
     Args:
         grid: as it was loaded or baked.
         cut_corners: see `PathFinder`.
-        agent: who plans.
+        agent: who plans: an agent, the name of one that the grid lists, or None.
         radius: that links have to be wide enough for [m]; the grid's if None.
         penalty: see `navbake.runtime.flat_grid.flatten`.
+
+    Attributes:
+        agent: who plans.
+        grid: the grid for the agent's size, see `navbake.runtime.blocking.fit_grid`.
+        cut_corners: whether diagonal steps past blocked corners are allowed.
+        radius: that links have to be wide enough for [m].
+        flat: the grid's cells.
+        graph: the steps between them, and their costs.
+        free_diagonally: free cells with room for a diagonal step, by flat id.
+        off_center: where a line may leave the centres of cells.
+        version: number of changes by obstacles so far; `update` counts them.
+
+    Raises:
+        QueryError: a weight is negative, or the grid can't be fitted to the agent.
     """
 
     def __init__(
@@ -72,54 +109,78 @@ class Search:
         penalty: float | None = None,
     ) -> None:
         self.agent = find_agent(grid, agent)
-        self.grid = grid = fit_grid(grid, self.agent)
-        clean = grid.without_blocks()
+        self.grid = fit_grid(grid, self.agent)
         self.cut_corners = cut_corners
         self.version = 0
-        self.radius = grid.radius if radius is None else radius
-        self.flat = flat = flat_grid.flatten(clean, self.agent, penalty)
-        self._kept: dict[str, dict[Any, Any]] = {}
-        self._room = find_room(clean)
-        self._masks = [mask & flat.free for mask in self._room or (flat.free,) * 3]
-        self.free_diagonally, anywhere, by_squares = self._masks
-        solid = [v.solid.ravel() != 0 for v in clean.levels] if self._room else [NO_CELLS]
-        before = np.append(np.int32(0), np.cumsum(np.concatenate(solid), dtype=np.int32))
-        is_closed = len(grid.levels) > 1
-        self.off_center = arrays.OffCenter(
-            anywhere, by_squares, before, grid.inflated_radius, is_closed
+        self.radius = self.grid.radius if radius is None else radius
+        clean = self.grid.without_blocks()
+        self.flat = flat_grid.flatten(clean, self.agent, penalty)
+        self._cache: dict[str, dict[Hashable, object]] = {}
+        flat = self.flat
+        # without obstacles; None where only free cells count
+        self._clean_masks = find_off_center_masks(clean)
+        clean_masks = self._clean_masks or OffCenterMasks(flat.free, flat.free, flat.free)
+        self._masks = OffCenterMasks(
+            diagonal=clean_masks.diagonal & flat.free,
+            anywhere=clean_masks.anywhere & flat.free,
+            sweepable=clean_masks.sweepable & flat.free,
         )
-        if (least := flat.weight[flat.free].min(initial=0.0)) < 0:
-            raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
+        self.free_diagonally = self._masks.diagonal
+        self.off_center = self._make_off_center(clean)
+        least_weight = flat.weight[flat.free].min(initial=0.0)
+        if least_weight < 0:
+            raise QueryError(
+                f"expected weights >= 0, got {least_weight:g}: no path is the cheapest then"
+            )
         # the buckets fit the weights of all cells, blocked ones included
         self._moves = np.zeros(flat.num_cells, dtype=np.uint8)
         self.graph = self._make_graph("cost", False)
-        self._visits = arrays.Visits(
+        self._visits: Visits = arrays.Visits(
             mark=np.zeros(flat.num_cells, dtype=np.int32),
             cost=np.zeros(flat.num_cells, dtype=np.float64),
             link_from=np.zeros(len(self.graph.links.cell), dtype=np.int64),
-            entry_cell=np.empty(FIRST_ROOM, dtype=np.int32),
-            entry_next=np.empty(FIRST_ROOM, dtype=np.int32),
+            entry_cell=np.empty(FIRST_QUEUE_SIZE, dtype=np.int32),
+            entry_next=np.empty(FIRST_QUEUE_SIZE, dtype=np.int32),
         )
-        self._number = 0
-        self._seen = [0] * flat.num_levels
-        for number, level in enumerate(grid.levels):
-            self._find_moves(number, (0, level.height, 0, level.width))
+        self._search_number = 0
+        self._seen_revisions = [0] * flat.num_levels
+        for number, level in enumerate(self.grid.levels):
+            self._update_moves(number, (0, level.height, 0, level.width))
         self.update()
 
-    def graph_by(self, by: str, *, backwards: bool = False) -> Graph:
-        """The steps and what they cost: ``cost`` [m], ``time`` [s], or their ``length`` [m].
+    def _make_off_center(self, clean: NavGrid) -> OffCenter:
+        """Make `off_center` of the grid without obstacles."""
+        solid_before = np.zeros(1, dtype=np.int32)
+        if self._clean_masks is not None:
+            solid = np.concatenate([level.solid.ravel() != 0 for level in clean.levels])
+            solid_before = np.append(np.int32(0), np.cumsum(solid, dtype=np.int32))
+        off_center: OffCenter = arrays.OffCenter(
+            anywhere=self._masks.anywhere,
+            sweepable=self._masks.sweepable,
+            solid_before=solid_before,
+            radius=self.grid.inflated_radius,
+            is_closed=len(self.grid.levels) > 1,
+        )
+        return off_center
 
-        Of `length` only passages over links have a cost of their own. `backwards`, links are turned
-        round.
+    # ---------------------------------------------------------------- the graph
+
+    def graph_by(self, by: str, *, backwards: bool = False) -> Graph:
+        """Return the steps and what they cost.
+
+        Args:
+            by: ``cost`` [m], ``time`` [s], or ``length`` [m], by which only passages over links
+                have a cost of their own.
+            backwards: whether links are reversed.
         """
         if by == "cost" and not (backwards and len(self.flat.arcs.ends)):
             return self.graph
-        make = partial(self._make_graph, by, backwards)
-        return self.cached("graphs", (by, backwards), make)
+        return self.cached("graphs", (by, backwards), partial(self._make_graph, by, backwards))
 
     def _make_graph(self, by: str, backwards: bool) -> Graph:
+        """Make the graph of `graph_by`."""
         flat = self.flat
-        weight = self.flat.weight
+        weight = flat.weight
         weights = np.ones(1)
         if by == "time":
             weights = flat.pace
@@ -128,65 +189,110 @@ class Search:
                 weights = flat.pace[flat.free]
         elif by == "cost":
             weights = flat.weight[flat.free]
-        least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
+        least_weight = float(weights.min()) if weights.size else 1.0
+        greatest_weight = float(weights.max()) if weights.size else 1.0
         links = flat.links(self.radius, by_time=by == "time", backwards=backwards)
-        size = float(flat.layout.cell_size.min())
-        longest = float(links.length.max(initial=0))
-        wide = flat.arcs.fits_radius(self.radius)
-        one, other = flat.positions(flat.arcs.ends[wide].T)
-        covered = least * octile(one - other)
-        spent = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[wide]
-        dearest = float((spent + covered).max(initial=0.0))
-        buckets = routes.plan_buckets(size, least, most, longest, dearest)
-        same = least if least == most else 0.0
-        graph: Graph = arrays.Graph(flat.layout, links, self._moves, weight, same, least, *buckets)
+        is_passable = flat.arcs.fits_radius(self.radius)
+        sources, targets = flat.positions(flat.arcs.ends[is_passable].T)
+        estimated_costs = least_weight * octile_length(sources - targets)
+        passage_costs = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[is_passable]
+        bucket, num_buckets = search_kernels.plan_buckets(
+            cell_size=float(flat.layout.cell_size.min()),
+            least_weight=least_weight,
+            greatest_weight=greatest_weight,
+            longest_step=float(links.length.max(initial=0)),
+            dearest_passage=float((passage_costs + estimated_costs).max(initial=0.0)),
+        )
+        graph: Graph = arrays.Graph(
+            layout=flat.layout,
+            links=links,
+            moves=self._moves,
+            weight=weight,
+            same_weight=least_weight if least_weight == greatest_weight else 0.0,
+            least_weight=least_weight,
+            bucket=bucket,
+            num_buckets=num_buckets,
+        )
         return graph
 
     def update(self) -> None:
-        """Take over cells that were blocked or freed since the last call."""
+        """Follow the cells that were blocked or freed since the last call."""
         for number, level in enumerate(self.grid.levels):
             state = level.obstacle_state
-            if state is None or state.revision == self._seen[number]:
+            if state is None or state.revision == self._seen_revisions[number]:
                 continue
-            whole = [(0, level.height, 0, level.width)]
-            for row0, row1, col0, col1 in state.windows_since(self._seen[number]) or whole:
-                inside = np.s_[row0:row1, col0:col1]
-                first = self.flat.cells_of(number).start
-                rows = np.arange(row0, row1)[:, None]
-                cols = np.arange(col0, col1)
-                cells = first + rows * level.width + cols
-                weight = level.weights[inside].astype(np.float64)
-                self.flat.weight[cells] = self.flat.priced(weight, cells)
-                self.flat.free[cells] = free = np.isfinite(self.flat.weight[cells])
-                for k, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
-                    self._masks[k][cells] = free
-                    if self._room is not None:
-                        has_room = self._room[k][cells] & (state.count[layer][inside] == 0)
-                        self._masks[k][cells] &= has_room
-                self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
-            self._seen[number] = state.revision
+            windows = state.windows_since(self._seen_revisions[number])
+            for window in windows or [(0, level.height, 0, level.width)]:
+                self._update_window(number, window, state)
+            self._seen_revisions[number] = state.revision
             self.version += 1
 
-    def _find_moves(self, level: int, window: Window) -> None:
-        flat = self.flat
-        layout = self.flat.layout
-        routes.find_moves(
-            flat.free, self.free_diagonally, flat.floors, flat.slopes, self.cut_corners, layout,
-            level, window, self._moves,
-        )  # fmt: skip
+    def _update_window(self, level_number: int, window: Window, state: ObstacleState) -> None:
+        """Update weights, masks and moves of the cells in a window of a level."""
+        level = self.grid.levels[level_number]
+        row0, row1, col0, col1 = window
+        inside = np.s_[row0:row1, col0:col1]
+        first_cell = self.flat.cells_of(level_number).start
+        rows = np.arange(row0, row1)[:, None]
+        cols = np.arange(col0, col1)
+        cells = first_cell + rows * level.width + cols
+        weight = level.weights[inside].astype(np.float64)
+        self.flat.weight[cells] = self.flat.weights_for_agent(weight, cells)
+        free = np.isfinite(self.flat.weight[cells])
+        self.flat.free[cells] = free
+        for index, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
+            mask = self._masks[index]
+            mask[cells] = free
+            if self._clean_masks is not None:
+                clean_mask = self._clean_masks[index]
+                mask[cells] &= clean_mask[cells] & (state.count[layer][inside] == 0)
+        self._update_moves(level_number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
 
-    def cached(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
-        """Return `make()`, cached per kind, key and grid version; keeps the `most` last used."""
-        kept = self._kept.setdefault(kind, {})
-        key = (self.version, key)
-        value: Kept = kept.pop(key) if key in kept else make()
-        kept[key] = value  # most recently used last
-        for old in list(kept)[:-most]:
-            del kept[old]
-        return value
+    def _update_moves(self, level_number: int, window: Window) -> None:
+        """Compute the moves of the cells in a window of a level again."""
+        search_kernels.find_moves(
+            self.flat.free,
+            self.free_diagonally,
+            self.flat.floors,
+            self.flat.slopes,
+            self.cut_corners,
+            self.flat.layout,
+            level_number,
+            window,
+            self._moves,
+        )
+
+    # ---------------------------------------------------------------- cached results
+
+    def cached(
+        self,
+        kind: str,
+        key: Hashable,
+        compute: Callable[[], CachedResult],
+        limit: int = MAX_CACHED,
+    ) -> CachedResult:
+        """Return the result of a function, which is called once for each key and grid version.
+
+        Args:
+            kind: name of the results' kind.
+            key: what the result depends on, beside the grid.
+            compute: computes the result.
+            limit: number of results of the kind that are cached: those that were used last.
+        """
+        results = self._cache.setdefault(kind, {})
+        versioned_key = (self.version, key)
+        if versioned_key in results:
+            result = cast("CachedResult", results.pop(versioned_key))
+        else:
+            result = compute()
+        results[versioned_key] = result  # most recently used last
+        for old_key in list(results)[:-limit]:
+            del results[old_key]
+        return result
 
     @cached_property
     def rooms(self) -> flat_grid.RoomMap:
+        """The rooms of the grid, and the number of each cell's room."""
         return flat_grid.map_rooms(self.grid)
 
     @cached_property
@@ -198,45 +304,19 @@ class Search:
     def islands(self) -> flat_grid.IslandMap:
         """The connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
-        find = partial(flat_grid.map_islands, self.flat, self.radius, moves)
-        return self.cached("islands", None, find, 1)
+        find_islands = partial(flat_grid.map_islands, self.flat, self.radius, moves)
+        return self.cached("islands", None, find_islands, 1)
 
     @property
     def occupied(self) -> Bool:
         """Cells that are occupied now or have no floor, by flat id; see `SceneGrid2D.solid`."""
-        solid = (level.solid.ravel() != 0 for level in self.grid.levels)
-        return self.cached("occupied", None, lambda: np.concatenate(list(solid)), 1)
 
-    def first_in_sight(
-        self, cell: int, point: Float, cells: Int, points: Float, room: Int32 = NO_ROOMS
-    ) -> int:
-        """The index of the first of some points that is in sight of a point, -1 for none.
+        def find_occupied() -> Bool:
+            return np.concatenate([level.solid.ravel() != 0 for level in self.grid.levels])
 
-        Only occupied cells hide; heights are not compared.
+        return self.cached("occupied", None, find_occupied, 1)
 
-        Args:
-            cell: flat id of the cell that the point is in.
-            point: world x, y [m], shape (2,) or (3,).
-            cells: flat ids of the cells of `points`, shape (n,).
-            points: world x, y [m], shape (n, 2) or (n, 3), C-contiguous.
-            room: by flat id. The line may start in occupied cells, and leave them within the room
-                of the first one; empty if it may not.
-        """
-        is_clear = self.cached("clear", None, lambda: ~self.occupied, 1)
-        floors = self.flat.floors._replace(max_step=math.inf)
-        return int(
-            walks.first_in_sight(
-                self.flat.layout,
-                self.flat.steps,
-                floors,
-                is_clear,
-                room,
-                cell,
-                point,
-                cells,
-                points,
-            )
-        )
+    # ---------------------------------------------------------------- selections of cells
 
     def allowed(
         self,
@@ -245,7 +325,19 @@ class Search:
         room: str | None = None,
         islands: Sequence[int] | None = None,
     ) -> Bool:
-        """The free cells on a level, in a room and on some islands, by flat id."""
+        """Find the free cells on a level, in a room and on some islands.
+
+        Args:
+            level: number of the level; None for any.
+            room: id or name of the room; None for any, and cells without a room.
+            islands: numbers of the islands; None for any.
+
+        Returns:
+            bool, by flat id; it may be the array `flat.free` itself.
+
+        Raises:
+            QueryError: there is no such level or room.
+        """
         allowed = self.flat.free
         if level is not None:
             check_level(level, self.flat.num_levels)
@@ -258,139 +350,240 @@ class Search:
             allowed = allowed & np.isin(self.islands.number, islands)
         return allowed
 
-    def chosen_islands(
+    def allowed_islands(
         self, island: int | None, reachable_from: ArrayLike | None
     ) -> tuple[int, ...] | None:
-        """The islands that a free position leads to, of these the given one; None for all.
+        """List the islands that queries are restricted to; None for no restriction.
+
+        Args:
+            island: number of the only island that is allowed; None for any.
+            reachable_from: a free position that paths have to lead from; None for no such position.
 
         Raises:
             QueryError: there is no such island, or the position doesn't lead there.
         """
         if reachable_from is None:
             return None if island is None else (self.islands.check(island),)
-        home = int(self.islands.number[self.flat.free_cell_at(reachable_from)[1]])
-        reached = self.islands.reached_from(home)
+        _, start_cell = self.flat.free_cell_at(reachable_from)
+        start_island = int(self.islands.number[start_cell])
+        reached = self.islands.reached_from(start_island)
         if island is None:
             return reached
         if island not in reached:
-            raise QueryError(f"island {island} can't be reached: the position is on {home}")
+            raise QueryError(f"island {island} can't be reached: the position is on {start_island}")
         return (island,)
 
+    # ---------------------------------------------------------------- lines
+
+    def can_pass(self, start: Float, end: Float, level: int) -> bool:
+        """Whether an agent can currently move along a line between points x, y of a level [m].
+
+        Args:
+            start: world x, y [m], shape (2,).
+            end: world x, y [m], shape (2,).
+            level: number of the level.
+        """
+        return bool(line_kernels.can_pass(start, end, level, self.graph, self.off_center))
+
+    def first_in_sight(
+        self, cell: int, point: Float, cells: Int, points: Float, room: Int32 = NO_ROOMS
+    ) -> int:
+        """Find the first of some points that is in sight of a point.
+
+        Only occupied cells hide; heights are not compared.
+
+        Args:
+            cell: flat id of the cell that the point is in.
+            point: world x, y [m], shape (2,) or (3,).
+            cells: flat ids of the cells of `points`, shape (n,).
+            points: world x, y [m], shape (n, 2) or (n, 3), C-contiguous.
+            room: by flat id. The line may start in occupied cells, and leave them within the room
+                of the first one; empty if it may not.
+
+        Returns:
+            The point's index in `points`, -1 for none.
+        """
+        is_clear = self.cached("clear", None, lambda: ~self.occupied, 1)
+        floors = self.flat.floors._replace(max_step=math.inf)
+        first = walk_kernels.first_in_sight(
+            self.flat.layout,
+            self.flat.steps,
+            floors,
+            is_clear,
+            room,
+            cell,
+            point,
+            cells,
+            points,
+        )
+        return int(first)
+
+    # ---------------------------------------------------------------- routes
+
     def route(self, origin: int, goals: Int, by: str = "cost") -> Route | None:
-        """The cheapest route to the cheapest of several free cells."""
+        """Find the cheapest route to the cheapest of several free cells.
+
+        Args:
+            origin: flat id of a free cell.
+            goals: flat ids of free cells, int64.
+            by: ``cost`` or ``time``.
+
+        Returns:
+            The route, None if there is none.
+        """
         if (goals == origin).any():
             return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
         graph = self.graph_by(by)
         if len(self.flat.arcs.ends):
-            # by how much links may make a way cheaper than the octile distance to the goals' box
-            flat = self.flat
-            least = graph.least_weight
-            find = partial(flat.ways_by_links, self.radius, least, by_time=by == "time")
-            stops, ways = self.cached("ways by links", by, find)
-            if len(stops):
-                places = flat.positions(goals)[:, :2]
-                low = places.min(axis=0)
-                high = places.max(axis=0)
-                direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
-                graph = graph._replace(
-                    link_saving=float((direct - (ways + direct).min(axis=1)).max())
-                )
-        cells = self._find(graph, np.array([origin]), goals)
+            saving = self._largest_link_saving(goals, by, graph.least_weight)
+            graph = graph._replace(link_saving=saving)
+        cells = self._run_search(graph, np.array([origin]), goals)
         if not len(cells):
             return None
-        by_link = self._visits.mark[cells] & routes.MOVE_BITS == routes.BY_LINK
-        return Route(cells, by_link, float(self._visits.cost[cells[-1]]))
+        moves = self._visits.mark[cells] & search_kernels.MOVE_BITS
+        return Route(
+            cells=cells,
+            by_link=moves == search_kernels.BY_LINK,
+            cost=float(self._visits.cost[cells[-1]]),
+        )
 
-    def measure(
-        self, route: Route, places: Cells, by: str
-    ) -> tuple[float, float, list[tuple[int, str]]]:
-        """The cost of a route that was found by cost or time [m], its seconds, and its links.
+    def _largest_link_saving(self, goals: Int, by: str, least_weight: float) -> float:
+        """Compute by how much links may make a route cheaper than the search estimates.
 
-        `places` are its cells' levels, rows and columns. Links are named after the place in the
-        route of the cell that they lead to.
+        The search estimates octile distances to the box round the goals.
+        """
+        flat = self.flat
+        compute = partial(flat.costs_between_stops, self.radius, least_weight, by_time=by == "time")
+        stops, costs = self.cached("costs between stops", by, compute)
+        if not len(stops):
+            return 0.0
+        places = flat.positions(goals)[:, :2]
+        low = places.min(axis=0)
+        high = places.max(axis=0)
+        to_box = np.maximum(np.maximum(low - stops, stops - high), 0.0)
+        estimates = least_weight * octile_length(to_box)
+        over_links = (costs + estimates).min(axis=1)
+        return float((estimates - over_links).max())
+
+    def measure(self, route: Route, places: Cells, by: str) -> RouteCosts:
+        """Measure a route.
+
+        Args:
+            route: of this search.
+            places: level, row and column of the route's cells.
+            by: ``cost`` or ``time``, by which the route was planned.
+
+        Returns:
+            Its cost [m], its duration [s], and the named links that it takes.
         """
         flat = self.flat
         graph = self.graph
-        is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not route.by_link.any()
+        has_links = bool(route.by_link.any())
+        is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not has_links
         if by == "cost" and is_plain:
-            return route.cost, route.cost / graph.same_weight * float(flat.pace[0]), []
-        level, row, col = places
-        length = flat.layout.cell_size[level]
-        length[1:][(np.diff(row) != 0) & (np.diff(col) != 0)] *= math.sqrt(2.0)
+            seconds = route.cost / graph.same_weight * float(flat.pace[0])
+            return RouteCosts(route.cost, seconds, [])
+        length = flat.layout.cell_size[places.level]
+        is_diagonal = (np.diff(places.row) != 0) & (np.diff(places.col) != 0)
+        length[1:][is_diagonal] *= math.sqrt(2.0)
         length[0] = 0.0
         pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
-        if by == "cost" and not route.by_link.any():
-            return route.cost, float((length * pace).sum()), []
-        cost = np.zeros_like(length)
-        seconds = np.zeros_like(length)
-        names = list[tuple[int, str]]()
-        sources, targets = flat.step_ends()
+        if by == "cost" and not has_links:
+            return RouteCosts(route.cost, float((length * pace).sum()), [])
+
+        passage_cost = np.zeros_like(length)
+        passage_seconds = np.zeros_like(length)
+        links: list[TakenLink] = []
+        step_sources, step_targets = flat.step_ends()
+        planned_graph = self.graph_by(by)
+        planned_costs = flat.arcs.seconds if by == "time" else flat.arcs.cost
         for k in np.flatnonzero(route.by_link).tolist():
             ends = route.cells[k - 1 : k + 1]
-            step = np.flatnonzero((sources == ends[0]) & (targets == ends[1]))
-            length[k] = flat.steps.length[step[0]] if len(step) else 0.0
-            arcs = (flat.arcs.ends == ends).all(axis=1) & flat.arcs.fits_radius(self.radius)
-            if not arcs.any():
+            steps = np.flatnonzero((step_sources == ends[0]) & (step_targets == ends[1]))
+            length[k] = flat.steps.length[steps[0]] if len(steps) else 0.0
+            is_candidate = (flat.arcs.ends == ends).all(axis=1)
+            is_candidate &= flat.arcs.fits_radius(self.radius)
+            if not is_candidate.any():
                 continue
-            spent = flat.arcs.seconds if by == "time" else flat.arcs.cost
-            arc = int(np.argmin(np.where(arcs, spent, np.inf)))
-            price = self.graph_by(by)
-            of_step = length[k] * (price.same_weight or price.weight[ends[1]])
-            if not len(step) or spent[arc] < of_step:
-                names.append((k, self.grid.links[flat.arcs.link[arc]].name))
+            arc = int(np.argmin(np.where(is_candidate, planned_costs, np.inf)))
+            weight = planned_graph.same_weight or planned_graph.weight[ends[1]]
+            if not len(steps) or planned_costs[arc] < length[k] * weight:
+                links.append(TakenLink(k, self.grid.links[flat.arcs.link[arc]].name))
                 length[k] = 0.0
-                cost[k] = flat.arcs.cost[arc]
-                seconds[k] = flat.arcs.seconds[arc]
-        cost = cost + length * flat.weight[route.cells]
-        seconds = seconds + length * pace
-        return route.cost if by == "cost" else float(cost.sum()), float(seconds.sum()), names
+                passage_cost[k] = flat.arcs.cost[arc]
+                passage_seconds[k] = flat.arcs.seconds[arc]
+        cost = passage_cost + length * flat.weight[route.cells]
+        seconds_of_moves = passage_seconds + length * pace
+        return RouteCosts(
+            cost=route.cost if by == "cost" else float(cost.sum()),
+            seconds=float(seconds_of_moves.sum()),
+            links=links,
+        )
 
     def field(self, goals: Int, *, by: str = "cost", backwards: bool = True) -> Float:
-        """What the cheapest route from each cell to any goal costs, or to each cell; inf for none.
+        """Compute the cost of the cheapest route from each cell to any of several goals.
 
-        See `graph_by`; routes to each cell are measured by ``length`` only.
+        Args:
+            goals: flat ids of free cells, int64.
+            by: ``cost``, ``time`` or ``length``, see `graph_by`.
+            backwards: if False, the routes lead from the nearest goal to each cell, measured by
+                ``length`` only.
+
+        Returns:
+            float64, by flat id; inf for no route.
         """
         return self._flood(goals, by, backwards)[0]
 
     def find_next_cells(self, goals: Int) -> tuple[Float, Int]:
-        """The `field` by cost, and the next cell of each route: itself at a goal, -1 for none."""
+        """Compute the `field` by cost, and the next cell on the route from each cell to a goal.
+
+        Args:
+            goals: flat ids of free cells, int64.
+
+        Returns:
+            The costs, by flat id, inf for no route; and flat ids, by flat id: the cell itself at a
+            goal, -1 for no route.
+        """
         flat = self.flat
         links = self.graph.links
-        cost, way = self._flood(goals, "cost", True)
+        cost, move = self._flood(goals, "cost", True)
         cells = np.arange(flat.num_cells)
         # the field grew from the goals: the next cell is the reversed move
-        steps = np.zeros((2, routes.MOVE_BITS + 1), dtype=np.int64)
-        steps[:, : len(arrays.ROW_STEP)] = arrays.ROW_STEP, arrays.COL_STEP
-        down, across = steps[:, way]
+        row_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
+        col_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
+        row_steps[: len(arrays.ROW_STEP)] = arrays.ROW_STEP
+        col_steps[: len(arrays.COL_STEP)] = arrays.COL_STEP
+        down = row_steps[move]
+        across = col_steps[move]
         width = flat.layout.width[flat.level_of(cells)]
-        onward = np.where(np.isfinite(cost), cells - down * width - across, -1)
-        by_link = (way[links.cell] == routes.BY_LINK) & (onward[links.cell] >= 0)
-        onward[links.cell[by_link]] = self._visits.link_from[by_link]
-        return cost, onward
+        next_cells = np.where(np.isfinite(cost), cells - down * width - across, -1)
+        by_link = (move[links.cell] == search_kernels.BY_LINK) & (next_cells[links.cell] >= 0)
+        next_cells[links.cell[by_link]] = self._visits.link_from[by_link]
+        return cost, next_cells
 
     def _flood(self, goals: Int, by: str, backwards: bool) -> tuple[Float, Int32]:
         """Search from goals; returns each cell's cost and the move that reached it."""
-        self._find(self.graph_by(by, backwards=backwards), goals, NO_CELLS)
+        self._run_search(self.graph_by(by, backwards=backwards), goals, NO_CELLS)
         mark = self._visits.mark
-        cost = self._visits.cost
-        return np.where(
-            mark >= self._number * routes.SEARCH_UNIT, cost, np.inf
-        ), mark & routes.MOVE_BITS
+        is_reached = mark >= self._search_number * search_kernels.SEARCH_UNIT
+        cost = np.where(is_reached, self._visits.cost, np.inf)
+        return cost, mark & search_kernels.MOVE_BITS
 
-    def _find(self, graph: Any, sources: Int, goals: Int) -> Int:
-        """`navbake.runtime.search_kernels.find_route`, with a queue that grows as needed."""
+    def _run_search(self, graph: Graph, sources: Int, goals: Int) -> Int:
+        """Call `navbake.runtime.search_kernels.find_route`, with a queue that grows as needed."""
         while True:
             # marks of earlier searches stay, as each search has its own number
-            self._number += 1
-            if self._number > LAST_SEARCH:
+            self._search_number += 1
+            if self._search_number > LAST_SEARCH:
                 self._visits.mark[:] = 0
-                self._number = 1
-            result, route = routes.find_route(graph, sources, goals, self._number, self._visits)
-            if result == routes.DONE:
+                self._search_number = 1
+            status, route = search_kernels.find_route(
+                graph, sources, goals, self._search_number, self._visits
+            )
+            if status == search_kernels.DONE:
                 return np.asarray(route)
-            cell, following = np.empty((2, 4 * len(self._visits.entry_cell)), dtype=np.int32)
-            self._visits = self._visits._replace(entry_cell=cell, entry_next=following)
-
-    def can_pass(self, a: Float, b: Float, level: int) -> bool:
-        """Whether an agent can currently move along a line between points x, y of a level [m]."""
-        return bool(lines.can_pass(a, b, level, self.graph, self.off_center))
+            queue_size = 4 * len(self._visits.entry_cell)
+            self._visits = self._visits._replace(
+                entry_cell=np.empty(queue_size, dtype=np.int32),
+                entry_next=np.empty(queue_size, dtype=np.int32),
+            )

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from functools import reduce
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,187 +47,326 @@ ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
-TOUCH = 1e-9  # share of a radius by which a disc may overlap a square
+RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
+
+
+class DiscOffsets(NamedTuple):
+    """The cells whose squares, or centres, an open disc round a cell's centre reaches.
+
+    Attributes:
+        offsets: steps to them, rows and columns, shape (n, 2), nearest first.
+        squares: the squared distances to them, in half cells, shape (n,).
+        half_widths: the disc by row, as `navbake.runtime.inflation_kernels.dilate` takes it.
+    """
+
+    offsets: Int
+    squares: Int
+    half_widths: Int32
+
+
+class StackPlace(NamedTuple):
+    """Where a level's cells lie in the arrays of a `LevelStack`.
+
+    Attributes:
+        layer: the level's index in the arrays.
+        row: row of the level's cell (0, 0).
+        col: column of the level's cell (0, 0).
+    """
+
+    layer: int
+    row: int
+    col: int
 
 
 def find_blocked(
-    grid: NavGrid, number: int, radius: float, ledges: str = "avoid", *, by_own: bool = True
+    grid: NavGrid,
+    level_number: int,
+    radius: float,
+    ledges: str = "avoid",
+    *,
+    by_own_level: bool = True,
 ) -> Bool:
-    """Find the cells of a level where an agent of a radius [m] can't stand; see the module's head.
+    """Find the cells of a level where an agent can't stand; the module's head has the rules.
 
-    With `by_own` False, the level's own occupied cells don't block, and all others with a floor do.
+    Args:
+        grid: the grid; its weights don't count.
+        level_number: the level.
+        radius: of the agent [m], >= 0.
+        ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
+        by_own_level: if False, the level's own occupied cells don't block, and all its other cells
+            with a floor do.
+
+    Returns:
+        bool, shape (height, width) of the level.
     """
-    compiled.ensure_compiled("runtime.kernels.inflation.")
-    cells = radius / grid.levels[number].lattice.cell_size
-    stack, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
+    compiled.ensure_compiled("runtime.inflation_kernels.")
+    radius_in_cells = radius / grid.levels[level_number].lattice.cell_size
+    stack, inside = stack_levels(grid, level_number, math.ceil(radius_in_cells) + 1)
     occupied = stack.occupied[stack.level]
-    offsets, _, widths = disc(cells, occupied.shape)
-    if by_own:
-        blocked: Bool = kernels.dilate(occupied, widths)
-        others = stack
+    disc = find_disc_offsets(radius_in_cells, occupied.shape)
+    if by_own_level:
+        blocked: Bool = kernels.dilate(occupied, disc.half_widths)
     else:
         blocked = np.zeros(occupied.shape, dtype=np.bool_)
-        others = stack._replace(occupied=np.ones_like(stack.occupied))
-        others.occupied[stack.level] = 0
-    if cells > 0:
-        block_by_others(grid, number, others, radius, offsets, ledges, blocked)
+        stack = stack._replace(occupied=np.ones_like(stack.occupied))
+        stack.occupied[stack.level] = 0
+    if radius_in_cells > 0:
+        block_by_floors(grid, level_number, stack, radius, disc.offsets, ledges, blocked)
         # holes that are not occupied and leave too little floor in a disc
         has_floor = ~np.isnan(stack.floor[stack.level])
-        holes = ~has_floor & (occupied == 0)
-        if holes.any():
-            offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
-            near = kernels.dilate(holes.view(np.uint8), widths) & has_floor & ~blocked
-            kernels.block_near_holes(has_floor, near, offsets, squares, LEAST_FLOOR, blocked)
+        is_hole = ~has_floor & (occupied == 0)
+        if is_hole.any():
+            disc = find_disc_offsets(radius_in_cells, is_hole.shape, of_squares=False)
+            near_hole = kernels.dilate(is_hole.view(np.uint8), disc.half_widths)
+            near_hole = near_hole & has_floor & ~blocked
+            kernels.block_near_holes(
+                has_floor, near_hole, disc.offsets, disc.squares, LEAST_FLOOR, blocked
+            )
     return blocked[inside]
 
 
-def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
-    """The free cells of ``grid.inflate(radius)``, by flat id, without inflating the grid."""
-    levels = enumerate(grid.levels)
-    free = [v.free_for_point & ~find_blocked(grid, k, radius, ledges) for k, v in levels]
-    return np.concatenate([mask.ravel() for mask in free])
+def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
+    """Find the free cells of ``grid.inflate(radius)`` without inflating the grid.
+
+    Args:
+        grid: a grid of one or several levels.
+        radius: of the agent [m], >= 0.
+        ledges: ``avoid`` or ``ignore``.
+
+    Returns:
+        bool, by flat id.
+    """
+    free_by_level = [
+        level.free_for_point & ~find_blocked(grid, number, radius, ledges)
+        for number, level in enumerate(grid.levels)
+    ]
+    return np.concatenate([free.ravel() for free in free_by_level])
 
 
-def block_by_others(
+def block_by_floors(
     grid: NavGrid,
-    number: int,
+    level_number: int,
     stack: LevelStack,
     radius: float,
     offsets: Int,
     ledges: str,
     blocked: Bool,
 ) -> None:
-    """Update `blocked` by other levels and floors, within `offsets` of an agent's cell."""
-    level = grid.levels[number]
+    """Update `blocked` by the floors and the other levels within `offsets` of an agent's cell.
+
+    Args:
+        grid: the grid.
+        level_number: the agent's level.
+        stack: the cells near it, of `stack_levels`.
+        radius: of the agent [m].
+        offsets: steps to the cells that the agent meets, shape (n, 2).
+        ledges: ``avoid`` or ``ignore``.
+        blocked: cells of the stack, bool, shape (rows, cols), written.
+    """
+    level = grid.levels[level_number]
     # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
     has_solid = bool(level.navbake) and "solid" in level.attributes
     counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
-    least = np.fmin.reduce(stack.floor, axis=None)
-    most = np.fmax.reduce(stack.floor, axis=None)
-    if len(stack.floor) == 1 and not most - least > stack.step:
+    lowest_floor = np.fmin.reduce(stack.floor, axis=None)
+    highest_floor = np.fmax.reduce(stack.floor, axis=None)
+    if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.step:
         return  # neither higher nor lower floors
     # the lowest and the highest floors in the tiles that offsets lead to from each tile
     tile = kernels.TILE
-    ranges = []
     window = 2 * -(-int(np.abs(offsets).max()) // tile) + 1
-    pads = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
-    floor = np.pad(stack.floor, pads, constant_values=np.nan)
-    for extreme, of_window, beyond in (
-        (np.fmin, ndimage.minimum_filter, np.float32(np.inf)),
-        (np.fmax, ndimage.maximum_filter, np.float32(-np.inf)),
-    ):
-        # slice by slice, in a tenth of the time of `reduceat`
-        tiles = reduce(extreme, [floor[:, k::tile] for k in range(tile)])
-        tiles = reduce(extreme, [tiles[:, :, k::tile] for k in range(tile)])
-        tiles = np.where(np.isnan(tiles), beyond, tiles)
-        size = (1, window, window)
-        ranges.append(of_window(tiles, size=size, mode="constant", cval=beyond))
-    avoids = ledges == "avoid"
-    kernels.block_by_floors(stack, *ranges, offsets, counts_higher, avoids, blocked)
+    padding = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
+    floor = np.pad(stack.floor, padding, constant_values=np.nan)
+    lowest = _extremes_of_windows(np.fmin, floor, tile, window)
+    highest = _extremes_of_windows(np.fmax, floor, tile, window)
+    counts_lower = ledges == "avoid"
+    kernels.block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked)
 
 
-def disc(
-    radius: float, shape: tuple[int, int], *, of_squares: bool = True
-) -> tuple[Int, Int, Int32]:
-    """Steps from a cell to the cells whose squares, or centres, an open disc round it reaches.
+def _extremes_of_windows(
+    extreme: np.ufunc, floor: NDArray[np.float32], tile: int, window: int
+) -> NDArray[np.float32]:
+    """Compute the lowest or highest floors in the tiles of a window round each tile.
 
-    Returns rows and columns within `shape`, (n, 2), nearest first; their squared distances in half
-    cells; and the disc's half widths by row for `dilate`. The radius is in cells.
+    `extreme` is `numpy.fmin` or `numpy.fmax`; `window` is a number of tiles. Tiles without floor,
+    and beyond the array, count as infinitely high or low.
     """
-    rows, cols = (np.arange(-n, n + 1) for n in (min(math.ceil(radius) + 1, s) for s in shape))
-    # squared half cells along an axis to the near side, or to the centre, of squares
-    along = [2 * np.abs(steps) for steps in (rows, cols)]
-    down, across = (np.maximum(v - 1, 0) ** 2 if of_squares else v**2 for v in along)
-    squares = down[:, None] + across
-    reached = squares < (2 * radius) ** 2 * (1 - TOUCH)  # touching is not reaching
-    row, col = np.nonzero(reached)
-    found = squares[row, col]
-    order = np.argsort(found, kind="stable")
-    width = np.count_nonzero(reached[len(rows) // 2 :], axis=1) // 2
-    width = np.append(width[reached[len(rows) // 2 :].any(axis=1)], -1).astype(np.int32)
-    return np.stack([rows[row], cols[col]], axis=1)[order], found[order], width
+    is_lowest = extreme is np.fmin
+    beyond = np.float32(np.inf if is_lowest else -np.inf)
+    # slice by slice, in a tenth of the time of `reduceat`
+    tiles = reduce(extreme, [floor[:, k::tile] for k in range(tile)])
+    tiles = reduce(extreme, [tiles[:, :, k::tile] for k in range(tile)])
+    tiles = np.where(np.isnan(tiles), beyond, tiles)
+    filter_tiles = ndimage.minimum_filter if is_lowest else ndimage.maximum_filter
+    extremes: NDArray[np.float32] = filter_tiles(
+        tiles, size=(1, window, window), mode="constant", cval=beyond
+    )
+    return extremes
 
 
-def find_surroundings(
-    grid: NavGrid, number: int, reach: int
+def find_disc_offsets(
+    radius: float, shape: tuple[int, int], *, of_squares: bool = True
+) -> DiscOffsets:
+    """List the steps from a cell to the cells that an open disc round its centre reaches.
+
+    Args:
+        radius: of the disc, in cells.
+        shape: rows and columns of the array; longer steps are left out.
+        of_squares: whether the disc has to reach the cells' squares, else their centres.
+    """
+    row_reach = min(math.ceil(radius) + 1, shape[0])
+    col_reach = min(math.ceil(radius) + 1, shape[1])
+    rows = np.arange(-row_reach, row_reach + 1)
+    cols = np.arange(-col_reach, col_reach + 1)
+    squares = _half_cells(rows, of_squares)[:, None] ** 2 + _half_cells(cols, of_squares) ** 2
+    is_reached = squares < (2 * radius) ** 2 * (1 - RADIUS_SLACK)  # touching is not reaching
+    row, col = np.nonzero(is_reached)
+    reached_squares = squares[row, col]
+    order = np.argsort(reached_squares, kind="stable")
+    rows_down = is_reached[len(rows) // 2 :]
+    half_widths = np.count_nonzero(rows_down, axis=1) // 2
+    half_widths = np.append(half_widths[rows_down.any(axis=1)], -1).astype(np.int32)
+    offsets = np.stack([rows[row], cols[col]], axis=1)
+    return DiscOffsets(offsets[order], reached_squares[order], half_widths)
+
+
+def _half_cells(steps: Int, of_squares: bool) -> Int:
+    """Compute the half cells along an axis to the near side, or to the centre, of squares."""
+    half_cells = 2 * np.abs(steps)
+    return np.maximum(half_cells - 1, 0) if of_squares else half_cells
+
+
+def stack_levels(
+    grid: NavGrid, level_number: int, reach: int
 ) -> tuple[LevelStack, tuple[slice, slice]]:
-    """The cells near an agent on a level, and the level's own rectangle among them."""
-    level = grid.levels[number]
-    agent = (step_limit(grid) * grid.unit, grid.agent_height)
-    placed = dict[int, tuple[int, int]]()
-    x_min, y_max, size, *_ = level.lattice
-    for k, other in enumerate(part.lattice for part in grid.levels):
-        # row and column of its cell (0, 0) in the level's lattice, whose cells must coincide
-        row = (y_max - other.y_max) / size
-        col = (other.x_min - x_min) / size
-        growth = abs(other.cell_size / size - 1) * max(*level.shape, *other.shape)
-        if max(abs(row - round(row)), abs(col - round(col)), growth) < ALIGNED:
-            placed[k] = round(row), round(col)
-    top = left = 0
+    """Stack the cells of a level and of the levels around it into arrays of one lattice.
+
+    Args:
+        grid: a grid of one or several levels.
+        level_number: the agent's level.
+        reach: how far beyond the level's cells the arrays go at most [cells].
+
+    Returns:
+        The stack; and the rows and columns of the level's own rectangle in it.
+    """
+    level = grid.levels[level_number]
+    step = step_limit(grid) * grid.unit
+    corners = _find_aligned_levels(grid, level_number)
+    first_row = 0
+    first_col = 0
     if len(grid.levels) == 1:
-        floor = _floor(level)[None]
+        floor = _floor_in_metres(level)[None]
         occupied = np.ascontiguousarray(level.solid)[None]
     else:
-        ends = np.array([[*at, *np.add(at, grid.levels[k].shape)] for k, at in placed.items()])
-        top, left = (max(-reach, int(least)) - 1 for least in ends[:, :2].min(axis=0))
-        most = ends[:, 2:].max(axis=0)
-        bottom, right = (min(n + reach, int(m)) + 1 for n, m in zip(level.shape, most, strict=True))
-        shape = (len(placed), bottom - top, right - left)
+        rectangles = np.array([
+            [row, col, row + grid.levels[k].height, col + grid.levels[k].width]
+            for k, (row, col) in corners.items()
+        ])  # fmt: skip
+        least = rectangles[:, :2].min(axis=0)
+        greatest = rectangles[:, 2:].max(axis=0)
+        first_row = max(-reach, int(least[0])) - 1
+        first_col = max(-reach, int(least[1])) - 1
+        end_row = min(level.height + reach, int(greatest[0])) + 1
+        end_col = min(level.width + reach, int(greatest[1])) + 1
+        shape = (len(corners), end_row - first_row, end_col - first_col)
         floor = np.full(shape, np.nan, dtype=np.float32)
         occupied = np.ones(shape, dtype=np.uint8)
-        for i, (k, (row, col)) in enumerate(placed.items()):
-            part = grid.levels[k]
-            _paste(floor[i], _floor(part), row - top, col - left)
-            _paste(occupied[i], part.solid, row - top, col - left)
-    at = {k: (i, row - top, col - left) for i, (k, (row, col)) in enumerate(placed.items())}
-    slopes = _find_slopes(grid, at, floor, agent[0])
-    stack = kernels.LevelStack(floor, occupied, slopes, at[number][0], *agent)
-    return stack, (slice(-top, level.height - top), slice(-left, level.width - left))
-
-
-def _find_slopes(
-    grid: NavGrid, at: dict[int, tuple[int, int, int]], floor: NDArray[np.float32], step: float
-) -> NDArray[np.uint8]:
-    """The `slopes` of LevelStack; `at` has each level's index, row and column in them."""
-    links = grid.step_array
-    none = np.zeros((0, 0, 0), dtype=np.uint8)
-    links = links[np.isin(links[:, ::2], list(at)).all(axis=1)]
-    if not len(links):
-        return none
-    place = np.array([at.get(k, (0, 0, 0)) for k in range(len(grid.levels))])
-    width = np.array([level.width for level in grid.levels])
-    one, other = (
-        (place[level] + np.stack([0 * cell, *np.divmod(cell, width[level])], axis=1)).T
-        for level, cell in (links[:, :2].T, links[:, 2:].T)
+        for index, (k, (row, col)) in enumerate(corners.items()):
+            stacked_level = grid.levels[k]
+            stacked_floor = _floor_in_metres(stacked_level)
+            _paste(floor[index], stacked_floor, row - first_row, col - first_col)
+            _paste(occupied[index], stacked_level.solid, row - first_row, col - first_col)
+    places = {
+        k: StackPlace(index, row - first_row, col - first_col)
+        for index, (k, (row, col)) in enumerate(corners.items())
+    }
+    stack: LevelStack = kernels.LevelStack(
+        floor=floor,
+        occupied=occupied,
+        slopes=_mark_slopes(grid, places, floor, step),
+        level=places[level_number].layer,
+        step=step,
+        height=grid.agent_height,
     )
+    rows = slice(-first_row, level.height - first_row)
+    cols = slice(-first_col, level.width - first_col)
+    return stack, (rows, cols)
+
+
+def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[int, int]]:
+    """Find the levels whose cells coincide with those of a level.
+
+    Returns row and column of each one's cell (0, 0) in the level's lattice, by the level's number.
+    """
+    level = grid.levels[level_number]
+    x_min, y_max, size, *_ = level.lattice
+    corners = dict[int, tuple[int, int]]()
+    for number, neighbor in enumerate(grid.levels):
+        lattice = neighbor.lattice
+        row = (y_max - lattice.y_max) / size
+        col = (lattice.x_min - x_min) / size
+        # by how many cells the levels drift apart where the sizes of their cells differ
+        drift = abs(lattice.cell_size / size - 1) * max(*level.shape, *neighbor.shape)
+        if max(abs(row - round(row)), abs(col - round(col)), drift) < ALIGNED:
+            corners[number] = (round(row), round(col))
+    return corners
+
+
+def _mark_slopes(
+    grid: NavGrid, places: dict[int, StackPlace], floor: NDArray[np.float32], step: float
+) -> NDArray[np.uint8]:
+    """Make the `slopes` of a LevelStack from the grid's steps; `places` are by level."""
+    links = grid.step_array
+    no_slopes = np.zeros((0, 0, 0), dtype=np.uint8)
+    links = links[np.isin(links[:, ::2], list(places)).all(axis=1)]
+    if not len(links):
+        return no_slopes
+    starts = _stack_indices(grid, places, level=links[:, 0], cell=links[:, 1])
+    ends = _stack_indices(grid, places, level=links[:, 2], cell=links[:, 3])
     size = np.array(floor.shape)[:, None]
-    inside = ((one >= 0) & (one < size) & (other >= 0) & (other < size)).all(axis=0)
-    one = one[:, inside]
-    other = other[:, inside]
-    is_slope = np.abs(floor[tuple(one)] - floor[tuple(other)]) > step
-    is_slope &= np.abs(other - one)[1:].sum(axis=0) == 1
+    is_inside = ((starts >= 0) & (starts < size) & (ends >= 0) & (ends < size)).all(axis=0)
+    starts = starts[:, is_inside]
+    ends = ends[:, is_inside]
+    is_slope = np.abs(floor[tuple(starts)] - floor[tuple(ends)]) > step
+    is_slope &= np.abs(ends - starts)[1:].sum(axis=0) == 1
     if not is_slope.any():
-        return none
+        return no_slopes
     slopes = np.zeros(floor.shape, dtype=np.uint8)
-    toward = np.zeros((3, 3), dtype=np.uint8)  # by step down and across, the middle is none
-    toward[[1, 0, 1, 2], [2, 1, 0, 1]] = arrays.EAST, arrays.NORTH, arrays.WEST, arrays.SOUTH
-    one = one[:, is_slope]
-    other = other[:, is_slope]
-    for here, there in ((one, other), (other, one)):
-        np.bitwise_or.at(slopes, tuple(here), toward[tuple((there - here)[1:] + 1)])
+    # the bit of a direction by steps down and across, from -1 to 1; the middle is no direction
+    direction_bits = np.zeros((3, 3), dtype=np.uint8)
+    direction_bits[1, 2] = arrays.EAST
+    direction_bits[0, 1] = arrays.NORTH
+    direction_bits[1, 0] = arrays.WEST
+    direction_bits[2, 1] = arrays.SOUTH
+    starts = starts[:, is_slope]
+    ends = ends[:, is_slope]
+    for cells, neighbors in ((starts, ends), (ends, starts)):
+        bits = direction_bits[tuple((neighbors - cells)[1:] + 1)]
+        np.bitwise_or.at(slopes, tuple(cells), bits)
     return slopes
 
 
-def _floor(level: SceneGrid2D) -> NDArray[np.float32]:
-    """World z of the level's floor [m]."""
+def _stack_indices(grid: NavGrid, places: dict[int, StackPlace], level: Int, cell: Int) -> Int:
+    """Compute index, row and column in a LevelStack of cells by level and id, shape (3, n)."""
+    no_place = StackPlace(0, 0, 0)
+    corners = np.array([places.get(k, no_place) for k in range(len(grid.levels))])
+    widths = np.array([level.width for level in grid.levels])
+    rows, cols = np.divmod(cell, widths[level])
+    indices: Int = (corners[level] + np.stack([np.zeros_like(cell), rows, cols], axis=1)).T
+    return indices
+
+
+def _floor_in_metres(level: SceneGrid2D) -> NDArray[np.float32]:
+    """Compute world z of the level's floor [m], float32, contiguous."""
     floor = np.ascontiguousarray(level.floor_height)
     return floor if level.unit == 1 else floor * np.float32(level.unit)
 
 
-def _paste(canvas: NDArray, piece: NDArray, row: int, col: int) -> None:  # type: ignore[type-arg]
+def _paste(canvas: NDArray[np.generic], piece: NDArray[np.generic], row: int, col: int) -> None:
     """Copy a piece to a position on a canvas; only the overlap is copied."""
     height, width = canvas.shape
-    inside = piece[max(-row, 0) : max(height - row, 0), max(-col, 0) : max(width - col, 0)]
+    rows = slice(max(-row, 0), max(height - row, 0))
+    cols = slice(max(-col, 0), max(width - col, 0))
+    overlap = piece[rows, cols]
     row = max(row, 0)
     col = max(col, 0)
-    canvas[row : row + inside.shape[0], col : col + inside.shape[1]] = inside
+    canvas[row : row + overlap.shape[0], col : col + overlap.shape[1]] = overlap

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.csgraph import dijkstra
 
 from navbake.errors import QueryError
-from navbake.runtime.search import FIRST_ROOM, Search
+from navbake.runtime.search import FIRST_QUEUE_SIZE, Search
 from oracles.ways import make_level, random_grid, stack, step_graph
 
 
@@ -80,7 +80,7 @@ def test_a_field_of_more_goals_than_there_is_room_for_at_first():
     free[::2, 1::2] = False
     search = Search(make_level(free, np.zeros(free.shape)))
     goals = np.flatnonzero(free)
-    assert len(goals) > FIRST_ROOM
+    assert len(goals) > FIRST_QUEUE_SIZE
     field = search.field(goals)
     assert not field[goals].any()
     assert np.isinf(field[np.flatnonzero(~free)]).all()

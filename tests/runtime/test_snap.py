@@ -127,7 +127,9 @@ def test_what_a_larger_radius_takes_does_not_hide():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed, monkeypatch):
-    monkeypatch.setattr(navbake.runtime.places, "FIRST_LOOK", 0.06)  # so that it looks again
+    monkeypatch.setattr(
+        navbake.runtime.places, "FIRST_SIGHT_RADIUS", 0.06
+    )  # so that it looks again
     rng, finder = random_finder(seed, num_levels=1, share=0.6)
     flat, occupied = finder.search.flat, finder.search.occupied
     free = np.flatnonzero(flat.free)

@@ -11,7 +11,7 @@ from scipy.stats import chisquare
 import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
-from navbake.runtime.draws import along_hilbert, most_that_fit
+from navbake.runtime.draws import Spacing, bound_num_agents, sort_along_hilbert_curve
 from navbake.runtime.path_finder import PathFinder
 from project_paths import GOLDEN
 
@@ -97,7 +97,7 @@ def test_ten_thousand_draws_are_even_by_area(apartment, stratify):
     flat = apartment.search.flat
     cells = flat.cells_at(np.concatenate(draws))
     # blocks of neighbouring cells, of one area each, as near as may be
-    free = along_hilbert(flat, np.flatnonzero(flat.free))
+    free = sort_along_hilbert_curve(flat, np.flatnonzero(flat.free))
     block = np.empty(flat.num_cells, dtype=np.int64)
     block[free] = np.arange(len(free)) * 40 // len(free)
     counts, sizes = np.bincount(block[cells]), np.bincount(block[free])
@@ -189,7 +189,7 @@ def test_no_more_fit_than_the_bound_says(seed):
     p = flat.positions(cells)[:, :2]
     near = np.linalg.norm(p[:, None] - p, axis=-1) < apart - 1e-9
     most = largest_crowd(near)
-    assert most_that_fit(flat, cells, (apart, 1.14)) >= most
+    assert bound_num_agents(flat, cells, Spacing(apart, 1.14)) >= most
     # a crowd that fits is found; the largest of all may not be, and that is said
     for n in range(1, most):
         try:
@@ -222,8 +222,8 @@ def largest_crowd(near):
 def test_the_bound_counts_storeys_by_themselves():
     house = house_from([level_from("."), level_from(".", ground=3.0)])
     flat = PathFinder(house).search.flat
-    assert most_that_fit(flat, np.arange(2), (1.0, 1.14)) == 2
-    assert most_that_fit(flat, np.arange(2), (1.0, 4.0)) == 1
+    assert bound_num_agents(flat, np.arange(2), Spacing(1.0, 1.14)) == 2
+    assert bound_num_agents(flat, np.arange(2), Spacing(1.0, 4.0)) == 1
 
 
 def test_a_row_that_is_just_long_enough_is_packed():
@@ -278,9 +278,9 @@ def test_rooms_are_needed_to_stratify_by_them():
 # --- Hilbert's curve -------------------------------------------------------------------------
 
 
-def test_neighbours_along_hilberts_curve_are_neighbours():
+def test_neighbours_sort_along_hilbert_curves_curve_are_neighbours():
     flat = PathFinder(level_from("\n".join(["." * 16] * 16))).search.flat
-    row, col = np.divmod(along_hilbert(flat, np.arange(256)), 16)
+    row, col = np.divmod(sort_along_hilbert_curve(flat, np.arange(256)), 16)
     assert (np.abs(np.diff(row)) + np.abs(np.diff(col)) == 1).all()
     assert len(set(zip(row.tolist(), col.tolist(), strict=True))) == 256
     for one, other in itertools.pairwise(range(0, 256 + 1, 64)):  # quarters
