@@ -36,12 +36,22 @@ Length = Annotated[float, msgspec.Meta(ge=0)]
 """A length [m]."""
 
 
-def check_word(value: str, known: Collection[str], name: str) -> None:
-    """Raise a ValueError for anything but the known words."""
-    if value not in known:
-        near = find_near(value, known) or [one for one in known if str(value).startswith(one)]
+def check_word(value: str, words: Collection[str], name: str) -> None:
+    """Check that a value is one of some words.
+
+    Args:
+        value: the value.
+        words: those that are allowed.
+        name: what the value is, for the error.
+
+    Raises:
+        ValueError: it is another one; the text has a near one.
+    """
+    if value not in words:
+        beginnings = [word for word in words if str(value).startswith(word)]
+        near = find_near(value, words) or beginnings
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}{hint}")
+        raise ValueError(f"expected one of {', '.join(words)} as {name}, got {value!r}{hint}")
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -57,7 +67,7 @@ class ViewPoint(Record, frozen=True, omit_defaults=True):
 
 
 class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """What is to be reached: a point, an object, a room, or a share of the free area."""
+    """What an agent has to reach: a point, an object, a room, or a share of the free area."""
 
     position: Vector3 | None = None
     """World x, y, z [m]; of an object its middle, of a room its centroid."""
@@ -116,10 +126,10 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Agent(Record, frozen=True, kw_only=True):
-    """For whom the episodes are."""
+    """The agent that the episodes were generated for."""
 
-    radius: Length
-    height: Length
+    radius: Length  #: [m]
+    height: Length  #: [m]
     speed: float | None = None  #: The highest [m/s].
     name: str | msgspec.UnsetType = msgspec.UNSET
     """Of the grid's agent whose rights on links and areas count; not set for none."""
@@ -134,7 +144,7 @@ class GridEntry(Record, frozen=True, kw_only=True):
 
 
 class Header(Record, frozen=True, kw_only=True):
-    """What made a set; sets of other programs don't say it."""
+    """The grids, agent and rules that a set was drawn from; sets of other programs lack them."""
 
     format: str = FORMAT
     version: int = VERSION
@@ -146,23 +156,35 @@ class Header(Record, frozen=True, kw_only=True):
 
 
 class EpisodeSet(msgspec.Struct, frozen=True):
-    """Episodes and what made them; raises a ValueError where two have one id."""
+    """A set of episodes with unique ids.
+
+    Attributes:
+        header: what they were drawn from.
+        episodes: in their order.
+
+    Raises:
+        ValueError: two episodes have one id.
+    """
 
     header: Header
     episodes: tuple[Episode, ...]
 
     def __post_init__(self) -> None:
-        seen: set[str] = set()
+        ids: set[str] = set()
         for episode in self.episodes:
-            if episode.id in seen:
+            if episode.id in ids:
                 raise ValueError(f"expected unique ids, got {episode.id!r} twice")
-            seen.add(episode.id)
+            ids.add(episode.id)
 
     def __len__(self) -> int:
         return len(self.episodes)
 
     def check_grid(self, grid: NavGrid) -> None:
-        """Raise a QueryError unless the set was made on this grid, for this agent."""
+        """Check that the set was drawn on this grid, inflated for the set's agent.
+
+        Raises:
+            QueryError: it was drawn on another one, for another agent, or doesn't say on which.
+        """
         scene = scene_of(grid)
         agent = self.header.agent
         radius = grid.radius
@@ -177,10 +199,11 @@ class EpisodeSet(msgspec.Struct, frozen=True):
             sizes = f"radius {agent.radius:g} m, the grid of {scene!r} for {radius:g} m"
             inflate = "inflate the grid it was made on, or force it"
             raise QueryError(f"the set is for an agent of {sizes}: {inflate}")
-        if digests[scene] != (given := digest_of(grid)):
+        digest = digest_of(grid)
+        if digests[scene] != digest:
             raise QueryError(
                 f"the set was made on another grid of {scene!r} (digest {digests[scene][:12]}, "
-                f"this one has {given[:12]}): bake it with the settings of then, or force it"
+                f"this one has {digest[:12]}): bake it with the settings of then, or force it"
             )
 
 
@@ -192,25 +215,42 @@ def scene_of(grid: NavGrid) -> str:
 def named_agent(
     grid: NavGrid, name: str | None, radius: float | None = None, height: float | None = None
 ) -> links.Agent:
-    """The grid's agent of a name, else a nameless one; of a radius and a height if given [m]."""
-    known = (find_agent(grid, name) if name else None) or links.Agent("")
-    sizes: dict[str, Any] = {"radius": radius, "height": height}
-    return replace(known, **{key: size for key, size in sizes.items() if size is not None})
+    """An agent of a grid, or a nameless one, with other sizes if they are given.
+
+    Args:
+        grid: the grid.
+        name: of an agent in the grid; a nameless one with all rights if None.
+        radius: in place of the agent's own [m].
+        height: in place of the agent's own [m].
+
+    Returns:
+        The agent.
+
+    Raises:
+        QueryError: the grid has no such agent.
+    """
+    agent = (find_agent(grid, name) if name else None) or links.Agent("")
+    if radius is not None:
+        agent = replace(agent, radius=radius)
+    if height is not None:
+        agent = replace(agent, height=height)
+    return agent
 
 
 def digest_of(grid: NavGrid) -> str:
     """SHA-256 of all that distances on a grid depend on, and of its rooms, in hexadecimal.
 
-    Where it is, what is free, the floors, steps, links and areas, the agent's radius and height:
-    not of names, doors' states as far as they block nothing, timings or blocks.
+    That is where the grid lies, what is free, the floors, steps, links and areas, and the agent's
+    radius and height; but not names, timings, added obstacles, nor doors' states as far as they
+    block nothing.
     """
-    clean = grid.without_blocks()
-    facts = (clean.radius, clean.agent_height, clean.max_step, clean.step_array.tolist())
-    digest = sha256(repr(facts).encode())
-    if clean.links or clean.areas:
-        digest.update(repr((clean.links, clean.areas)).encode())
-    for level in clean.levels:
-        digest.update(np.ascontiguousarray(level.area_index).data if clean.areas else b"")
+    grid = grid.without_blocks()
+    sizes_and_steps = (grid.radius, grid.agent_height, grid.max_step, grid.step_array.tolist())
+    digest = sha256(repr(sizes_and_steps).encode())
+    if grid.links or grid.areas:
+        digest.update(repr((grid.links, grid.areas)).encode())
+    for level in grid.levels:
+        digest.update(np.ascontiguousarray(level.area_index).data if grid.areas else b"")
         digest.update(repr(tuple(map(float, level.lattice))).encode())
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)

@@ -21,12 +21,12 @@ from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet
 from navbake.episodes.formats import SIMULATOR_FORMATS, Fields, SetFormat, decode
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
-from navbake.formats.source import format_path, import_extra, read_bytes, unpack, write_bytes
+from navbake.formats.source import import_extra, format_path, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
-NAME = b"navbake"  # of the header in a Parquet file's metadata
-TEXTS = ("id", "scene", "task", "split", "room")  # fields with a column of their own there
-NUMBERS = ("heading", "distance", "straight", "ratio")
+METADATA_KEY = b"navbake"  # of the header in a Parquet file
+TEXT_COLUMNS = ("id", "scene", "task", "split", "room")  # in a Parquet file, besides ``episode``
+NUMBER_COLUMNS = ("heading", "distance", "straight", "ratio")
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
     ".gz": partial(gzip.compress, compresslevel=6, mtime=0),
     ".bz2": bz2.compress,
@@ -36,11 +36,14 @@ PACKERS: dict[str, Callable[[bytes], bytes]] = {
 def read_episodes(
     path: str | os.PathLike[str], scenes: Mapping[str, str] | None = None
 ) -> EpisodeSet:
-    """Read a set in any format, which the ending and the content tell.
+    """Read a set in any format, which follows from the file's ending and content.
 
     Args:
         path: of the file, plain or packed.
         scenes: what another program calls scenes, by their ids here.
+
+    Returns:
+        The set.
 
     Raises:
         FormatError: the file can't be read, or holds no set; file, line and field are named.
@@ -49,18 +52,24 @@ def read_episodes(
     packed, name = read_bytes(path)
     text = unpack(packed, name)
     ending, _ = _endings(path)
-    is_list = ending == ".json" and text.lstrip()[:1] == b"["
-    fitting = [one for one in EPISODE_FORMATS.values() if one.ending == ending] or [
-        EPISODE_FORMATS["jsonl"]
-    ]
-    chosen = EPISODE_FORMATS["molmospaces"] if is_list else fitting[0]
+    set_format = _format_of(text, ending)
     try:
-        header, episodes = chosen.read(text, name)
+        header, episodes = set_format.read(text, name)
         content = EpisodeSet(header, msgspec.convert(episodes, tuple[Episode, ...]))
     except (msgspec.ValidationError, csv.Error, ValueError, TypeError) as error:
         raise FormatError(f"{error} in {name}") from error
-    there = {} if chosen in NAVBAKE_FORMATS.values() else scenes or {}
-    return _rename(content, {name: here for here, name in there.items()})
+    if set_format in NAVBAKE_FORMATS.values() or scenes is None:
+        return content
+    scene_of_name = {foreign_name: scene for scene, foreign_name in scenes.items()}
+    return _rename_scenes(content, scene_of_name)
+
+
+def _format_of(text: bytes, ending: str) -> SetFormat:
+    """The format of a file by its content and ending; JSON lines if no other fits."""
+    if ending == ".json" and text.lstrip()[:1] == b"[":
+        return EPISODE_FORMATS["molmospaces"]
+    fitting = [set_format for set_format in EPISODE_FORMATS.values() if set_format.ending == ending]
+    return fitting[0] if fitting else EPISODE_FORMATS["jsonl"]
 
 
 def write_episodes(
@@ -83,89 +92,125 @@ def write_episodes(
     Raises:
         FormatError: no format has such an ending, or it can't hold the set.
     """
+    name = _choose_format(content, path, form)
+    set_format = EPISODE_FORMATS[name]
+    _, packing = _endings(path)
+    is_own = name in NAVBAKE_FORMATS
+    written = content if is_own else _rename_scenes(content, scenes or {})
+    pack = PACKERS.get(packing, bytes)
+    write_bytes(pack(set_format.encode(written, name)), path)
+    if is_own:
+        return []
+    return _list_lost_fields(content, read_episodes(path, scenes))
+
+
+def _choose_format(content: EpisodeSet, path: str | os.PathLike[str], form: str | None) -> str:
+    """The name of the format to write: the given one, or the first that fits ending and tasks."""
     if form is not None and form not in EPISODE_FORMATS:
         raise FormatError(f"no format {form!r}: {suggest(form, EPISODE_FORMATS)}")
-    known = [form] if form else list(EPISODE_FORMATS)
-    ending, packing = _endings(path)
-    fitting = [name for name in known if EPISODE_FORMATS[name].ending == ending]
+    names = [form] if form else list(EPISODE_FORMATS)
+    ending, _ = _endings(path)
+    fitting = [name for name in names if EPISODE_FORMATS[name].ending == ending]
     if not fitting:
-        endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in known))
+        endings = ", ".join(dict.fromkeys(EPISODE_FORMATS[name].ending for name in names))
         raise FormatError(f"expected a name that ends in {endings}, got {format_path(path)}")
-    tasks = {e.task: e.id for e in reversed(content.episodes)}
-    chosen = next(
-        (name for name in fitting if tasks.keys() <= {*EPISODE_FORMATS[name].tasks}), None
-    )
-    if chosen is None:
-        task = next(task for task in tasks if task not in EPISODE_FORMATS[fitting[0]].tasks)
-        names = " or ".join(fitting)
-        raise FormatError(f"no task {task!r} in {names}, as of episode {tasks[task]!r}")
-    written = content if chosen in NAVBAKE_FORMATS else _rename(content, scenes or {})
-    write_bytes(PACKERS.get(packing, bytes)(EPISODE_FORMATS[chosen].encode(written, chosen)), path)
-    if chosen in NAVBAKE_FORMATS:
-        return []
-    again = read_episodes(path, scenes)
-    lost = {"agent"} if content.header.agent and not again.header.agent else set()
-    for before, after in zip(content.episodes, again.episodes, strict=True):
+    episode_of_task = {episode.task: episode.id for episode in reversed(content.episodes)}
+    for name in fitting:
+        if episode_of_task.keys() <= {*EPISODE_FORMATS[name].tasks}:
+            return name
+    task = next(task for task in episode_of_task if task not in EPISODE_FORMATS[fitting[0]].tasks)
+    formats = " or ".join(fitting)
+    raise FormatError(f"no task {task!r} in {formats}, as of episode {episode_of_task[task]!r}")
+
+
+def _list_lost_fields(content: EpisodeSet, read_again: EpisodeSet) -> list[str]:
+    """The fields that some episode of a set has, and its file does not."""
+    lost: set[str] = set()
+    if content.header.agent and not read_again.header.agent:
+        lost.add("agent")
+    for before, after in zip(content.episodes, read_again.episodes, strict=True):
         pairs = [(before, after), *zip(before.goals, after.goals, strict=False)]
-        lost |= {
-            k for a, b in pairs for k in a.__struct_fields__ if getattr(a, k) and not getattr(b, k)
-        }
-        lost |= {"further goals"} if len(before.goals) > len(after.goals) else set()
+        for record, record_again in pairs:
+            lost.update(
+                name
+                for name in record.__struct_fields__
+                if getattr(record, name) and not getattr(record_again, name)
+            )
+        if len(before.goals) > len(after.goals):
+            lost.add("further goals")
     return sorted(lost)
 
 
 def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
     """The ending of a file's name that tells its format, and the one that tells its packing."""
     stem, packing = os.path.splitext(os.fspath(path).lower())
-    return (os.path.splitext(stem)[1], packing) if packing in PACKERS else (packing, "")
+    if packing not in PACKERS:
+        return packing, ""
+    return os.path.splitext(stem)[1], packing
 
 
-def _rename(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
+def _rename_scenes(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
     """The set with other names of scenes in its episodes."""
-    renamed = (
-        msgspec.structs.replace(e, scene=names.get(e.scene, e.scene)) for e in content.episodes
-    )
-    return EpisodeSet(content.header, tuple(renamed)) if names else content
+    if not names:
+        return content
+    renamed = [
+        msgspec.structs.replace(episode, scene=names.get(episode.scene, episode.scene))
+        for episode in content.episodes
+    ]
+    return EpisodeSet(content.header, tuple(renamed))
 
 
 def encode_lines(content: EpisodeSet, _: str) -> bytes:
+    """Encode a set as JSON lines; the format's name makes no difference."""
     lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
     return b"\n".join([*lines, b""])
 
 
 def read_lines(text: bytes, name: str) -> Fields:
+    """Read a set from JSON lines; errors have the file's name and the line."""
     lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
-        got = f"{header.format!r} of version {header.version}"
-        raise FormatError(f"expected {FORMAT!r} up to version {VERSION}, got {got} in {name}")
-    numbered = enumerate(lines[1:], start=2)
-    return header, [decode(line, Episode, f"{name}, line {number}") for number, line in numbered]
+        actual = f"{header.format!r} of version {header.version}"
+        raise FormatError(f"expected {FORMAT!r} up to version {VERSION}, got {actual} in {name}")
+    episodes = [
+        decode(line, Episode, f"{name}, line {number}")
+        for number, line in enumerate(lines[1:], start=2)
+    ]
+    return header, episodes
 
 
 def encode_parquet(content: EpisodeSet, _: str) -> bytes:
+    """Encode a set as Parquet; the format's name makes no difference."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
     episodes = content.episodes
-    columns = {name: [getattr(e, name) for e in episodes] for name in (*TEXTS, *NUMBERS)}
-    columns |= {axis: [e.start[k] for e in episodes] for k, axis in enumerate("xyz")}
-    columns["episode"] = [msgspec.json.encode(e).decode() for e in episodes]
-    kinds = {name: "string" if name in (*TEXTS, "episode") else "float64" for name in columns}
-    schema = pyarrow.schema(kinds, metadata={NAME: msgspec.json.encode(content.header)})
+    columns: dict[str, list[object]] = {
+        name: [getattr(episode, name) for episode in episodes]
+        for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS)
+    }
+    for axis, name in enumerate("xyz"):
+        columns[name] = [episode.start[axis] for episode in episodes]
+    columns["episode"] = [msgspec.json.encode(episode).decode() for episode in episodes]
+    is_text = {*TEXT_COLUMNS, "episode"}
+    types = {name: "string" if name in is_text else "float64" for name in columns}
+    metadata = {METADATA_KEY: msgspec.json.encode(content.header)}
+    table = pyarrow.table(columns, schema=pyarrow.schema(types, metadata=metadata))
     file = io.BytesIO()
-    parquet.write_table(pyarrow.table(columns, schema=schema), file, compression="zstd")
+    parquet.write_table(table, file, compression="zstd")
     return file.getvalue()
 
 
 def read_parquet(data: bytes, name: str) -> Fields:
+    """Read a set from Parquet; errors have the file's name and the row."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
     try:
         file = parquet.ParquetFile(io.BytesIO(data))
-        groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
+        groups = (file.metadata.row_group(number) for number in range(file.num_row_groups))
         size = file.metadata.num_rows + sum(group.total_byte_size for group in groups)
         Allowance(len(data), "max_cells").take_text(size, JsonPath(name))
-        header = file.schema_arrow.metadata[NAME]
+        header = file.schema_arrow.metadata[METADATA_KEY]
         texts = file.read(["episode"]).column("episode").to_pylist()
     except (pyarrow.ArrowException, KeyError, TypeError, ValueError, OSError) as error:
         raise FormatError(f"expected a set of episodes as Parquet in {name}") from error

@@ -1,4 +1,4 @@
-"""What episodes ask for: tasks, their goals in a scene, and the cells where these are reached."""
+"""Tasks of episodes, their goals in a scene, and the cells where goals are reached."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, TypedDict
 
 import msgspec
 import numpy as np
@@ -21,7 +21,7 @@ from navbake.navgrid.cells import check_positions
 from navbake.navgrid.user_data import UserData, names_in
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
-from navbake.types import Float, Int
+from navbake.types import Float, Int, Vector3
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
@@ -31,7 +31,7 @@ COUNTER = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends a name as cha
 
 
 class Task(Record, frozen=True, kw_only=True):
-    """What the episodes of a set ask for."""
+    """The task of a set's episodes: what their goals are, and when these are reached."""
 
     name: str = "point"  #: One of `TASKS`.
     objects: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
@@ -58,80 +58,120 @@ class Task(Record, frozen=True, kw_only=True):
     @property
     def reach(self) -> float:
         """The radius, or its default for what each goal is [m]."""
-        known = {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}
-        return known[self.kind] if self.radius is None else self.radius
+        if self.radius is not None:
+            return self.radius
+        return {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}[self.kind]
 
 
 class Stops(NamedTuple):
-    """Where the goals of an episode are reached, and how far that is."""
+    """Where the goals of an episode are reached, and how far that is.
+
+    A stop is where one goal of a sequence is reached, or any goal of other tasks; exploring has
+    none.
+
+    Attributes:
+        goals: the goals.
+        places: of each stop, world [m], shape (n, 3).
+        fields: distance from each cell to each stop, by flat id, inf for no path [m].
+        rest: length of the path after each stop [m]; a lower bound where stops have several
+            places, as each leg begins at the place that is nearest to the next stop.
+    """
 
     goals: tuple[Goal, ...]
     places: Sequence[Float] = ()
-    """Of each stop, world [m], shape (n, 3): a stop for each goal of a sequence, else one for all;
-    none to explore."""
     fields: Sequence[Float] = ()
-    """Distance from each cell to each stop, by flat id, inf for no path [m]."""
     rest: Sequence[float] = (0.0,)
-    """Length of the path after each stop [m]; a lower bound where stops have several places, as
-    each leg begins at the place that is nearest to the next stop."""
 
 
 def find_stops(
     finder: PathFinder, goals: Sequence[Goal], *, in_order: bool = False
 ) -> Stops | None:
-    """Find where one of several goals is reached, or all in order; None where no agent can be."""
+    """Find where goals are reached.
+
+    Args:
+        finder: of the grid.
+        goals: the goals of an episode.
+        in_order: all are to be reached in their order; else any one.
+
+    Returns:
+        The stops; None where no agent can be at one of them.
+    """
     if goals[0].share is not None:
         return Stops(tuple(goals))
     search = finder.search
-    each = [cells_of(finder, goal) for goal in goals]
-    cells = each if in_order else [np.unique(np.concatenate(each))]
-    if not all(map(len, cells)):
+    cells_of_goals = [cells_of(finder, goal) for goal in goals]
+    stops = cells_of_goals if in_order else [np.unique(np.concatenate(cells_of_goals))]
+    if not all(map(len, stops)):
         return None
-    fields = [search.field(each, by="length") for each in cells]
-    legs = [f[c].min() for f, c in zip(fields[1:], cells, strict=False)]
+    fields = [search.field(cells, by="length") for cells in stops]
+    legs = [field[cells].min() for field, cells in zip(fields[1:], stops, strict=False)]
     rest = [*np.cumsum(legs[::-1])[::-1].tolist(), 0.0]
-    return Stops(tuple(goals), [search.flat.positions(each) for each in cells], fields, rest)
+    places = [search.flat.positions(cells) for cells in stops]
+    return Stops(tuple(goals), places, fields, rest)
 
 
 def cells_of(finder: PathFinder, goal: Goal) -> Int:
-    """The free cells where a goal is reached, by flat id, each once; maybe none.
+    """The free cells where a goal is reached.
 
     They are those of the room, of the view points, or of the position: the nearest free cell within
     0.5 m or the goal's radius.
+
+    Args:
+        finder: of the grid.
+        goal: the goal.
+
+    Returns:
+        Flat ids, each once; maybe none.
     """
     flat = finder.search.flat
     if goal.room is not None:
         return np.flatnonzero(finder.search.allowed(room=goal.room))
-    points = [view.position for view in goal.view_points] or [p for p in [goal.position] if p]
+    points = [view.position for view in goal.view_points]
+    if not points and goal.position:
+        points = [goal.position]
     if not points:
         return np.empty(0, dtype=np.int64)
-    p = check_positions(points, flat.num_levels)
+    positions = check_positions(points, flat.num_levels)
     reach = max(SNAP, goal.radius)
-    _, cells = snap_to_cells(flat, flat.free, p, same_level=False, max_distance=reach)
+    _, cells = snap_to_cells(flat, flat.free, positions, same_level=False, max_distance=reach)
     return np.unique(cells[cells >= 0])
 
 
-def path_through(
-    finder: PathFinder, start: Sequence[float], stops: Sequence[Float]
-) -> dict[str, tuple[Any, ...]]:
-    """The ``path`` from a start through stops, and the ``rooms`` and ``doors`` along it.
+class Route(TypedDict, total=False):
+    """A path to follow, by the fields of `Episode`."""
 
-    It goes to the nearest place of each stop, by points at most `SPACING` apart; empty for none.
+    path: tuple[Vector3, ...]
+    rooms: tuple[str, ...]
+    doors: tuple[str, ...]
+
+
+def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> Route:
+    """Plan a path through stops, to the nearest place of each.
+
+    Args:
+        finder: of the grid.
+        start: world x, y, z [m].
+        stops: places of each stop, shape (n, 3) [m].
+
+    Returns:
+        The path, by points at most `SPACING` apart, and the rooms and doors along it; empty if
+        there is no path.
     """
-    here = np.array(start)
-    points = list[list[float]]()
+    position = np.array(start)
+    points = list[Vector3]()
     rooms = list[str]()
     doors = list[str]()
     for places in stops:
-        path = finder.find_path(here, places)
+        path = finder.find_path(position, places)
         if path is None:
             return {}
-        steps = np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
-        points += path.at(steps).tolist()
-        rooms += path.rooms[rooms[-1:] == path.rooms[:1] :]
+        distances = np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
+        points += map(tuple, path.at(distances).tolist())
+        # a leg begins in the room in which the last one ended
+        rooms += path.rooms[1:] if rooms[-1:] == path.rooms[:1] else path.rooms
         doors += path.doors
-        here = path.positions[-1]
-    return {"path": tuple(map(tuple, points)), "rooms": tuple(rooms), "doors": tuple(doors)}
+        position = path.positions[-1]
+    return {"path": tuple(points), "rooms": tuple(rooms), "doors": tuple(doors)}
 
 
 @dataclass(eq=False)
@@ -140,128 +180,171 @@ class GoalFinder:
 
     finder: PathFinder
     task: Task
-    _known: dict[str, list[Goal]] = field(default_factory=dict, init=False)
+    _objects: dict[str, list[Goal]] = field(default_factory=dict, init=False)
 
     @cached_property
     def choices(self) -> dict[str, list[str]]:
-        """Names of objects, or ids of rooms, by what an episode may ask for.
+        """Names of objects, or ids of rooms, by the label that an episode may ask for.
 
-        That is each category, with what fits its patterns; of plain patterns, each that fits.
+        With patterns by category, a label is a category; with plain patterns, each object or room
+        that fits; without patterns, each category of objects, or each room indoors.
+
+        Raises:
+            QueryError: nothing fits a pattern.
         """
-        given: tuple[str, ...] | dict[str, tuple[str, ...]]
         if self.task.kind == "object":
-            given = self.task.objects
-            names = {name: [name] for name in self.object_cells}
-            default = sorted((category_of(name), name) for name in names)
+            patterns = self.task.objects
+            names_of = {name: [name] for name in self.object_cells}
         else:
-            given = self.task.rooms
-            rooms = self.finder.rooms.rooms
-            names = {room.id: [name for name in (room.name, room.id) if name] for room in rooms}
-            default = [(room.id, room.id) for room in rooms if not room.outdoors]
-        found: dict[str, list[str]] = {}
-        for label, key in () if given else default:
-            found.setdefault(label, []).append(key)
-        for label in given:
-            patterns = given[label] if isinstance(given, dict) else (label,)
-            fitting = [
-                key
-                for key, known in names.items()
-                if any(fnmatchcase(name, pattern) for name in known for pattern in patterns)
-            ]
-            if not fitting:
-                what = f"{self.task.kind}{' of category' * isinstance(given, dict)} {label!r}"
-                hint = suggest(label, [name for known in names.values() for name in known])
-                raise QueryError(f"no {what} in {scene_of(self.finder.grid)!r}: {hint}")
-            by_label = {label: fitting}
-            found |= by_label if isinstance(given, dict) else {key: [key] for key in fitting}
-        return found
+            patterns = self.task.rooms
+            names_of = {
+                room.id: [name for name in (room.name, room.id) if name]
+                for room in self.finder.rooms.rooms
+            }
+        choices: dict[str, list[str]] = {}
+        if not patterns:
+            for label, key in self._default_choices():
+                choices.setdefault(label, []).append(key)
+            return choices
+        if isinstance(patterns, dict):
+            for category, category_patterns in patterns.items():
+                label = f"of category {category!r}"
+                choices[category] = self._fitting(names_of, category_patterns, category, label)
+        else:
+            for pattern in patterns:
+                for key in self._fitting(names_of, (pattern,), pattern, repr(pattern)):
+                    choices[key] = [key]
+        return choices
+
+    def _default_choices(self) -> list[tuple[str, str]]:
+        """Pairs of a label and an object's name, or a room's id, without patterns."""
+        if self.task.kind == "object":
+            return sorted((category_of(name), name) for name in self.object_cells)
+        return [(room.id, room.id) for room in self.finder.rooms.rooms if not room.outdoors]
+
+    def _fitting(
+        self, names_of: dict[str, list[str]], patterns: Sequence[str], word: str, label: str
+    ) -> list[str]:
+        """The objects or rooms with a name that fits a pattern; at least one."""
+        fitting = [
+            key
+            for key, names in names_of.items()
+            if any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
+        ]
+        if not fitting:
+            hint = suggest(word, [name for names in names_of.values() for name in names])
+            scene = scene_of(self.finder.grid)
+            raise QueryError(f"no {self.task.kind} {label} in {scene!r}: {hint}")
+        return fitting
 
     def goals_of(self, label: str) -> list[Goal]:
-        """A goal for each object or room of a choice; objects without view points are left out."""
-        given = getattr(self.task, f"{self.task.kind}s")
+        """A goal for each object or room of a choice; objects without view points are left out.
+
+        Args:
+            label: a key of `choices`.
+        """
+        patterns = self.task.rooms if self.task.kind == "room" else self.task.objects
+        category = label if isinstance(patterns, dict) else None
         keys = self.choices[label]
-        category = label if isinstance(given, dict) else None
         if self.task.kind == "room":
-            reach = self.task.reach
-            rooms = self.finder.rooms.rooms
             return [
-                Goal(position=r.centroid, name=r.name, room=r.id, category=category, radius=reach)
-                for r in rooms
-                if r.id in keys
+                Goal(
+                    position=room.centroid,
+                    name=room.name,
+                    room=room.id,
+                    category=category,
+                    radius=self.task.reach,
+                )
+                for room in self.finder.rooms.rooms
+                if room.id in keys
             ]
-        if label not in self._known:
-            goals = [self._look_at(name, category or category_of(name)) for name in keys]
-            self._known[label] = [goal for goal in goals if goal.view_points]
-        return self._known[label]
+        if label not in self._objects:
+            goals = [self._object_goal(name, category or category_of(name)) for name in keys]
+            self._objects[label] = [goal for goal in goals if goal.view_points]
+        return self._objects[label]
 
     @cached_property
     def object_cells(self) -> dict[str, Int]:
         """The cells of each object, by flat id, ascending; walls and doors are no objects."""
-        found: dict[str, list[Int]] = {}
-        other: set[str] = set()
+        cells_of_name: dict[str, list[Int]] = {}
+        walls_and_doors: set[str] = set()
         grid = self.finder.grid
         flat = self.finder.search.flat
         for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
-            cells, number, entries = UserData.of(level.user_data).shared()
-            order = np.argsort(number, kind="stable")
-            ends = np.cumsum(np.bincount(number, minlength=len(entries)))
-            parts = np.split(cells[order], ends[:-1])
-            for entry, own in zip(entries, parts, strict=False):  # one part of no entries
-                other.update(names_in(entry, "walls"), names_in(entry, "doors"))
+            cells, entry_of_cell, entries = UserData.of(level.user_data).shared()
+            order = np.argsort(entry_of_cell, kind="stable")
+            counts = np.bincount(entry_of_cell, minlength=len(entries))
+            cells_of_entries = np.split(cells[order], np.cumsum(counts)[:-1])
+            # without entries there is one empty array of cells
+            for entry, entry_cells in zip(entries, cells_of_entries, strict=False):
+                walls_and_doors.update(names_in(entry, "walls"), names_in(entry, "doors"))
                 for name in names_in(entry, "objects"):
-                    found.setdefault(name, []).append(start + own)
-        return {n: np.unique(np.concatenate(found[n])) for n in sorted(found.keys() - other)}
+                    cells_of_name.setdefault(name, []).append(start + entry_cells)
+        objects = sorted(cells_of_name.keys() - walls_and_doors)
+        return {name: np.unique(np.concatenate(cells_of_name[name])) for name in objects}
 
-    def _look_at(self, name: str, category: str) -> Goal:
-        """An object and its view points: free cells near it, with nothing between.
+    def _object_goal(self, name: str, category: str) -> Goal:
+        """An object and its view points."""
+        flat = self.finder.search.flat
+        cells = self.object_cells[name]
+        x, y, z = flat.positions(cells).mean(axis=0).tolist()
+        views = []
+        for position in self._view_positions(cells):
+            heading = math.atan2(y - position[1], x - position[0])
+            views.append(ViewPoint(position, heading))
+        return Goal(
+            position=(x, y, z),
+            radius=self.task.reach,
+            name=name,
+            category=category,
+            view_points=tuple(views),
+        )
+
+    def _view_positions(self, object_cells: Int) -> list[Vector3]:
+        """Centres of free cells near an object, with nothing between, world x, y, floor z [m].
 
         They are `SPACING` apart, or all where none lies on that lattice.
         """
         search = self.finder.search
-        distance = self.task.view_distance
         flat = search.flat
-        cells = self.object_cells[name]
-        x, y, z = flat.positions(cells).mean(axis=0).tolist()
-        is_own = np.zeros(flat.num_cells, dtype=np.int32)
-        is_own[cells] = 1
-        views = []
-        on, row, col = flat.split(cells)
-        for level in np.unique(on).tolist():
-            here = on == level
-            size = float(flat.layout.cell_size[level])
-            own = flat.positions(cells[here])[:, :2]
-            pad = math.ceil(distance / size)
-            top = max(0, int(row[here].min()) - pad)
-            left = max(0, int(col[here].min()) - pad)
-            bottom = int(row[here].max()) + pad + 1
-            right = int(col[here].max()) + pad + 1
+        is_object = np.zeros(flat.num_cells, dtype=np.int32)
+        is_object[object_cells] = 1
+        positions: list[Vector3] = []
+        level_of_cell, object_row, object_col = flat.split(object_cells)
+        for level in np.unique(level_of_cell).tolist():
+            on_level = level_of_cell == level
+            cell_size = float(flat.layout.cell_size[level])
+            level_cells = object_cells[on_level]
+            object_points = flat.positions(level_cells)[:, :2]
+            # a window of the level round the object
+            margin = math.ceil(self.task.view_distance / cell_size)
+            top = max(0, int(object_row[on_level].min()) - margin)
+            left_col = max(0, int(object_col[on_level].min()) - margin)
+            bottom = int(object_row[on_level].max()) + margin + 1
+            right_col = int(object_col[on_level].max()) + margin + 1
             span = flat.cells_of(level)
             width = int(flat.layout.width[level])
-            window = flat.free[span].reshape(-1, width)[top:bottom, left:right]
-            rows, cols = np.nonzero(window) + np.array([[top], [left]])
-            near = span.start + rows * width + cols
-            points = flat.positions(near)
-            apart, nearest = spatial.cKDTree(own).query(points[:, :2])
-            every = max(1, round(SPACING / size))
-            is_near = apart <= distance
-            on_lattice = is_near & (rows % every == 0) & (cols % every == 0)
+            window = flat.free[span].reshape(-1, width)[top:bottom, left_col:right_col]
+            rows, cols = np.nonzero(window) + np.array([[top], [left_col]])
+            near_cells = span.start + rows * width + cols
+            points = flat.positions(near_cells)
+            distance, nearest = spatial.cKDTree(object_points).query(points[:, :2])
+            stride = max(1, round(SPACING / cell_size))
+            is_near = distance <= self.task.view_distance
+            on_lattice = is_near & (rows % stride == 0) & (cols % stride == 0)
             for k in np.flatnonzero(on_lattice if on_lattice.any() else is_near):
                 # the line leaves the object through its own cells, then it must meet clear ones
-                place = np.ascontiguousarray(points[k : k + 1, :2])
                 first_seen = search.first_in_sight(
-                    cell=cells[here][nearest[k]],
-                    point=own[nearest[k]],
-                    cells=near[k : k + 1],
-                    points=place,
-                    room=is_own,
+                    cell=level_cells[nearest[k]],
+                    point=object_points[nearest[k]],
+                    cells=near_cells[k : k + 1],
+                    points=np.ascontiguousarray(points[k : k + 1, :2]),
+                    room=is_object,
                 )
                 if first_seen == 0:
-                    heading = math.atan2(y - points[k, 1], x - points[k, 0])
-                    views.append(ViewPoint(tuple(points[k].tolist()), heading))
-        return Goal(
-            position=(x, y, z), radius=self.task.reach, name=name, category=category,
-            view_points=tuple(views),
-        )  # fmt: skip
+                    x, y, z = points[k].tolist()
+                    positions.append((x, y, z))
+        return positions
 
 
 def category_of(name: str) -> str:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypedDict, TypeVar
 
 import msgspec
 import numpy as np
@@ -97,42 +97,76 @@ class Splits(Record, frozen=True, kw_only=True):
             raise ValueError(f"expected scene or room to split by, got {self.by!r}")
 
     def of(self, seed: int, scene: str, room: str | None) -> str | None:
-        """The part of a scene or a room, which follows from its name and the seed alone."""
+        """The part of a scene or a room, which follows from its name and the seed alone.
+
+        Args:
+            seed: of the draw.
+            scene: id of the scene.
+            room: id of the start's room; it matters where rooms are split.
+
+        Returns:
+            A key of `shares`; None where there are none.
+        """
         if not self.shares:
             return None
         key = repr((seed, scene, room if self.by == "room" else None))
-        at = int.from_bytes(sha256(key.encode()).digest()[:8], "big") / 2.0**64
-        edges = np.cumsum(list(self.shares.values()))
-        return list(self.shares)[int(np.searchsorted(edges / edges[-1], at, side="right"))]
+        hashed = int.from_bytes(sha256(key.encode()).digest()[:8], "big") / 2.0**64  # 0 to 1
+        upper_edges = np.cumsum(list(self.shares.values()))
+        upper_edges = upper_edges / upper_edges[-1]
+        return list(self.shares)[int(np.searchsorted(upper_edges, hashed, side="right"))]
 
 
-def make_rules(sampler: str | Rules = "uniform", **changes: Any) -> Rules:
-    """The rules of a preset with some changed; texts are read as the rule's type.
+def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
+    """Make the rules of a sampler.
+
+    Args:
+        sampler: rules, or the name of a preset.
+        changes: values by the fields of `Rules`; texts are read as the field's type.
+
+    Returns:
+        The rules with the changes.
 
     Raises:
         ConfigError: there is no such preset or rule, or a value doesn't fit.
     """
     if isinstance(sampler, str) and sampler not in PRESETS:
         raise ConfigError(f"no sampler {sampler!r}: {suggest(sampler, PRESETS)}")
-    before = sampler if isinstance(sampler, Rules) else PRESETS[sampler]
-    known = Rules.__struct_fields__
-    for key in changes:
-        if key not in known:
-            raise ConfigError(f"no rule {key!r} of a sampler: {suggest(key, known, len(known))}")
-    return _convert({**msgspec.to_builtins(before), **changes}, Rules)
+    rules = sampler if isinstance(sampler, Rules) else PRESETS[sampler]
+    names = Rules.__struct_fields__
+    for name in changes:
+        if name not in names:
+            raise ConfigError(f"no rule {name!r} of a sampler: {suggest(name, names, len(names))}")
+    return _convert({**msgspec.to_builtins(rules), **changes}, Rules)
 
 
-def make_task(name: str = "point", **given: Any) -> Task:
-    """A task; raises a ConfigError for what doesn't fit, see `Task`."""
-    return _convert({"name": name, **given}, Task)
+def make_task(name: str = "point", **fields: object) -> Task:
+    """Make a task.
+
+    Args:
+        name: one of `TASKS`.
+        fields: values by the other fields of `Task`; texts are read as the field's type.
+
+    Raises:
+        ConfigError: there is no such task or field, or a value doesn't fit.
+    """
+    return _convert({"name": name, **fields}, Task)
 
 
 def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
-    """Parts of a set; raises a ConfigError for what doesn't fit, see `Splits`."""
+    """Make the parts of a set.
+
+    Args:
+        shares: the size of each part, relative to the others, > 0.
+        by: ``scene`` or ``room``, which is in one part with all its starts.
+
+    Raises:
+        ConfigError: a value doesn't fit.
+    """
     return _convert({"shares": shares, "by": by}, Splits)
 
 
-def _convert(values: dict[str, Any], kind: type[Kind]) -> Kind:
+def _convert(values: dict[str, object], kind: type[Kind]) -> Kind:
+    """Make a struct of fields, which may be texts."""
     try:
         return msgspec.convert(values, kind, strict=False)
     except (msgspec.ValidationError, ValueError) as error:
@@ -140,7 +174,7 @@ def _convert(values: dict[str, Any], kind: type[Kind]) -> Kind:
 
 
 class AgentChoice(TypedDict, total=False):
-    """For whom episodes are drawn; the grids' own agent unless given."""
+    """The agent that episodes are drawn for; the grids' own agent unless given."""
 
     radius: float | None  #: Grids are inflated for it if need be [m].
     height: float | None  #: At most the grids' [m].
@@ -165,67 +199,79 @@ def make_episodes(
 
     Args:
         grids: one or several, of different scenes.
-        task: what is to be done, or its name.
+        task: the task, or its name.
         sampler: the rules, or the name of a preset.
         count: episodes in all, as many of each scene, >= 1; fewer where the rules refuse too much:
             200 goals in a row without an episode end a scene.
         seed: of the draw, >= 0.
         splits: parts of the set.
         files: the grids' names, for the header.
-        choice: for whom, see `AgentChoice`.
+        choice: the agent, see `AgentChoice`.
+
+    Returns:
+        The set, whose header says what it was drawn from and how many draws each rule refused.
 
     Raises:
         QueryError: there is no episode, no such object or room, the agent is too high, or two
             grids are of one scene.
         ConfigError: there is no such task or sampler.
+
+    Example:
+        >>> episodes = make_episodes(grid, "object", count=500, radius=0.2)
     """
     if unknown := choice.keys() - AgentChoice.__annotations__.keys():
         raise TypeError(f"make_episodes() got an unexpected keyword argument {min(unknown)!r}")
-    radius = choice.get("radius")
-    height = choice.get("height")
-    speed = choice.get("speed")
-    agent = choice.get("agent")
-    scenes = list(grids) if isinstance(grids, Sequence) else [grids]
-    wanted = task if isinstance(task, Task) else make_task(task)
+    agent_name = choice.get("agent")
+    grid_list = list(grids) if isinstance(grids, Sequence) else [grids]
+    if not isinstance(task, Task):
+        task = make_task(task)
     rules = make_rules(sampler)
-    parts = splits or Splits()
-    for what, value, least in (("count", count, 1), ("seed", seed, 0)):
+    splits = splits or Splits()
+    for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if not isinstance(value, int | np.integer) or value < least:
-            raise QueryError(f"expected a {what} >= {least}, got {value!r}")
-    names = [scene_of(grid) for grid in scenes]
-    if not scenes or len(set(names)) < len(names):
-        got = ", ".join(sorted(names)) or "none"
-        raise QueryError(f"expected grids of different scenes, got {got}")
-    found: list[Episode] = []
+            raise QueryError(f"expected a {name} >= {least}, got {value!r}")
+    scenes = [scene_of(grid) for grid in grid_list]
+    if not grid_list or len(set(scenes)) < len(scenes):
+        actual = ", ".join(sorted(scenes)) or "none"
+        raise QueryError(f"expected grids of different scenes, got {actual}")
+    episodes: list[Episode] = []
     entries = []
-    agents = set()
+    agents = set()  # by radius, height and speed
     rejected = Counter[str]()
-    for k, (scene, given) in enumerate(zip(names, scenes, strict=True)):
-        planner = named_agent(given, agent, radius, height)
-        grid = fit_grid(given, planner)
-        any_size = planner.of_any_size() if agent else None
-        draw = _Draw(grid, wanted, rules, int(seed), parts, any_size)
-        found += draw.run(count // len(scenes) + (k < count % len(scenes)))
+    for number, (scene, original) in enumerate(zip(scenes, grid_list, strict=True)):
+        agent = named_agent(original, agent_name, choice.get("radius"), choice.get("height"))
+        grid = fit_grid(original, agent)
+        finder_agent = agent.of_any_size() if agent_name else None
+        draw = _Draw(grid, task, rules, int(seed), splits, finder_agent)
+        # the first scenes have the remainder
+        scene_count = count // len(scenes) + (number < count % len(scenes))
+        episodes += draw.run(scene_count)
         rejected.update(draw.rejected)
-        file = files[k] if k < len(files) else None
+        file = files[number] if number < len(files) else None
         entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file))
-        tall = grid.agent_height if planner.height is None else float(planner.height)
-        agents.add((grid.radius, tall, planner.speed if agent else speed))
+        height = grid.agent_height if agent.height is None else float(agent.height)
+        speed = agent.speed if agent_name else choice.get("speed")
+        agents.add((grid.radius, height, speed))
     if len(agents) > 1:
-        sizes = ", ".join(f"{r:g} x {h:g} m" for r, h in sorted({size[:2] for size in agents}))
-        raise QueryError(f"the grids are for agents of several sizes ({sizes}): give a radius")
-    if not found:
-        why = ", ".join(f"{n} {reason}" for reason, n in rejected.most_common()) or "nothing drawn"
-        raise QueryError(f"no episode of {names[0]!r} keeps the rules: {why}")
-    ((own_radius, own_height, own_speed),) = agents
-    made_by = {"task": wanted, "rules": rules, "count": int(count), "splits": parts}
-    name = agent or msgspec.UNSET
+        sizes = sorted({(radius, height) for radius, height, _ in agents})
+        listed = ", ".join(f"{radius:g} x {height:g} m" for radius, height in sizes)
+        raise QueryError(f"the grids are for agents of several sizes ({listed}): give a radius")
+    if not episodes:
+        counts = [f"{num_draws} {reason}" for reason, num_draws in rejected.most_common()]
+        reasons = ", ".join(counts) or "nothing drawn"
+        raise QueryError(f"no episode of {scenes[0]!r} keeps the rules: {reasons}")
+    ((radius, height, speed),) = agents
+    sampler_settings = {"task": task, "rules": rules, "count": int(count), "splits": splits}
     header = Header(
-        agent=Agent(radius=own_radius, height=own_height, speed=own_speed, name=name),
-        grids=tuple(entries), sampler=msgspec.to_builtins(made_by), seed=int(seed),
+        agent=Agent(radius=radius, height=height, speed=speed, name=agent_name or msgspec.UNSET),
+        grids=tuple(entries),
+        sampler=msgspec.to_builtins(sampler_settings),
+        seed=int(seed),
         rejected=dict(sorted(rejected.items())),
-    )  # fmt: skip
-    numbered = (msgspec.structs.replace(e, id=str(k)) for k, e in enumerate(found))
+    )
+    numbered = [
+        msgspec.structs.replace(episode, id=str(number)) for number, episode in enumerate(episodes)
+    ]
     return EpisodeSet(header, tuple(numbered))
 
 
@@ -248,144 +294,203 @@ class _Draw:
         self.scene = scene_of(grid)
         self.finder = PathFinder(grid, agent=agent)
         self.goals = GoalFinder(self.finder, task)
-        name = sha256(self.scene.encode()).digest()
-        self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])
+        scene_hash = sha256(self.scene.encode()).digest()
+        self.rng = np.random.default_rng([seed, int.from_bytes(scene_hash[:8], "big")])
         self.rejected = Counter[str]()
-        # radius of the disc round each island's middle that holds it [m]
+        self.island_radii = self._measure_islands()
+        self.class_edges: tuple[float, ...] = (0.0,)
+        if rules.strata:
+            self.class_edges = rules.edges or EDGES[rules.strata]
+        self.missing: list[int] = []  # episodes still to be drawn in each class
+
+    def _measure_islands(self) -> Float:
+        """By island, the radius of the disc round its middle that holds it [m]."""
         search = self.finder.search
         cells = np.flatnonzero(search.flat.free)
-        number = search.islands.number[cells]
+        island = search.islands.number[cells]
         points = search.flat.positions(cells)
-        size = np.maximum(np.bincount(number, minlength=search.islands.count + 1), 1)
-        middle = np.stack([np.bincount(number, v, len(size)) / size for v in points.T], axis=1)
-        self.radii = np.zeros(len(size))
-        np.maximum.at(self.radii, number, np.linalg.norm(points - middle[number], axis=1))
-        self.edges = rules.edges or EDGES[rules.strata] if rules.strata else (0.0,)
+        num_islands = search.islands.count + 1
+        num_cells = np.maximum(np.bincount(island, minlength=num_islands), 1)
+        means = [np.bincount(island, axis, num_islands) / num_cells for axis in points.T]
+        middle = np.stack(means, axis=1)
+        radii = np.zeros(num_islands)
+        np.maximum.at(radii, island, np.linalg.norm(points - middle[island], axis=1))
+        return radii
 
     def run(self, count: int) -> list[Episode]:
         """Draw so many episodes, as yet without ids."""
-        found: list[Episode] = []
         if not self.finder.search.flat.free.any():
             raise QueryError(f"no agent can stand anywhere in {self.scene!r}")
+        episodes: list[Episode] = []
         per_goal = math.ceil(count / self.rules.goals)
-        classes = len(self.edges)
-        failures = 0
-        # episodes still to be drawn in each class; the first have the remainder
-        self.missing = [count // classes + (k < count % classes) for k in range(classes)]
-        while len(found) < count and failures < MAX_FAILURES:
+        num_classes = len(self.class_edges)
+        # the first classes have the remainder
+        self.missing = [
+            count // num_classes + (number < count % num_classes) for number in range(num_classes)
+        ]
+        num_failures = 0  # in a row
+        while len(episodes) < count and num_failures < MAX_FAILURES:
             stops = self._draw_stops()
-            new = [] if stops is None else self._draw_starts(stops, per_goal)
-            failures = 0 if new else failures + 1
-            found += new
-        return found
+            drawn = [] if stops is None else self._draw_starts(stops, per_goal)
+            num_failures = 0 if drawn else num_failures + 1
+            episodes += drawn
+        return episodes
 
     def _draw_stops(self) -> Stops | None:
         """Draw goals; None, counted as rejected, where no episode can have them."""
         task = self.task
-        rng = self.rng
-        finder = self.finder
         if task.name == "explore":
             return Stops((Goal(share=task.share, radius=task.reach),))
         in_order = task.name == "sequence"
-        stages = task.length if in_order else 1
-        if task.kind == "point":
-            places = finder.random_point(rng, stages)
-            goals = [Goal(position=(x, y, z), radius=task.reach) for x, y, z in places.tolist()]
-        else:
-            labels = list(self.goals.choices)
-            if not labels:
-                raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
-            drawn = rng.choice(len(labels), stages, replace=stages > len(labels))
-            options = [self.goals.goals_of(labels[k]) for k in drawn.tolist()]
-            goals = options[0]
-            if in_order:  # each stage is one object or room
-                goals = [each[int(rng.integers(len(each)))] for each in options if each]
-        stops = find_stops(finder, goals, in_order=in_order) if len(goals) >= stages else None
+        num_goals = task.length if in_order else 1
+        goals = self._draw_goals(num_goals, in_order)
+        stops = None
+        if len(goals) >= num_goals:
+            stops = find_stops(self.finder, goals, in_order=in_order)
         if stops is None:
-            why = "not in sight" if task.kind == "object" else "no place in the room"
+            reason = "not in sight" if task.kind == "object" else "no place in the room"
         elif not math.isfinite(stops.rest[0]):
-            why = "no path"
+            reason = "no path"
         elif task.kind != "room" and (-np.diff(stops.rest) < self.rules.min_distance).any():
-            why = "too near"
+            reason = "too near"
         else:
             return stops
-        self.rejected[why] += 1
+        self.rejected[reason] += 1
         return None
+
+    def _draw_goals(self, num_goals: int, in_order: bool) -> list[Goal]:
+        """Draw the goals of an episode: of a sequence one for each stop, else all of one choice."""
+        task = self.task
+        if task.kind == "point":
+            points = self.finder.random_point(self.rng, num_goals)
+            return [Goal(position=(x, y, z), radius=task.reach) for x, y, z in points.tolist()]
+        labels = list(self.goals.choices)
+        if not labels:
+            raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
+        drawn = self.rng.choice(len(labels), num_goals, replace=num_goals > len(labels))
+        goals_of_labels = [self.goals.goals_of(labels[number]) for number in drawn.tolist()]
+        if not in_order:
+            return goals_of_labels[0]
+        return [goals[int(self.rng.integers(len(goals)))] for goals in goals_of_labels if goals]
 
     def _draw_starts(self, stops: Stops, count: int) -> list[Episode]:
         """Draw starts for goals: `tries` for each of `count` episodes, the first that fits."""
         rules = self.rules
-        search = self.finder.search
-        flat = search.flat
-        rooms = search.rooms
         starts = self.finder.random_point(self.rng, count * rules.tries)
         low = [[-math.pi], [0.0]]
         high = [[math.pi], [1.0]]
         headings, chance = self.rng.uniform(low, high, (2, len(starts)))
+        candidates = self._measure_starts(stops, starts, headings)
+        refused = self._refuse(candidates, chance)
+        episodes: list[Episode] = []
+        for tries in np.arange(len(starts)).reshape(count, rules.tries):
+            if not any(self.missing):
+                break
+            for number in tries.tolist():
+                reasons = (reason for reason, mask in refused.items() if mask[number])
+                reason = next(reasons, None)
+                if reason is None:
+                    episode = self._make_episode(stops, candidates, number)
+                    if self._take_from_class(episode):
+                        episodes.append(episode)
+                        break
+                    reason = "stratum full"
+                self.rejected[reason] += 1
+        return episodes
+
+    def _measure_starts(self, stops: Stops, starts: Float, headings: Float) -> _Starts:
+        """Measure drawn starts, shape (n, 3) [m], against the stops of an episode."""
+        flat = self.finder.search.flat
         cells = flat.cells_at(starts)
         goals = starts
-        distance = straight = np.full(len(starts), np.nan)
+        distance = np.full(len(starts), np.nan)
+        straight = np.full(len(starts), np.nan)
         if stops.places:
             straight, nearest = spatial.cKDTree(stops.places[0]).query(starts)
             goals = stops.places[0][nearest]
             distance = stops.fields[0][cells] + stops.rest[0]
-            for one, other in pairwise(stops.places):
-                straight = straight + spatial.cKDTree(one).query(other)[0].min()
-            if rules.headings != "random":
-                ahead = goals - starts if rules.headings == "goal" else starts - goals
-                headings = np.arctan2(ahead[:, 1], ahead[:, 0])
+            for places, next_places in pairwise(stops.places):
+                straight = straight + spatial.cKDTree(places).query(next_places)[0].min()
+            if self.rules.headings != "random":
+                to_goal = goals - starts if self.rules.headings == "goal" else starts - goals
+                headings = np.arctan2(to_goal[:, 1], to_goal[:, 0])
         levels = np.stack([flat.level_of(cells), flat.level_of(flat.cells_at(goals))], axis=1)
-        refused = self._refuse(cells, levels, starts - goals, distance, straight, chance)
-        found = []
-        for row in np.arange(len(starts)).reshape(count, rules.tries):
-            if not any(self.missing):
-                break
-            for k in row.tolist():
-                if why := next((reason for reason, mask in refused.items() if mask[k]), None):
-                    self.rejected[why] += 1
-                    continue
-                room = rooms.id_of(int(rooms.number[cells[k]]))
-                episode = Episode(
-                    id="", scene=self.scene, task=self.task.name, start=tuple(starts[k].tolist()),
-                    heading=float(headings[k]), goals=stops.goals,
-                    distance=float(distance[k]) if stops.places else None,
-                    straight=float(straight[k]) if stops.places else None,
-                    split=self.splits.of(self.seed, self.scene, room), room=room,
-                    levels=tuple(levels[k].tolist()),
-                )  # fmt: skip
-                if rules.paths or rules.strata in ("doors", "rooms"):
-                    along = path_through(self.finder, episode.start, stops.places)
-                    episode = msgspec.structs.replace(episode, **along)
-                # its class has to miss episodes; a ratio that isn't known counts as 1
-                value = episode.measures[rules.strata] if rules.strata else 0.0
-                value = value or float(rules.strata == "ratio")
-                number = int(np.searchsorted(self.edges, value, side="right")) - 1
-                if number >= 0 and self.missing[number]:
-                    self.missing[number] -= 1
-                    found.append(episode)
-                    break
-                self.rejected["stratum full"] += 1
-        return found
+        return _Starts(
+            positions=starts,
+            headings=headings,
+            cells=cells,
+            levels=levels,
+            rises=(starts - goals)[:, 2],
+            distance=distance,
+            straight=straight,
+        )
 
-    def _refuse(
-        self, cells: Int, levels: Int, apart: Float, distance: Float, straight: Float, chance: Float
-    ) -> dict[str, Bool]:
+    def _make_episode(self, stops: Stops, starts: _Starts, number: int) -> Episode:
+        """The episode of a start, as yet without an id."""
+        rooms = self.finder.search.rooms
+        room = rooms.id_of(int(rooms.number[starts.cells[number]]))
+        episode = Episode(
+            id="",
+            scene=self.scene,
+            task=self.task.name,
+            start=tuple(starts.positions[number].tolist()),
+            heading=float(starts.headings[number]),
+            goals=stops.goals,
+            distance=float(starts.distance[number]) if stops.places else None,
+            straight=float(starts.straight[number]) if stops.places else None,
+            split=self.splits.of(self.seed, self.scene, room),
+            room=room,
+            levels=tuple(starts.levels[number].tolist()),
+        )
+        if self.rules.paths or self.rules.strata in ("doors", "rooms"):
+            route = path_through(self.finder, episode.start, stops.places)
+            episode = msgspec.structs.replace(episode, **route)
+        return episode
+
+    def _take_from_class(self, episode: Episode) -> bool:
+        """Count an episode in its class; False where that misses none."""
+        strata = self.rules.strata
+        value = episode.measures[strata] if strata else 0.0
+        # a ratio that isn't known counts as 1
+        value = value or float(strata == "ratio")
+        number = int(np.searchsorted(self.class_edges, value, side="right")) - 1
+        if number < 0 or not self.missing[number]:
+            return False
+        self.missing[number] -= 1
+        return True
+
+    def _refuse(self, starts: _Starts, chance: Float) -> dict[str, Bool]:
         """Which starts each rule refuses, by its name, in the order in which they are counted."""
         rules = self.rules
-        island = self.finder.search.islands.number[cells]
-        limits = rules.max_distance, rules.max_rise
-        farthest, steepest = (math.inf if most is None else most for most in limits)
+        island = self.finder.search.islands.number[starts.cells]
+        max_distance = math.inf if rules.max_distance is None else rules.max_distance
+        max_rise = math.inf if rules.max_rise is None else rules.max_rise
+        distance = starts.distance
+        straight = starts.straight
         # 1 of a start at the goal, and on a stair, where the line through the air may be longer
         ratio = np.where(straight == 0, 1.0, np.nan)
         ratio = np.maximum(np.divide(distance, straight, out=ratio, where=straight > 0), 1.0)
-        by_chance = chance > 20.0 * (ratio - 0.98) ** 2
+        refused_by_chance = chance > 20.0 * (ratio - 0.98) ** 2
+        changes_level = starts.levels[:, 0] != starts.levels[:, 1]
         return {
-            "island too small": self.radii[island] < rules.min_island,
+            "island too small": self.island_radii[island] < rules.min_island,
             "no path": np.isinf(distance),
             "too near": distance < rules.min_distance,
-            "too far": distance > farthest,
+            "too far": distance > max_distance,
             "too straight": ratio < rules.min_ratio,
-            "straight, by chance": (ratio < (rules.soft_ratio or 0.0)) & by_chance,
-            "too steep": np.abs(apart[:, 2]) > steepest,
-            "another level": rules.same_level & (levels[:, 0] != levels[:, 1]),
+            "straight, by chance": (ratio < (rules.soft_ratio or 0.0)) & refused_by_chance,
+            "too steep": np.abs(starts.rises) > max_rise,
+            "another level": rules.same_level & changes_level,
         }
+
+
+class _Starts(NamedTuple):
+    """Drawn starts of one episode's goals, measured."""
+
+    positions: Float  # world x, y, floor z, shape (n, 3) [m]
+    headings: Float  # [rad]
+    cells: Int  # flat ids
+    levels: Int  # of start and goal, shape (n, 2)
+    rises: Float  # from the goal to the start [m]
+    distance: Float  # of the shortest path to the goals, NaN where there are none [m]
+    straight: Float  # the same through the air [m]
