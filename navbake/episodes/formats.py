@@ -21,7 +21,7 @@ import msgspec
 
 from navbake.episodes.episode import Episode, EpisodeSet, Goal, Header, ViewPoint
 from navbake.errors import FormatError
-from navbake.types import Vector3
+from navbake.types import Json, Vector3
 
 Kind = TypeVar("Kind")
 Fields: TypeAlias = tuple[Header, list[Any]]
@@ -38,12 +38,12 @@ COLUMNS = (
     "goalAngle", "goalTilt", "dist", "pathDist", "pathNumDoors", "pathDoorIds", "pathNumRooms",
     "pathRoomIndices",
 )  # fmt: skip
-HELD = {"id", "scene", "task", "start", "heading", "goals", "distance", "room", "extra"}
-"""What habitat-lab's formats have a field for."""
-INDEXED = re.compile(r"/\d+$")  # ends MolmoSpaces's scenes
-PLANAR = 1.5  # metres on the map from the object, MolmoSpaces's success
-SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 480]}
-"""Of an EpisodeSpec: what no navigation episode says."""
+HABITAT_FIELDS = {"id", "scene", "task", "start", "heading", "goals", "distance", "room", "extra"}
+"""Fields of episodes that habitat-lab's formats have a field for."""
+HOUSE_INDEX = re.compile(r"/\d+$")  # ends MolmoSpaces's scenes
+MOLMOSPACES_RADIUS = 1.5  # of MolmoSpaces's success, on the map [m]
+EPISODE_SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 480]}
+"""Fields of an EpisodeSpec that no navigation episode has."""
 
 
 class SetFormat(NamedTuple):
@@ -56,25 +56,40 @@ class SetFormat(NamedTuple):
 
 
 def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
-    """Decode JSON of a known structure; a FormatError names the field and where it stands."""
+    """Decode JSON of a known structure.
+
+    Args:
+        text: the JSON.
+        kind: the structure: a msgspec struct, or a list of them.
+        where: file and line, for the error.
+
+    Returns:
+        The structure.
+
+    Raises:
+        FormatError: it has another structure; the field is named.
+    """
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         is_unknown = "unknown field" in str(error) and " - at `" not in str(error)
         fields = ", ".join(getattr(kind, "__struct_fields__", ()))
-        wanted = f", expected {fields}," if is_unknown else ""
-        raise FormatError(f"{error}{wanted} in {where}") from error
+        expected = f", expected {fields}," if is_unknown else ""
+        raise FormatError(f"{error}{expected} in {where}") from error
 
 
-def _to_yup(p: Sequence[float]) -> Vector3:
-    return p[0], p[2], 0.0 - p[1]
+def _to_yup(position: Sequence[float]) -> Vector3:
+    x, y, z = position[:3]
+    return x, z, 0.0 - y  # no -0.0
 
 
-def _from_yup(p: Sequence[float]) -> Vector3:
-    return p[0], 0.0 - p[2], p[1]
+def _from_yup(position: Sequence[float]) -> Vector3:
+    x, y, z = position[:3]
+    return x, 0.0 - z, y
 
 
 def _rotation(heading: float) -> Rotation:
+    """The rotation of a y-up world that turns -z to a heading."""
     half = (heading - math.pi / 2) / 2
     return 0.0, math.sin(half), 0.0, math.cos(half)
 
@@ -85,10 +100,10 @@ def _heading(rotation: Rotation) -> float:
     return math.atan2(1 - 2 * (x * x + y * y), -2 * (x * z + w * y))
 
 
-def _rest(episode: Episode, held: Container[str]) -> dict[str, Any]:
-    """The fields of an episode but those that a format holds."""
+def _fields_without(episode: Episode, names: Container[str]) -> Json:
+    """The fields of an episode but some."""
     fields = msgspec.to_builtins(episode)
-    return {key: value for key, value in fields.items() if key not in held}
+    return {name: value for name, value in fields.items() if name not in names}
 
 
 def _position(goal: Goal) -> Vector3:
@@ -138,7 +153,7 @@ class _Episode(msgspec.Struct, omit_defaults=True):
         return f"{self.scene_id.rsplit('/', 1)[-1]}_{self.object_category}"
 
 
-class _Content(msgspec.Struct, omit_defaults=True):
+class _Dataset(msgspec.Struct, omit_defaults=True):
     episodes: list[_Episode]
     goals_by_category: dict[str, list[_Goal]] | None = None
     category_to_task_category_id: dict[str, int] | None = None
@@ -148,91 +163,150 @@ class _Content(msgspec.Struct, omit_defaults=True):
 
 
 def encode_habitat(content: EpisodeSet, form: str) -> bytes:
-    """Encode as a dataset of habitat-lab."""
-    whole = _Content([], navbake=content.header)
-    table = dict[str, tuple[Goal, ...]]()
-    for number, e in enumerate(content.episodes):
-        rest = _rest(e, HELD)
-        info = {**e.extra, "geodesic_distance": e.distance, "navbake": rest}
-        written = _Episode(e.id, e.scene, _to_yup(e.start), _rotation(e.heading), [], info, e.room)
-        whole.episodes.append(written)
+    """Encode as a dataset of habitat-lab.
+
+    Args:
+        content: the set.
+        form: ``habitat-pointnav``, ``habitat-objectnav`` or ``habitat-vln``.
+
+    Returns:
+        JSON.
+
+    Raises:
+        FormatError: an episode lacks what the format needs.
+    """
+    dataset = _Dataset([], navbake=content.header)
+    goals_by_key = dict[str, tuple[Goal, ...]]()
+    for number, episode in enumerate(content.episodes):
+        further_fields = _fields_without(episode, HABITAT_FIELDS)
+        written = _Episode(
+            episode_id=episode.id,
+            scene_id=episode.scene,
+            start_position=_to_yup(episode.start),
+            start_rotation=_rotation(episode.heading),
+            goals=[],
+            info={
+                **episode.extra,
+                "geodesic_distance": episode.distance,
+                "navbake": further_fields,
+            },
+            start_room=episode.room,
+        )
+        dataset.episodes.append(written)
         if form == "habitat-objectnav":
-            written.object_category = e.goals[0].category or e.goals[0].name
+            written.object_category = episode.goals[0].category or episode.goals[0].name
             key = written.goals_key
-            if table.setdefault(key, e.goals) != e.goals:
-                other = f"one list of goals for {key!r}, episode {e.id!r} has another one"
+            if goals_by_key.setdefault(key, episode.goals) != episode.goals:
+                expected = f"one list of goals for {key!r}, episode {episode.id!r} has another one"
                 hint = "draw objects by category, and give scenes names of their own"
-                raise FormatError(f"habitat-objectnav has {other}: {hint}")
+                raise FormatError(f"habitat-objectnav has {expected}: {hint}")
             continue
-        written.goals = [_write_goal(goal) for goal in e.goals]
+        written.goals = [_write_goal(goal) for goal in episode.goals]
         if form == "habitat-vln":
-            if not e.path:
-                raise FormatError(f"habitat-vln needs paths, episode {e.id!r} has none: paths=true")
-            written.reference_path = [_to_yup(p) for p in rest.pop("path")]
-            written.instruction = {"instruction_text": rest.pop("instruction", "")}
-            written.trajectory_id = e.extra.get("trajectory_id", number)
+            if not episode.path:
+                problem = f"episode {episode.id!r} has none: paths=true"
+                raise FormatError(f"habitat-vln needs paths, {problem}")
+            path = further_fields.pop("path")
+            written.reference_path = [_to_yup(position) for position in path]
+            text = further_fields.pop("instruction", "")
+            written.instruction = {"instruction_text": text}
+            written.trajectory_id = episode.extra.get("trajectory_id", number)
     if form == "habitat-objectnav":
-        categories = sorted({str(e.object_category) for e in whole.episodes})
-        whole.category_to_task_category_id = {name: k for k, name in enumerate(categories)}
-        whole.category_to_scene_annotation_category_id = whole.category_to_task_category_id
-        whole.goals_by_category = {
-            key: [_write_goal(goal, k) for k, goal in enumerate(goals)]
-            for key, goals in table.items()
+        categories = sorted({str(written.object_category) for written in dataset.episodes})
+        category_ids = {category: number for number, category in enumerate(categories)}
+        dataset.category_to_task_category_id = category_ids
+        dataset.category_to_scene_annotation_category_id = category_ids
+        dataset.goals_by_category = {
+            key: [_write_goal(goal, number) for number, goal in enumerate(goals)]
+            for key, goals in goals_by_key.items()
         }
     elif form == "habitat-vln":
-        texts = " ".join(e.instruction or "" for e in content.episodes)
-        whole.instruction_vocab = {"word_list": sorted(set(re.findall(r"\w+", texts.lower())))}
-    return msgspec.json.encode(whole)
+        text = " ".join(episode.instruction or "" for episode in content.episodes)
+        words = sorted(set(re.findall(r"\w+", text.lower())))
+        dataset.instruction_vocab = {"word_list": words}
+    return msgspec.json.encode(dataset)
 
 
-def _write_goal(goal: Goal, number: int | None = None) -> _Goal:
-    """A point; with a number, an object of ObjectNav's table."""
-    states = ((_State(_to_yup(v.position), _rotation(v.heading)), v.iou) for v in goal.view_points)
-    views = None if number is None else [_View(*state) for state in states]
-    at = _to_yup(_position(goal))
-    return _Goal(at, goal.radius, number, goal.name, goal.category, views)
+def _write_goal(goal: Goal, object_id: int | None = None) -> _Goal:
+    """A point; with an id, an object of ObjectNav's table."""
+    views = None
+    if object_id is not None:
+        views = [
+            _View(_State(_to_yup(view.position), _rotation(view.heading)), view.iou)
+            for view in goal.view_points
+        ]
+    return _Goal(
+        position=_to_yup(_position(goal)),
+        radius=goal.radius,
+        object_id=object_id,
+        object_name=goal.name,
+        object_category=goal.category,
+        view_points=views,
+    )
 
 
-def _read_goal(goal: _Goal, radius: float) -> Goal:
-    """A goal, with a radius where it says none [m]."""
-    states = ((view.agent_state, view.iou) for view in goal.view_points or ())
-    views = (ViewPoint(_from_yup(s.position), _heading(s.rotation), iou) for s, iou in states)
+def _read_goal(goal: _Goal, default_radius: float) -> Goal:
+    """A goal, with a radius where it has none [m]."""
+    views = []
+    for view in goal.view_points or ():
+        state = view.agent_state
+        views.append(ViewPoint(_from_yup(state.position), _heading(state.rotation), view.iou))
     return Goal(
-        position=_from_yup(goal.position), radius=radius if goal.radius is None else goal.radius,
-        name=goal.object_name, category=goal.object_category, view_points=tuple(views),
-    )  # fmt: skip
+        position=_from_yup(goal.position),
+        radius=default_radius if goal.radius is None else goal.radius,
+        name=goal.object_name,
+        category=goal.object_category,
+        view_points=tuple(views),
+    )
 
 
 def read_habitat(text: bytes, name: str) -> Fields:
-    """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, by the fields of its episodes."""
-    content = decode(text, _Content, name)
-    episodes = []
+    """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, by the fields of its episodes.
+
+    Args:
+        text: the JSON.
+        name: of the file, for errors.
+
+    Returns:
+        A header, and the fields of each episode.
+
+    Raises:
+        FormatError: it is no such dataset.
+    """
+    dataset = decode(text, _Dataset, name)
     # episodes share goals, of which there may be thousands
-    table = {
+    goals_by_key = {
         key: tuple(_read_goal(goal, OBJECT_RADIUS) for goal in goals)
-        for key, goals in (content.goals_by_category or {}).items()
+        for key, goals in (dataset.goals_by_category or {}).items()
     }
-    for e in content.episodes:
-        extra = dict(e.info or {})
-        is_object = e.object_category is not None
+    episodes = []
+    for episode in dataset.episodes:
+        extra = dict(episode.info or {})
         is_foreign = "navbake" not in extra
-        known: dict[str, Any] = {**extra.pop("navbake", {})}
-        if e.start_room is not None:
-            known["room"] = str(e.start_room)
-        if e.reference_path is not None:
-            known["path"] = [_from_yup(p) for p in e.reference_path]
-        if e.instruction is not None:
-            known["instruction"] = e.instruction.get("instruction_text") or None
-            extra |= {"trajectory_id": e.trajectory_id} if is_foreign else {}
-        radius = OBJECT_RADIUS if is_object else POINT_RADIUS
-        goals = table.get(e.goals_key) or [_read_goal(goal, radius) for goal in e.goals]
-        episodes.append(known | {
-            "id": str(e.episode_id), "scene": e.scene_id, "goals": goals,
-            "task": "object" if is_object else "point",
-            "start": _from_yup(e.start_position), "heading": _heading(e.start_rotation),
-            "distance": extra.pop("geodesic_distance", None), "extra": extra,
-        })  # fmt: skip
-    return content.navbake or Header(), episodes
+        fields: Json = {**extra.pop("navbake", {})}
+        if episode.start_room is not None:
+            fields["room"] = str(episode.start_room)
+        if episode.reference_path is not None:
+            fields["path"] = [_from_yup(position) for position in episode.reference_path]
+        if episode.instruction is not None:
+            fields["instruction"] = episode.instruction.get("instruction_text") or None
+            if is_foreign:
+                extra["trajectory_id"] = episode.trajectory_id
+        is_object = episode.object_category is not None
+        goals = goals_by_key.get(episode.goals_key)
+        if not goals:
+            radius = OBJECT_RADIUS if is_object else POINT_RADIUS
+            goals = tuple(_read_goal(goal, radius) for goal in episode.goals)
+        fields["id"] = str(episode.episode_id)
+        fields["scene"] = episode.scene_id
+        fields["goals"] = goals
+        fields["task"] = "object" if is_object else "point"
+        fields["start"] = _from_yup(episode.start_position)
+        fields["heading"] = _heading(episode.start_rotation)
+        fields["distance"] = extra.pop("geodesic_distance", None)
+        fields["extra"] = extra
+        episodes.append(fields)
+    return dataset.navbake or Header(), episodes
 
 
 # ---------------------------------------------------------------- MINOS
@@ -243,44 +317,62 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
     file = io.StringIO()
     table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
     table.writeheader()
-    for e in content.episodes:
-        goal = e.goals[0]
-        doors = e.doors or ()
-        rooms = [room.rsplit(":", 1)[-1] for room in e.rooms or ()]
-        row: dict[str, Any] = {
-            "sceneId": e.scene, "split": e.split, "roomId": e.room,
-            "level": e.levels[0] if e.levels else 0, "startTilt": 0, "goalAngle": 0, "goalTilt": 0,
-            "startAngle": math.remainder(e.heading - math.pi / 2, 2 * math.pi),
-            "goalRoomId": goal.room, "goalObjectId": None if goal.room else goal.name,
+    for episode in content.episodes:
+        goal = episode.goals[0]
+        doors = episode.doors or ()
+        rooms = [room.rsplit(":", 1)[-1] for room in episode.rooms or ()]
+        row: Json = {
+            "sceneId": episode.scene,
+            "split": episode.split,
+            "roomId": episode.room,
+            "level": episode.levels[0] if episode.levels else 0,
+            "startTilt": 0,
+            "goalAngle": 0,
+            "goalTilt": 0,
+            "startAngle": math.remainder(episode.heading - math.pi / 2, 2 * math.pi),
+            "goalRoomId": goal.room,
+            "goalObjectId": None if goal.room else goal.name,
             "goalRoomType" if goal.room else "goalObjectType": goal.category,
-            "dist": -1.0 if e.straight is None else e.straight,
-            "pathDist": -1.0 if e.distance is None else e.distance,
-            "pathNumDoors": len(doors), "pathDoorIds": ":".join(doors),
-            "pathNumRooms": len(rooms), "pathRoomIndices": ":".join(rooms),
-        }  # fmt: skip
-        for end, p in (("start", e.start), ("goal", _position(goal))):
-            row |= {f"{end}{axis}": v for axis, v in zip("XYZ", _to_yup(p), strict=True)}
-        table.writerow({k: f"{v:.3f}" if isinstance(v, float) else v for k, v in row.items()})
+            "dist": -1.0 if episode.straight is None else episode.straight,
+            "pathDist": -1.0 if episode.distance is None else episode.distance,
+            "pathNumDoors": len(doors),
+            "pathDoorIds": ":".join(doors),
+            "pathNumRooms": len(rooms),
+            "pathRoomIndices": ":".join(rooms),
+        }
+        for end, position in (("start", episode.start), ("goal", _position(goal))):
+            for axis, value in zip("XYZ", _to_yup(position), strict=True):
+                row[f"{end}{axis}"] = value
+        table.writerow(
+            {
+                column: f"{value:.3f}" if isinstance(value, float) else value
+                for column, value in row.items()
+            }
+        )
     return file.getvalue().encode()
 
 
 def read_minos(text: bytes, _: str) -> Fields:
     """Read MINOS's episode states."""
     rows = csv.DictReader(io.StringIO(text.decode(), newline=""))
-    return Header(), [_read_row(row, k) for k, row in enumerate(rows)]
+    return Header(), [_read_row(row, index) for index, row in enumerate(rows)]
 
 
-def _read_row(row: Mapping[str, str], k: int) -> dict[str, Any]:
+def _read_row(row: Mapping[str, str], index: int) -> Json:
+    """The fields of an episode from a row of MINOS's table."""
+
     def number(column: str, default: str | None = None) -> float:
         text = row.get(column) or default
         with suppress(ValueError):
-            if math.isfinite(value := float(text or "nan")):
+            value = float(text or "nan")
+            if math.isfinite(value):
                 return value
-        raise ValueError(f"expected a number as {column}, got {text!r} in row {k + 1}")
+        raise ValueError(f"expected a number as {column}, got {text!r} in row {index + 1}")
 
     def words(column: str) -> list[str]:
         return [word for word in (row.get(column) or "").split(":") if word]
 
+    # the order of these is that in which a row's errors are found
     start = _from_yup([number("start" + axis) for axis in "XYZ"])
     goal = _from_yup([number("goal" + axis) for axis in "XYZ"])
     straight = number("dist", "-1")
@@ -288,21 +380,37 @@ def _read_row(row: Mapping[str, str], k: int) -> dict[str, Any]:
     level = int(number("level", "0"))
     name = row.get("goalObjectId")
     room = row.get("goalRoomId")
+    if room:
+        task = "room"
+    elif name:
+        task = "object"
+    else:
+        task = "point"
+    # rooms have numbers on their level
+    rooms = [f"{level}:{word}" if word.isdigit() else word for word in words("pathRoomIndices")]
     return {
-        "id": str(k), "scene": row.get("sceneId"),
-        "task": "room" if room else "object" if name else "point",
-        "start": start, "heading": math.remainder(number("startAngle") + math.pi / 2, 2 * math.pi),
-        "goals": [{
-            "position": goal, "radius": 0.0 if room else MINOS_RADIUS,
-            "name": name or None, "room": room or None,
-            "category": row.get("goalRoomType" if room else "goalObjectType") or None,
-        }],
+        "id": str(index),
+        "scene": row.get("sceneId"),
+        "task": task,
+        "start": start,
+        "heading": math.remainder(number("startAngle") + math.pi / 2, 2 * math.pi),
+        "goals": [
+            {
+                "position": goal,
+                "radius": 0.0 if room else MINOS_RADIUS,
+                "name": name or None,
+                "room": room or None,
+                "category": row.get("goalRoomType" if room else "goalObjectType") or None,
+            }
+        ],
         "distance": None if distance < 0 else distance,
         "straight": None if straight < 0 else straight,
-        "split": row.get("split") or None, "room": row.get("roomId") or None,
-        "levels": [level, level], "doors": words("pathDoorIds") or None,
-        "rooms": [f"{level}:{r}" if r.isdigit() else r for r in words("pathRoomIndices")] or None,
-    }  # fmt: skip
+        "split": row.get("split") or None,
+        "room": row.get("roomId") or None,
+        "levels": [level, level],
+        "doors": words("pathDoorIds") or None,
+        "rooms": rooms or None,
+    }
 
 
 # ---------------------------------------------------------------- MolmoSpaces
@@ -313,7 +421,7 @@ class _NavTask(msgspec.Struct):
     pickup_obj_name: str
     pickup_obj_candidates: list[str] | None = None
     pickup_obj_start_pose: Pose | None = None
-    succ_pos_threshold: float = PLANAR
+    succ_pos_threshold: float = MOLMOSPACES_RADIUS
     task_cls: str = "molmo_spaces.tasks.nav_task.NavToObjTask"
 
 
@@ -329,44 +437,65 @@ class _Spec(msgspec.Struct, omit_defaults=True):
 def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
     """Encode as a list of EpisodeSpec; scenes are called ``DATASET/INDEX`` there."""
     specs = []
-    for e in content.episodes:
-        dataset, _, index = (e.scene if INDEXED.search(e.scene) else f"{e.scene}/0").rpartition("/")
-        goal = e.goals[0]
-        half = e.heading / 2
+    for episode in content.episodes:
+        scene = episode.scene if HOUSE_INDEX.search(episode.scene) else f"{episode.scene}/0"
+        dataset, _, index = scene.rpartition("/")
+        goal = episode.goals[0]
+        half = episode.heading / 2
+        is_planar = episode.extra.get("success") == "planar"
         task = _NavTask(
-            (*e.start, math.cos(half), 0.0, 0.0, math.sin(half)), goal.name or "",
-            [g.name or "" for g in e.goals], (*_position(goal), 1.0, 0.0, 0.0, 0.0),
-            goal.radius if e.extra.get("success") == "planar" else PLANAR,
-        )  # fmt: skip
-        text = {"task_description": e.instruction or f"go to the {goal.category or goal.name}"}
-        rest = _rest(e, ("task", "start", "heading"))
-        spec = _Spec(dataset, int(index), task, text, e.split or "val", rest)
-        specs.append(SPEC | msgspec.to_builtins(spec))
+            robot_base_pose=(*episode.start, math.cos(half), 0.0, 0.0, math.sin(half)),
+            pickup_obj_name=goal.name or "",
+            pickup_obj_candidates=[candidate.name or "" for candidate in episode.goals],
+            pickup_obj_start_pose=(*_position(goal), 1.0, 0.0, 0.0, 0.0),
+            succ_pos_threshold=goal.radius if is_planar else MOLMOSPACES_RADIUS,
+        )
+        text = episode.instruction or f"go to the {goal.category or goal.name}"
+        spec = _Spec(
+            scene_dataset=dataset,
+            house_index=int(index),
+            task=task,
+            language={"task_description": text},
+            data_split=episode.split or "val",
+            navbake=_fields_without(episode, ("task", "start", "heading")),
+        )
+        specs.append(EPISODE_SPEC | msgspec.to_builtins(spec))
     return msgspec.json.encode(specs)
 
 
 def read_molmospaces(text: bytes, name: str) -> Fields:
     """Read a list of EpisodeSpec whose tasks are to get to objects."""
     episodes = []
-    for k, spec in enumerate(decode(text, list[_Spec], name)):
+    for index, spec in enumerate(decode(text, list[_Spec], name)):
         task = spec.task
         if "nav" not in task.task_cls.lower():
-            raise FormatError(f"expected a way to an object, got {task.task_cls!r} in {name}, {k}")
+            place = f"{name}, {index}"
+            raise FormatError(f"expected a way to an object, got {task.task_cls!r} in {place}")
         x, y, z, qw, qx, qy, qz = task.robot_base_pose
-        others = [n for n in task.pickup_obj_candidates or () if n != task.pickup_obj_name]
-        pose = task.pickup_obj_start_pose
-        radius = task.succ_pos_threshold
-        goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
-        foreign: dict[str, Any] = {
-            "id": str(k), "scene": f"{spec.scene_dataset}/{spec.house_index}",
-            "split": spec.data_split, "instruction": spec.language.get("task_description"),
-            "goals": goals + [Goal(name=other, radius=radius) for other in others],
-            "extra": {"success": "planar"},
-        }  # fmt: skip
         heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-        own = {"task": "object", "start": (x, y, z), "heading": heading}
-        episodes.append((spec.navbake or foreign) | own)
+        fields = spec.navbake or _fields_of_foreign(spec, index)
+        fields = fields | {"task": "object", "start": (x, y, z), "heading": heading}
+        episodes.append(fields)
     return Header(), episodes
+
+
+def _fields_of_foreign(spec: _Spec, index: int) -> Json:
+    """The fields of an episode that another program wrote, but task, start and heading."""
+    task = spec.task
+    pose = task.pickup_obj_start_pose
+    radius = task.succ_pos_threshold
+    goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
+    for candidate in task.pickup_obj_candidates or ():
+        if candidate != task.pickup_obj_name:
+            goals.append(Goal(name=candidate, radius=radius))
+    return {
+        "id": str(index),
+        "scene": f"{spec.scene_dataset}/{spec.house_index}",
+        "split": spec.data_split,
+        "instruction": spec.language.get("task_description"),
+        "goals": goals,
+        "extra": {"success": "planar"},
+    }
 
 
 SIMULATOR_FORMATS = {
