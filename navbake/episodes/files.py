@@ -21,7 +21,7 @@ from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet
 from navbake.episodes.formats import SIMULATOR_FORMATS, Fields, SetFormat, decode
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
-from navbake.formats.source import import_extra, format_path, read_bytes, unpack, write_bytes
+from navbake.formats.source import format_path, import_extra, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
 METADATA_KEY = b"navbake"  # of the header in a Parquet file
