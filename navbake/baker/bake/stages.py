@@ -477,7 +477,7 @@ def find_scene_floors(
             scene.structure,
             agent=config.agent,
             settings=config.floors,
-            given=None if config.levels == "auto" else list(config.levels),
+            level_settings=None if config.levels == "auto" else list(config.levels),
             is_occupied=make_occupancy_test(columns, tiles, config),
         )
         if extended.lattice != lattice:

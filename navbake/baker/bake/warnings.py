@@ -11,8 +11,8 @@ from navbake.baker.bake.boxes import LevelBoxes
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.doors.doors import warn_doors
 from navbake.baker.floors.levels import Floors
-from navbake.baker.floors.outline import find_cropped
-from navbake.baker.floors.reach import TOLD_AREA
+from navbake.baker.floors.outline import mark_cropped_sides
+from navbake.baker.floors.reach import REPORTED_AREA
 from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupants.standing import StandingOccupants
@@ -48,26 +48,26 @@ DROPPED = {
     ),
 }
 LOST = {
-    "left_out": (
-        TOLD_AREA,
+    "removed_by_reach": (
+        REPORTED_AREA,
         "left out by `floors.reach: steps`, because no step leads there: {what}; {keep}",
     ),
-    "enclosed": (
+    "enclosed_by_meshes": (
         0.0,
         "no floor, because it lies inside of a closed mesh: {what}; `scene.meshes: shell` makes "
         "meshes hollow, all or by pattern",
     ),
-    "in_planes": (
-        TOLD_AREA,
+    "enclosed_by_planes": (
+        REPORTED_AREA,
         "no floor, because it lies inside of an endless plane, which is solid below: {area} m² at "
         "{z} m under {name}; leave the plane out by `scene.exclude.geoms`, or lower it",
     ),
     "voids": (
-        TOLD_AREA,
+        REPORTED_AREA,
         "not a level, because no step leads there and nobody can stand upright (a plenum, a crawl "
         "space): the void over {what}; `floors.voids: true` keeps all",
     ),
-    "spare": (
+    "without_level": (
         0.0,
         "left out, because their columns hold more floors than there are levels, and no walk needs "
         "them: {cells} cells of {what}",
@@ -127,7 +127,7 @@ def collect_warnings(config: BakeConfig, standing: BakedStructure, moving: Baked
 def _warn_cropped(config: BakeConfig, extended: FloorLattice, scene: Scene) -> Iterator[str]:
     """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
     whole = extended.lattice
-    if scene.bounds is not None and find_cropped(whole, scene.bounds).any():
+    if scene.bounds is not None and mark_cropped_sides(whole, scene.bounds).any():
         x0, y0, x1, y1 = whole.bounds
         yield (
             "which floors are roofs or reached was decided on a part of the scene, "
@@ -217,7 +217,7 @@ def _warn_patches(
         if patches:
             first = patches[0]
             more = f", and {len(patches) - 1} more" if patches[1:] else ""
-            x, y, z = first.place
+            x, y, z = first.position
             area = f"{first.area:.1f}"
             height = f"{z:.2f}"
             on = repr(scene.geoms[first.geom].name)
@@ -258,20 +258,20 @@ def _warn_unreached(floors: Floors, moving: BakedPose) -> Iterator[str]:
     """Warn of what no step leads to, level by level; not of a level at which a link stops."""
     linked = {stop.level for link in moving.links.links for stop in link.stops}
     for part in floors.unreached:
-        if part.whole and part.level in linked:
+        if part.is_whole_level and part.level in linked:
             continue
         name = floors.levels[part.level].name
         patch = part.patch
         on = moving.scene.geoms[patch.geom].name
         area = f"{patch.area:.1f} m²"
-        x, y, z = patch.place
+        x, y, z = patch.position
         what = f"{area} of {name!r} (most of it on {on!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
-        if part.whole:
+        if part.is_whole_level:
             what = f"{name!r} ({area} at {z:.2f} m, most of it on {on!r})"
+        noun = "levels" if part.is_whole_level else "floors"
         yield (
-            f"no step leads to {what}: `floors.reach: steps` leaves such "
-            f"{'levels' if part.whole else 'floors'} out, `floors.from` names places that count as "
-            "reached"
+            f"no step leads to {what}: `floors.reach: steps` leaves such {noun} out, "
+            "`floors.from` names places that count as reached"
         )
 
 

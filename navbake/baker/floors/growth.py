@@ -1,4 +1,4 @@
-"""The floor of each level: where one can stand, and how it grows under things."""
+"""The floor of each level: where an agent can stand, and how the floor extends under things."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from navbake.baker.core.blocks import Blocks, list_rows
 from navbake.baker.floors import growth_kernels as kernels
-from navbake.baker.floors.growth_kernels import Growing
-from navbake.baker.floors.member_kernels import Labelled
+from navbake.baker.floors.growth_kernels import NO_FLOOR, GrowthState
+from navbake.baker.floors.level_assignment import LevelAssignment
+from navbake.baker.floors.region_kernels import LabelledSurfaces
 from navbake.baker.floors.regions import Regions
-from navbake.baker.floors.storeys import Placed
-from navbake.baker.floors.surfaces import slopes_may_join
+from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings
 from navbake.threads import LEAST_CELLS
 from navbake.types import Bool, Float, Int, Int32
@@ -25,8 +25,9 @@ class GrownFloor(NamedTuple):
     """The floor of a level on the whole lattice.
 
     Attributes:
-        height: by cell, NaN where there is none, float64 [m].
-        ring: by cell, in which step it grew there: 0 where one can stand, -1 for none, int32.
+        height: by cell, the height of the floor, NaN where there is none, float64 [m].
+        ring: by cell, in which ring the floor grew into it: 0 where an agent can stand, -1 for no
+            floor, int32.
     """
 
     height: Float
@@ -34,71 +35,91 @@ class GrownFloor(NamedTuple):
 
 
 def grow_floors(
-    regions: Regions, placed: Placed, bars: Bool, agent: AgentSettings
+    regions: Regions, assignment: LevelAssignment, stops_growth: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
-    """Find the floor of each level, lowest first.
+    """Find the floor of each level.
 
     Args:
-        placed: the surfaces on their levels.
-        bars: the regions at whose surfaces no floor grows, shape (regions,), bool.
+        regions: all regions.
+        assignment: their surfaces on levels.
+        stops_growth: the regions at whose surfaces no floor grows, shape (regions,), bool.
+        agent: whose height and step count.
+
+    Returns:
+        The floors, the lowest level first.
     """
-    barred = regions.labelled(bars)
-    numbers = range(len(placed.grounds))
-    return [grow_level(barred, placed.level, placed.number, n, agent) for n in numbers]
+    labelled = regions.label_surfaces(stops_growth)
+    return [
+        grow_level(labelled, assignment.level, assignment.final_level, number, agent)
+        for number in range(len(assignment.grounds))
+    ]
 
 
 def grow_level(
-    barred: Labelled, level: Int32, number: Int, grown_level: int, agent: AgentSettings
+    labelled: LabelledSurfaces,
+    level: Int32,
+    final_level: Int,
+    grown_level: int,
+    agent: AgentSettings,
 ) -> GrownFloor:
-    """Find the floor of a level: where one can stand, and what grows from there.
+    """Find the floor of one level: where an agent can stand, and what grows from there.
 
     Args:
-        barred: all surfaces, and the regions at whose surfaces no floor grows.
-        level, number: see `Placed`.
-        grown_level: the number of the level.
+        labelled: all surfaces, and the regions at whose surfaces no floor grows.
+        level: by surface, its level, see `LevelAssignment`.
+        final_level: by level, its final number, see `LevelAssignment`.
+        grown_level: the final number of the level whose floor grows.
+        agent: whose height and step count.
     """
-    surfaces = barred.surfaces
+    surfaces = labelled.surfaces
     num_cells = surfaces.lattice.width * surfaces.lattice.height
-    growing = Growing(
+    state = GrowthState(
         surfaces=surfaces,
         level=level,
-        number=number,
-        own=grown_level,
+        final_level=final_level,
+        grown_level=grown_level,
         height=agent.height,
         step=agent.traversable_floor_height,
         floor=np.empty(num_cells),
         ring=np.empty(num_cells, dtype=np.int32),
         option=np.empty(len(surfaces.z), dtype=np.uint8),
     )
-    _, (options,) = Blocks(surfaces.lattice).list_rows(kernels.stand, (NO_CELLS,), barred, growing)
-    cells = options
-    ring = 1
-    # all threads grow rings of many cells, one thread those after them
-    while len(cells) >= LEAST_CELLS:
-        _, (cells,) = list_rows(
-            kernels.grow_ring, cells, (NO_CELLS,), growing, ring, least=LEAST_CELLS
+    blocks = Blocks(surfaces.lattice)
+    _, (open_cells,) = blocks.list_rows(kernels.start_growth, (NO_CELLS,), labelled, state)
+    front = open_cells
+    ring_number = 1
+    # all threads grow rings of many cells, one thread the rings after them
+    while len(front) >= LEAST_CELLS:
+        _, (front,) = list_rows(
+            kernels.grow_ring, front, (NO_CELLS,), state, ring_number, least=LEAST_CELLS
         )
-        ring += 1
-    kernels.grow(growing, ring, cells)
-    not_reached = options[growing.ring[options] < -1]
-    growing.ring[not_reached] = -1
-    return GrownFloor(growing.floor, growing.ring)
+        ring_number += 1
+    kernels.grow_remaining_rings(state, ring_number, front)
+    not_reached = open_cells[state.ring[open_cells] < NO_FLOOR]
+    state.ring[not_reached] = NO_FLOOR
+    return GrownFloor(state.floor, state.ring)
 
 
-def find_links(regions: Regions, placed: Placed, agent: AgentSettings) -> Int:
-    """Find where levels meet, and the neighbours that slopes join but no step does.
+def find_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
+    """Find where levels meet, and the neighbors that slopes join but no step does.
+
+    Args:
+        regions: all regions.
+        assignment: their surfaces on levels.
+        agent: whose step and slope count.
 
     Returns:
-        `links` of `navbake.baker.floors.levels.Floors`.
+        `links` of `navbake.baker.floors.levels.Floors`, sorted.
     """
-    by_slopes = slopes_may_join(regions.lattice, agent)
-    if len(placed.grounds) == 1 and not by_slopes:
+    by_slopes = may_slopes_join(regions.lattice, agent)
+    if len(assignment.grounds) == 1 and not by_slopes:
         return NO_LINKS
     _, (links,) = regions.blocks.list_rows(
         kernels.list_links,
         (NO_LINKS,),
         regions.surfaces,
-        (placed.level, placed.number),
+        assignment.level,
+        assignment.final_level,
         agent.traversable_floor_height,
         by_slopes,
     )

@@ -1,6 +1,7 @@
-"""Floors grow under things, ring by ring (breadth-first search); and the links between levels.
+"""Extend floors under things, ring by ring, and list the links between levels.
 
-A cell's floor depends on its heights, and on the floors that its neighbours had one ring before.
+Growth is a breadth-first search from all cells in which an agent can stand. A cell's floor depends
+on its own surfaces, and on the floors that its neighbors had one ring before.
 """
 
 import math
@@ -11,37 +12,43 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.floors.member_kernels import region_of
-from navbake.baker.floors.surface_kernels import Surfaces, slope_joins
+from navbake.baker.floors.region_kernels import region_of_surface
+from navbake.baker.floors.surface_kernels import Surfaces, slopes_join
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int, Int32
 
-NO_OPTION = 0
-OPTION = 1
-LAST_OPTION = 2
+# Values of `GrowthState.option`
+NO_OPTION = 0  # the floor can't grow at the surface
+OPTION = 1  # it can
+LAST_OPTION = 2  # it can, and the surface is the highest such one of its cell
+# `GrowthState.ring` of a cell without a floor
+NO_FLOOR = -1
+# less the id of the cell's lowest optional surface: of a cell into which the floor may still grow
+OPEN_CELL = -2
 
 
-class Growing(NamedTuple):
-    """The level whose floor grows.
+class GrowthState(NamedTuple):
+    """The growing floor of a level, and what it depends on.
 
     Attributes:
-        surfaces: all that floors may go on at.
-        level: of each surface, less than 0 for none, int32.
-        number: the final number of each level, int64.
-        own: the number of the level that grows.
+        surfaces: all surfaces that floors may consist of.
+        level: by surface, its level, less than 0 for none, int32.
+        final_level: by level, its number when levels without surfaces are left out, int64.
+        grown_level: the final number of the level whose floor grows.
         height: of the agent [m].
         step: the highest step [m].
-        floor: by cell, float64 [m]; NaN where there is none.
-        ring: by cell, int32: the ring of its floor, 0 where one can stand, -1 for none. Below -1
-            while the floor may still grow there, see `stand`.
-        option: by surface of cells where nobody can stand, uint8: NO_OPTION, or whether the floor
-            may grow there, OPTION, or LAST_OPTION for the highest of its cell. Written by `stand`.
+        floor: by cell, the height of the floor, float64 [m]; NaN where there is none.
+        ring: by cell, int32: in which ring its floor grew, 0 where an agent can stand; NO_FLOOR;
+            or OPEN_CELL less the id of its lowest optional surface, while the floor may still grow
+            into it.
+        option: by surface of cells in which no agent can stand, uint8: NO_OPTION, OPTION or
+            LAST_OPTION. Written by `start_growth`.
     """
 
     surfaces: Surfaces
     level: Int32
-    number: Int
-    own: int
+    final_level: Int
+    grown_level: int
     height: float
     step: float
     floor: Float
@@ -50,83 +57,94 @@ class Growing(NamedTuple):
 
 
 @subkernel(inline="always")
-def _is_option(labelled, growing, last, j, lowest, highest):
-    """Whether the floor may go on at a surface: see `stand`."""
-    z = growing.surfaces.z
-    if growing.level[j] >= 0 or not lowest <= z[j] <= highest or region_of(labelled, j) >= 0:
+def _is_option(labelled, state, last, j, lowest, highest):
+    """Whether the floor may grow at a surface, see `start_growth`."""
+    z = state.surfaces.z
+    if state.level[j] >= 0 or not lowest <= z[j] <= highest:
+        return False
+    if region_of_surface(labelled, j) >= 0:
         return False
     for i in range(j + 1, last):
-        if z[i] - z[j] > growing.step + LIMIT_SLACK:
+        if z[i] - z[j] > state.step + LIMIT_SLACK:
             break
-        # an agent would walk on those above, as on a roof in which a wall's top is hidden
-        if growing.level[i] < 0 and region_of(labelled, i) >= 0:
+        # an agent would walk on the surface above, as on a roof in which a wall's top is hidden
+        if state.level[i] < 0 and region_of_surface(labelled, i) >= 0:
             return False
     return True
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def stand(labelled, growing, blocks, counts, columns, begin, end):
-    """Write the floors that one can stand on in ``blocks[begin:end]``; list where they may grow.
+def start_growth(labelled, state, blocks, counts, columns, begin, end):
+    """Write the floors on which agents can stand in ``blocks[begin:end]``; find where they grow.
 
-    A floor grows at surfaces that have no level and belong to no labelled region (a roof, the top
-    of furniture), nor lie at most a step below one. Between them and the levels above and below is
-    room for an agent. Until the floor has grown, `ring` has -2 less the place of a cell's first
-    such surface, -1 where there is none.
+    A floor grows at surfaces that are on no level, belong to no labelled region (such as a roof or
+    the top of furniture), and do not lie at most a step below a surface of one. Between such a
+    surface and the levels above and below is room for an agent.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: a cell with such a surface, int64.
+    The rows, see `navbake.baker.core.blocks.list_rows`: the id of a cell with such a surface,
+    int64.
+
+    Args:
+        labelled: a `LabelledSurfaces` with the regions at which no floor grows.
+        state: a `GrowthState`, whose `floor`, `ring` and `option` are written.
+        blocks: ids of blocks.
+        counts: receives the number of rows of each block.
+        columns: the array of the rows.
+        begin: the first of the blocks.
+        end: past the last one.
     """
     (cells,) = columns
     num = 0
-    surfaces = growing.surfaces
-    floor = growing.floor
-    ring = growing.ring
+    surfaces = state.surfaces
+    floor = state.floor
+    ring = state.ring
     lattice = surfaces.lattice
-    option = growing.option
+    option = state.option
     for k in range(begin, end):
-        before = num
+        num_before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 first = surfaces.first[cell]
                 last = surfaces.end[cell]
                 floor[cell] = math.nan
-                ring[cell] = -1
+                ring[cell] = NO_FLOOR
                 lowest = -math.inf
                 highest = math.inf
                 for j in range(first, last):
-                    if growing.level[j] < 0:
+                    if state.level[j] < 0:
                         continue
-                    number = growing.number[growing.level[j]]
+                    level = state.final_level[state.level[j]]
                     z = surfaces.z[j]
-                    if number == growing.own:
+                    if level == state.grown_level:
                         floor[cell] = z
                         ring[cell] = 0
-                    elif number < growing.own:
-                        lowest = z + growing.height - LIMIT_SLACK
+                    elif level < state.grown_level:
+                        lowest = z + state.height - LIMIT_SLACK
                     elif highest == math.inf:
-                        highest = z - growing.height + LIMIT_SLACK
+                        highest = z - state.height + LIMIT_SLACK
                 if ring[cell] == 0:
                     continue
-                final = np.int64(-1)
+                last_option = np.int64(-1)
                 for j in range(first, last):
                     option[j] = NO_OPTION
-                    if _is_option(labelled, growing, last, j, lowest, highest):
+                    if _is_option(labelled, state, last, j, lowest, highest):
                         option[j] = OPTION
-                        if final < 0:
-                            ring[cell] = -2 - j
-                        final = np.int64(j)
-                if final >= 0:
+                        if last_option < 0:
+                            ring[cell] = OPEN_CELL - j
+                        last_option = np.int64(j)
+                if last_option >= 0:
                     if num == cells.shape[0]:
                         return k
-                    option[final] = LAST_OPTION
+                    option[last_option] = LAST_OPTION
                     cells[num] = cell
                     num += 1
-        counts[k] = num - before
+        counts[k] = num - num_before
     return end
 
 
 @subkernel(inline="always")
-def _around(lattice, cell):
+def _neighbors_of(lattice, cell):
     """The next cells east, south, west and north, less than 0 for none."""
     width = lattice.width
     col = cell % lattice.width
@@ -137,138 +155,161 @@ def _around(lattice, cell):
 
 
 @subkernel(**NO_REFCOUNT)
-def _grow_into(growing, cell, now):
+def _grow_into(state, cell, ring_number):
     """Write the floor that grows into a cell in a ring, if any does; returns whether one does.
 
-    None does where the cell has a floor already, or no surface for one. Else it is that of the
-    surfaces marked by `stand` that is nearest to the floor of a neighbour, and at most a step from
-    it; the lower one if two are equally near.
+    No floor grows into a cell that has one, or no optional surface. Else the floor grows at the
+    optional surface that is nearest in height to the floor of a neighbor, if it is at most a step
+    from it; at the lower one if two are equally near.
     """
-    z = growing.surfaces.z
-    floor = growing.floor
-    ring = growing.ring
-    option = growing.option
-    # read once, as others may grow the same floor into the cell
-    best = math.nan
-    best_gap = growing.step + LIMIT_SLACK
-    first = -2 - ring[cell]
+    z = state.surfaces.z
+    floor = state.floor
+    ring = state.ring
+    option = state.option
+    # read once, as other threads may grow the same floor into the cell
+    first = OPEN_CELL - ring[cell]
+    nearest_z = math.nan
+    least_gap = state.step + LIMIT_SLACK
     if first < 0:
         return False
-    for other in _around(growing.surfaces.lattice, cell):
-        if other < 0 or not 0 <= ring[other] < now:
+    for neighbor in _neighbors_of(state.surfaces.lattice, cell):
+        if neighbor < 0 or not 0 <= ring[neighbor] < ring_number:
             continue
         j = first
         while True:
-            gap = abs(z[j] - floor[other]) if option[j] != NO_OPTION else math.inf
-            # gaps within SAME_HEIGHT are equally near; then the lower height counts
-            if gap < best_gap - SAME_HEIGHT or (gap <= best_gap + SAME_HEIGHT and z[j] < best):
-                best = z[j]
-                best_gap = min(gap, best_gap)
-            elif math.isnan(best) and gap <= best_gap:
-                best = z[j]
-                best_gap = gap
+            gap = abs(z[j] - floor[neighbor]) if option[j] != NO_OPTION else math.inf
+            # gaps within SAME_HEIGHT are equal; then the lower surface counts
+            is_nearer = gap < least_gap - SAME_HEIGHT
+            if is_nearer or (gap <= least_gap + SAME_HEIGHT and z[j] < nearest_z):
+                nearest_z = z[j]
+                least_gap = min(gap, least_gap)
+            elif math.isnan(nearest_z) and gap <= least_gap:
+                nearest_z = z[j]
+                least_gap = gap
             if option[j] == LAST_OPTION:
                 break
             j += 1
-    if math.isnan(best):
+    if math.isnan(nearest_z):
         return False
-    floor[cell] = best
-    ring[cell] = now
+    floor[cell] = nearest_z
+    ring[cell] = ring_number
     return True
 
 
 @subkernel(**NO_REFCOUNT)
-def _list_beside(growing, cell, cells, num):
-    """List the next cells into which a floor may still grow; returns how many are listed then."""
-    for other in _around(growing.surfaces.lattice, cell):
-        if other >= 0 and growing.ring[other] < -1:
-            cells[num] = other
+def _list_open_neighbors(state, cell, cells, num):
+    """List the neighbors into which a floor may still grow; returns how many are listed then."""
+    for neighbor in _neighbors_of(state.surfaces.lattice, cell):
+        if neighbor >= 0 and state.ring[neighbor] < NO_FLOOR:
+            cells[num] = neighbor
             num += 1
     return num
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def grow_ring(growing, now, asked, counts, columns, begin, end):
-    """Grow the floor by the ring `now` into ``asked[begin:end]``, and list the cells beside these.
+def grow_ring(state, ring_number, front, counts, columns, begin, end):
+    """Grow a ring of the floor into ``front[begin:end]``, and list the cells for the next ring.
 
-    The rows, see `list_rows`: a cell, int64; the same may be listed several
-    times. The order of cells does not matter, nor whether others are at work: the floors of a ring
-    count for the next one only.
+    The rows, see `navbake.baker.core.blocks.list_rows`: the id of a cell, int64; the same cell may
+    be listed several times. Neither the order of cells matters nor whether other threads are at
+    work: floors of a ring count for the next one only.
+
+    Args:
+        state: a `GrowthState`.
+        ring_number: the number of the ring, from 1.
+        front: the cells into which the floor may grow, int64.
+        counts: receives the number of rows of each cell.
+        columns: the array of the rows.
+        begin: the first of the cells.
+        end: past the last one.
     """
     (cells,) = columns
     num = 0
     for k in range(begin, end):
-        before = num
+        num_before = num
         if num + 4 > cells.shape[0]:
             return k
-        if _grow_into(growing, asked[k], now):
-            num = _list_beside(growing, asked[k], cells, num)
-        counts[k] = num - before
+        if _grow_into(state, front[k], ring_number):
+            num = _list_open_neighbors(state, front[k], cells, num)
+        counts[k] = num - num_before
     return end
 
 
 @kernel(nogil=True)
-def grow(growing, now, cells):
-    """Grow the floor by the ring `now` into some cells, int64, and by all later rings."""
-    while cells.shape[0] > 0:
-        next_cells = np.empty(4 * cells.shape[0], np.int64)
+def grow_remaining_rings(state, ring_number, front):
+    """Grow a ring of the floor into the cells of a front, int64, and all rings after it."""
+    while front.shape[0] > 0:
+        next_front = np.empty(4 * front.shape[0], np.int64)
         num = 0
-        for cell in cells:
-            if _grow_into(growing, cell, now):
-                num = _list_beside(growing, cell, next_cells, num)
-        cells = next_cells[:num]
-        now += 1
+        for cell in front:
+            if _grow_into(state, cell, ring_number):
+                num = _list_open_neighbors(state, cell, next_front, num)
+        front = next_front[:num]
+        ring_number += 1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_links(surfaces, placed, step, by_slopes, blocks, counts, columns, begin, end):
-    """List where levels meet: steps between two, and pairs that slopes join but no step does.
+def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, columns, begin, end):
+    """List where an agent steps from one level to another, and where only slopes join two cells.
 
-    Pairs each cell of ``blocks[begin:end]`` with those east and south of it. `placed` has `level`
-    and `number` of `Growing`. The rows, see `list_rows`: a level, its cell,
-    the other level, which is not lower, and its cell.
+    Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor.
+
+    The rows, see `navbake.baker.core.blocks.list_rows`: the lower level and its cell, the upper
+    level and its cell. The levels are equal where slopes join two surfaces and no step does.
+
+    Args:
+        surfaces: all surfaces.
+        level: as in `GrowthState`.
+        final_level: as in `GrowthState`.
+        step: the highest step [m].
+        by_slopes: whether slopes join surfaces.
+        blocks: ids of blocks.
+        counts: receives the number of rows of each block.
+        columns: the array of the rows.
+        begin: the first of the blocks.
+        end: past the last one.
     """
     (rows,) = columns
-    level, number = placed
     num = 0
     first = surfaces.first
     ends = surfaces.end
     z = surfaces.z
     lattice = surfaces.lattice
-    far = math.inf if by_slopes else step + LIMIT_SLACK
+    max_rise = math.inf if by_slopes else step + LIMIT_SLACK
     for k in range(begin, end):
-        before = num
+        num_before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * lattice.width + col
-                for way, other in enumerate(_around(lattice, cell)[:2]):
-                    if other < 0:
+                for direction, neighbor in enumerate(_neighbors_of(lattice, cell)[:2]):
+                    if neighbor < 0:
                         continue
-                    low = first[other]
-                    last = ends[other]
+                    low = first[neighbor]
+                    last = ends[neighbor]
                     for a in range(first[cell], ends[cell]):
-                        while low < last and z[low] < z[a] - far:
+                        while low < last and z[low] < z[a] - max_rise:
                             low += 1
                         for b in range(low, last):
-                            if z[b] > z[a] + far:
+                            if z[b] > z[a] + max_rise:
                                 break
                             if level[a] < 0 or level[b] < 0:
                                 continue
-                            one = number[level[a]]
-                            two = number[level[b]]
-                            meets = one != two and abs(z[a] - z[b]) <= step + LIMIT_SLACK
-                            if by_slopes and not meets:
-                                meets = slope_joins(surfaces, a, b, way, step)
-                            if not meets:
+                            level_a = final_level[level[a]]
+                            level_b = final_level[level[b]]
+                            is_step = abs(z[a] - z[b]) <= step + LIMIT_SLACK
+                            is_link = level_a != level_b and is_step
+                            if by_slopes and not is_link:
+                                is_link = slopes_join(surfaces, a, b, direction, step)
+                            if not is_link:
                                 continue
                             if num == rows.shape[0]:
                                 return k
-                            swap = two < one
-                            rows[num, 0] = min(one, two)
-                            rows[num, 2] = max(one, two)
-                            rows[num, 1] = other if swap else cell
-                            rows[num, 3] = cell if swap else other
+                            is_b_lower = level_b < level_a
+                            rows[num, 0] = min(level_a, level_b)
+                            rows[num, 1] = neighbor if is_b_lower else cell
+                            rows[num, 2] = max(level_a, level_b)
+                            rows[num, 3] = cell if is_b_lower else neighbor
                             num += 1
-        counts[k] = num - before
+        counts[k] = num - num_before
     return end

@@ -1,8 +1,9 @@
-"""Which surfaces are on which level, block by block: counts of heights, and places.
+"""Count the heights of floors, and assign the surfaces of each column to levels, block by block.
 
-Surfaces are placed by aligning two ordered lists, a column's surfaces and the levels, with dynamic
-programming (Needleman and Wunsch, 1970). `climb` relaxes the edges of an acyclic graph in
-topological order, which is that of height.
+A column's surfaces and the levels are two ordered lists, which dynamic programming aligns
+(Needleman and Wunsch, A General Method Applicable to the Search for Similarities in the Amino Acid
+Sequence of Two Proteins, 1970). `find_largest_areas` relaxes the edges of a directed acyclic graph
+in topological order, which is that of height.
 """
 
 import math
@@ -13,145 +14,176 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.tiles import BLOCK, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.floors.label_kernels import bin_of, note_row
-from navbake.baker.floors.member_kernels import region_of, shrink
+from navbake.baker.floors.component_kernels import count_row, height_bin
+from navbake.baker.floors.region_kernels import region_of_surface, shrink
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
-from navbake.types import Bool, Int32
+from navbake.types import Bool, Float, Int32
 
-# What it costs to move a stair's tread, or a floor, by one level, and to take it out of the order:
-# a tread moves rather than a floor, and leaves the order rather than a floor moves
+# The costs of an alignment: to move a surface by one level, and to skip it, which takes it out of
+# the order. A stair's surface moves rather than a floor, and is skipped rather than a floor moves.
 MOVE_STAIR = 1
 MOVE_FLOOR = 10_000
 SKIP_STAIR = 100
 SKIP_FLOOR = 10_000_000
-# In place of a window's number: none; all windows; the lowest of each column, stairs included
-NO_WINDOW = -(1 << 62)
-EVERY = -(1 << 61)
-LOWEST = -(1 << 60)
-# In place of the level of a surface that found all levels taken, and the same at a ground's height
-LOST = -2
-LOST_GROUND = -3
+# In place of the number of a window of heights
+NO_WINDOW = -(1 << 62)  # the surface isn't counted
+ALL_WINDOWS = -(1 << 61)  # each window counts by itself
+LOWEST_SURFACES = -(1 << 60)  # the lowest surface of each column counts, stairs included
+# In place of the level of a surface that finds all levels of its column taken
+NO_FREE_LEVEL = -2
+NO_FREE_LEVEL_AT_GROUND = -3  # and which lies at the ground of a level
 
 
 class Candidates(NamedTuple):
-    """The surfaces that levels are made of.
+    """The surfaces that are assigned to levels.
 
     Attributes:
-        key: of each surface, 0 if it is a candidate, else -1, int8.
-        plateau: of each, the number of its plateau, int32; empty if no column has two.
-        is_stair: which plateaus are parts of stairs, bool.
+        group: by surface, 0 if it is a candidate, else -1, int8.
+        plateau: by surface, the number of its plateau, int32; empty if no column has two
+            candidates.
+        is_stair: by plateau, whether it is a part of a stair or a ramp, bool.
     """
 
-    key: NDArray[np.int8]
+    group: NDArray[np.int8]
     plateau: Int32
     is_stair: Bool
 
 
-class HeightWindow(NamedTuple):
-    """Which heights `list_heights` counts.
+class HeightSelection(NamedTuple):
+    """Which surfaces `count_heights` counts.
+
+    Window n of heights reaches from ``n * half_step`` to ``(n + 1) * half_step``.
 
     Attributes:
-        ground: floors over others count from here on; the lowest of each column if it is -inf [m].
-        number: of the window, EVERY or LOWEST.
-        half_step: half of a window's height [m].
-        top: from here on nothing counts [m].
+        ground: the ground of a level: only surfaces above another candidate count that lies at this
+            height or higher. If it is -inf, only the lowest candidate of each column counts [m].
+        window: the number of the window that counts, together with the one above it; ALL_WINDOWS or
+            LOWEST_SURFACES.
+        half_step: the height of a window [m].
+        top: only surfaces below it count [m].
     """
 
     ground: float
-    number: int
+    window: int
     half_step: float
     top: float = math.inf
 
 
+class LevelRule(NamedTuple):
+    """How surfaces are assigned to levels.
+
+    Attributes:
+        grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
+        tolerance: how far below a ground the floors of its level may lie [m].
+        skip_floors: whether columns with more surfaces than levels leave out floors, the lower ones
+            first, rather than stairs.
+    """
+
+    grounds: Float
+    tolerance: float
+    skip_floors: bool
+
+
 @subkernel(inline="always")
 def _is_stair(candidates, j):
+    """Whether a surface is a part of a stair."""
     if candidates.plateau.shape[0] == 0:
         return False
     return candidates.is_stair[candidates.plateau[j]]
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def mark_candidates(labelled, spans, key, stacked, begin, end):
-    """Mark the labelled surfaces in the blocks from `begin` to `end` that lie in a span of heights.
+def mark_candidates(labelled, height_ranges, group, has_stack, begin, end):
+    """Mark the surfaces of regions in the blocks from `begin` to `end` as candidates for levels.
 
     Args:
-        spans: (n, 2) float64, see `given_spans`; if there are none, all are marked.
-        key: of each surface, receives 0 if it is marked, -1 if it isn't.
-        stacked: of each block, receives whether two lie in one cell.
+        labelled: a `LabelledSurfaces`.
+        height_ranges: the heights [low, high) in which surfaces are candidates, (n, 2) float64 [m];
+            at all heights if there are none.
+        group: by surface, receives 0 for a candidate, else -1.
+        has_stack: by block, receives whether two candidates lie in one cell.
+        begin: the first block.
+        end: past the last one.
     """
     surfaces = labelled.surfaces
     lattice = labelled.surfaces.lattice
     for block in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, block)
-        stacked[block] = False
+        has_stack[block] = False
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 count = 0
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    key[j] = -1
-                    if region_of(labelled, j) < 0:
+                    group[j] = -1
+                    if region_of_surface(labelled, j) < 0:
                         continue
-                    is_in_span = spans.shape[0] == 0
-                    for s in range(spans.shape[0]):
-                        if spans[s, 0] <= surfaces.z[j] < spans[s, 1]:
-                            is_in_span = True
-                    if is_in_span:
-                        key[j] = 0
+                    is_in_range = height_ranges.shape[0] == 0
+                    for n in range(height_ranges.shape[0]):
+                        if height_ranges[n, 0] <= surfaces.z[j] < height_ranges[n, 1]:
+                            is_in_range = True
+                    if is_in_range:
+                        group[j] = 0
                         count += 1
                 if count > 1:
-                    stacked[block] = True
+                    has_stack[block] = True
 
 
 @subkernel(inline="always")
-def _window_of(surfaces, candidates, j, window, is_lowest):
-    """The window in which `list_heights` counts a candidate, or NO_WINDOW."""
-    if is_lowest != (window.ground == -math.inf):
+def _window_of(surfaces, candidates, j, selection, is_lowest):
+    """The window in which a candidate is counted, or NO_WINDOW."""
+    if is_lowest != (selection.ground == -math.inf):
         return NO_WINDOW
-    if window.number == LOWEST:
-        return LOWEST
-    number = np.int64(math.floor(surfaces.z[j] / window.half_step))
-    is_in = window.number == EVERY or window.number <= number <= window.number + 1
-    return number if is_in and not _is_stair(candidates, j) else NO_WINDOW
+    if selection.window == LOWEST_SURFACES:
+        return LOWEST_SURFACES
+    window = np.int64(math.floor(surfaces.z[j] / selection.half_step))
+    is_selected = (
+        selection.window == ALL_WINDOWS or selection.window <= window <= selection.window + 1
+    )
+    return window if is_selected and not _is_stair(candidates, j) else NO_WINDOW
 
 
 @subkernel(**NO_REFCOUNT)
-def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
-    """`list_heights` of one block; returns how many rows there are then, -1 for no room."""
+def _count_block(surfaces, candidates, selection, disc, block, masks, columns, num):
+    """Count the heights of one block; returns the number of rows then, or -1 if there is no room.
+
+    `masks` are the mask of the counted cells and its margin, and the mask of what remains of it.
+    """
     rows, low = columns
-    reach = test.radius
-    before = num
+    radius = disc.radius
+    num_before = num
     lattice = surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
-    mask, left = masks
-    # the window's cells are marked, with a margin, before those that shrinking leaves are counted
-    for marks in (True, False):
-        if marks and reach == 0:
+    mask, remaining = masks
+    # at first the cells in the window are marked, also in the margin; shrinking leaves some of
+    # them, whose surfaces are counted in the second pass
+    for is_marking in (True, False):
+        if is_marking and radius == 0:
             continue
-        if not marks and reach > 0:
-            shrink(mask, test, left)
-        margin = reach if marks else 0
+        if not is_marking and radius > 0:
+            shrink(mask, disc, remaining)
+        margin = radius if is_marking else 0
         for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
-                if not marks and reach > 0 and not left[row - row0, col - col0]:
+                if not is_marking and radius > 0 and not remaining[row - row0, col - col0]:
                     continue
                 is_lowest = True
                 cell = row * lattice.width + col
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
-                    if candidates.key[j] < 0:
+                    if candidates.group[j] < 0:
                         continue
                     z = surfaces.z[j]
-                    if z >= window.top or (window.ground == -math.inf and not is_lowest):
+                    if z >= selection.top or (selection.ground == -math.inf and not is_lowest):
                         break
-                    if z < window.ground - LIMIT_SLACK:
+                    if z < selection.ground - LIMIT_SLACK:
                         continue
-                    number = _window_of(surfaces, candidates, j, window, is_lowest)
+                    window = _window_of(surfaces, candidates, j, selection, is_lowest)
                     is_lowest = False
-                    if number == NO_WINDOW:
+                    if window == NO_WINDOW:
                         continue
-                    if marks:
-                        mask[row - row0 + reach, col - col0 + reach] = 1
+                    if is_marking:
+                        mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
-                    at = note_row(rows, before, num, number, bin_of(z), 0)
+                    at = count_row(rows, num_before, num, window, height_bin(z), 0)
                     if at < 0:
                         return at
                     low[at] = min(low[at], z) if at < num else z
@@ -160,153 +192,181 @@ def _list_block(surfaces, candidates, window, test, block, masks, columns, num):
 
 
 @kernel(nogil=True)
-def list_heights(surfaces, candidates, window, test, blocks, counts, columns, begin, end):
-    """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
+def count_heights(surfaces, candidates, selection, disc, blocks, counts, columns, begin, end):
+    """Count the heights of floors in ``blocks[begin:end]``: the rows of a histogram.
 
-    Floors are the candidates, without stairs, that lie over another one at or above the ground
-    in their column; over a ground of -inf, the lowest of their columns. Window n reaches from
-    ``n * half_step`` to ``(n + 1) * half_step``; one window counts together with the one above it,
-    and their cells are shrunk together, by the disc of `test`.
+    Floors are the candidates that are no stairs. `selection` says which of them count. The cells of
+    these, of all windows that count, are shrunk together, and only those that remain are counted.
 
-    The rows, see `list_rows`: the number of a window, the multiple of PLATEAU,
-    0, and how many; with the lowest of these heights [m].
+    The rows, see `navbake.baker.core.blocks.list_rows`: the number of a window, a `height_bin`, 0,
+    and how many surfaces are there. A second array has the lowest height of each row [m].
+
+    Args:
+        surfaces: all surfaces.
+        candidates: a `Candidates`.
+        selection: a `HeightSelection`.
+        disc: an `AreaTest`, whose disc the cells are shrunk by; with a radius of 0, not at all.
+        blocks: ids of blocks.
+        counts: receives the number of rows of each block.
+        columns: the arrays of the rows.
+        begin: the first of the blocks to count.
+        end: past the last one.
     """
     num = np.int64(0)
-    size = BLOCK + 2 * test.radius
+    size = BLOCK + 2 * disc.radius
     for k in range(begin, end):
         masks = np.zeros((size, size), np.int32), np.empty((BLOCK, BLOCK), np.bool_)
-        after = _list_block(surfaces, candidates, window, test, blocks[k], masks, columns, num)
-        if after < 0:
+        num_after = _count_block(
+            surfaces, candidates, selection, disc, blocks[k], masks, columns, num
+        )
+        if num_after < 0:
             return k
-        counts[k] = after - num
-        num = after
+        counts[k] = num_after - num
+        num = num_after
     return end
 
 
 @subkernel(**NO_REFCOUNT)
-def _place_bases(surfaces, candidates, grounds, tolerance, cell, level):
-    """Give a cell's candidates their bases; returns their number if two share one, else 0."""
+def _assign_base_levels(surfaces, candidates, rule, cell, level):
+    """Give a cell's candidates their base levels; returns their number if two share one, else 0."""
+    grounds = rule.grounds
     count = 0
     base = 0
     is_shared = False
     for j in range(surfaces.first[cell], surfaces.end[cell]):
         level[j] = -1
-        if candidates.key[j] < 0:
+        if candidates.group[j] < 0:
             continue
-        before = base if count > 0 else -1
+        base_below = base if count > 0 else -1
         z = surfaces.z[j]
-        while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= z:
+        while base + 1 < grounds.shape[0] and grounds[base + 1] - rule.tolerance <= z:
             base += 1
         level[j] = base
         count = count + 1
-        is_shared = is_shared or base == before
+        is_shared = is_shared or base == base_below
     return count if is_shared else 0
 
 
 @kernel(nogil=True)
-def place_blocks(surfaces, candidates, rule, own, blocks, counts, columns, begin, end):
-    """Give each candidate in ``blocks[begin:end]`` its level; no two of a column share one.
+def assign_columns(
+    surfaces, candidates, rule, component, level, blocks, counts, columns, begin, end
+):
+    """Assign the candidates in ``blocks[begin:end]`` to levels; no two of a column share one.
 
-    A surface's base is the highest ground at or below it. Where all bases of a column differ, they
-    are the levels. Elsewhere the surfaces of a column are placed in their order, moved as little
-    as possible, up rather than down, and treads rather than floors. A tread that could fit only by
-    moving a floor takes the free level nearest its base; on a tie, the upper.
+    A surface's base level is the one with the highest ground at or below it. Where all base levels
+    of a column differ, they are the levels. Elsewhere the surfaces of a column are aligned with the
+    levels in their order: they move as little as possible, up rather than down, and stairs rather
+    than floors. A stair's surface that would fit only if a floor moved takes the free level nearest
+    to its base level; on a tie, the upper one.
 
-    The rows, see `list_rows`: a part of a region, 0, a level, and how many of
-    its surfaces are there; with the lowest of their heights [m].
+    The rows, see `navbake.baker.core.blocks.list_rows`: the component of a region, 0, a level, and
+    how many of the component's surfaces are on it. A second array has the lowest of their heights
+    [m].
 
     Args:
-        rule: the grounds' heights, ascending [m]; how far below a ground its floors may lie [m];
-            and whether columns with more surfaces than levels leave out floors, the lower ones
-            first, rather than treads.
-        own: the part of each surface; and receives its level, LOST or LOST_GROUND where all are
-            taken, -1 where it is no candidate, (n,) int32.
+        surfaces: all surfaces.
+        candidates: a `Candidates`.
+        rule: a `LevelRule`.
+        component: by surface, the component of a region that it belongs to, int32.
+        level: by surface, receives its level; NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND where all
+            are taken; -1 where it is no candidate, int32.
+        blocks: ids of blocks.
+        counts: receives the number of rows of each block.
+        columns: the arrays of the rows.
+        begin: the first of the blocks.
+        end: past the last one.
     """
-    grounds, tolerance, leave_floors = rule
-    part, level = own
     rows, low = columns
     num = np.int64(0)
     lattice = surfaces.lattice
     for k in range(begin, end):
-        before = num
+        num_before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                count = _place_bases(surfaces, candidates, grounds, tolerance, cell, level)
+                count = _assign_base_levels(surfaces, candidates, rule, cell, level)
                 if count > 0:
-                    _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count)
+                    _assign_column(surfaces, candidates, rule, cell, level, count)
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if level[j] == -1:
                         continue
-                    at = note_row(rows, before, num, part[j], 0, level[j])
+                    at = count_row(rows, num_before, num, component[j], 0, level[j])
                     if at < 0:
                         return k
                     z = surfaces.z[j]
                     low[at] = min(low[at], z) if at < num else z
                     num = max(num, at + 1)
-        counts[k] = num - before
+        counts[k] = num - num_before
     return end
 
 
 @subkernel
-def _place_column(surfaces, candidates, grounds, leave_floors, cell, level, count):
-    """Replace the levels of a cell's candidates, which are their bases."""
-    num_levels = grounds.shape[0]
+def _assign_column(surfaces, candidates, rule, cell, level, count):
+    """Replace the base levels of a cell's candidates, so many of them, by levels that differ."""
+    num_levels = rule.grounds.shape[0]
     num = 0
-    places = np.empty(count, np.int64)
+    surface_ids = np.empty(count, np.int64)
     base = np.empty(count, np.int64)
-    found = np.empty(count, np.int64)
-    cost = np.empty((2, count), np.int64)
-    leave_floors = leave_floors and count > num_levels
+    aligned = np.empty(count, np.int64)
+    move_cost = np.empty(count, np.int64)
+    skip_cost = np.empty(count, np.int64)
+    skip_floors = rule.skip_floors and count > num_levels
     for j in range(surfaces.first[cell], surfaces.end[cell]):
-        if candidates.key[j] >= 0:
+        if candidates.group[j] >= 0:
             is_stair = _is_stair(candidates, j)
-            places[num] = j
+            surface_ids[num] = j
             base[num] = level[j]
-            cost[0, num] = MOVE_STAIR if is_stair or leave_floors else MOVE_FLOOR
-            cost[1, num] = SKIP_STAIR if is_stair != leave_floors else SKIP_FLOOR
-            cost[1, num] += num if leave_floors else 0
+            move_cost[num] = MOVE_STAIR if is_stair or skip_floors else MOVE_FLOOR
+            skip_cost[num] = SKIP_STAIR if is_stair != skip_floors else SKIP_FLOOR
+            skip_cost[num] += num if skip_floors else 0
             num += 1
-    _align(base, cost, num_levels, found)
-    taken = np.zeros(num_levels, np.bool_)
+    _align_with_levels(base, move_cost, skip_cost, num_levels, aligned)
+    is_taken = np.zeros(num_levels, np.bool_)
     for n in range(count):
-        if found[n] >= 0:
-            taken[found[n]] = True
+        if aligned[n] >= 0:
+            is_taken[aligned[n]] = True
+    # surfaces out of the order take free levels, the nearest first, above before below
     for n in range(count):
-        for away in range(1, num_levels):
-            for near in (base[n] + away, base[n] - away):
-                if found[n] < 0 and 0 <= near < num_levels and not taken[near]:
-                    found[n] = near
-                    taken[near] = True
-        level[places[n]] = found[n] if found[n] >= 0 else LOST
-        for ground in grounds:
-            if found[n] < 0 and abs(surfaces.z[places[n]] - ground) <= LIMIT_SLACK:
-                level[places[n]] = LOST_GROUND
+        for distance in range(1, num_levels):
+            for near_level in (base[n] + distance, base[n] - distance):
+                if aligned[n] < 0 and 0 <= near_level < num_levels and not is_taken[near_level]:
+                    aligned[n] = near_level
+                    is_taken[near_level] = True
+        j = surface_ids[n]
+        level[j] = aligned[n] if aligned[n] >= 0 else NO_FREE_LEVEL
+        for ground in rule.grounds:
+            if aligned[n] < 0 and abs(surfaces.z[j] - ground) <= LIMIT_SLACK:
+                level[j] = NO_FREE_LEVEL_AT_GROUND
 
 
 @subkernel
-def _align(base, costs, num_levels, level):
-    """Align a column's surfaces with the levels; -1 for those out of order.
+def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
+    """Align a column's surfaces with the levels at the least cost.
 
-    `costs` are those of moving each by one level, and of taking it out of the order.
+    Args:
+        base: the base level of each surface, ascending.
+        move_cost: what it costs to move each surface by one level.
+        skip_cost: what it costs to skip each surface.
+        num_levels: how many levels there are.
+        level: receives the level of each surface, -1 for those that are skipped.
     """
     count = base.shape[0]
-    # cost[i, k]: of the first i surfaces on the first k levels
+    # cost[i, k]: the least cost of the first i surfaces on the first k levels
     cost = np.zeros((count + 1, num_levels + 1), np.int64)
     for i in range(1, count + 1):
-        move = costs[0, i - 1]
-        skip = costs[1, i - 1]
+        move = move_cost[i - 1]
+        skip = skip_cost[i - 1]
         cost[i, 0] = cost[i - 1, 0] + skip
         for k in range(1, num_levels + 1):
-            placed = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
-            cost[i, k] = min(placed, cost[i, k - 1], cost[i - 1, k] + skip)
-    # back from the top: at equal costs the upper surface is left out, not the lower one, and the
-    # upper one moves up rather than the lower one down
+            cost_on_level = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
+            cost[i, k] = min(cost_on_level, cost[i, k - 1], cost[i - 1, k] + skip)
+    # trace back from the top: at equal costs the upper surface is skipped, not the lower one, and
+    # the upper one moves up rather than the lower one down
     i = count
     k = num_levels
     while i > 0:
-        move = costs[0, i - 1]
-        skip = costs[1, i - 1]
+        move = move_cost[i - 1]
+        skip = skip_cost[i - 1]
         if cost[i, k] == cost[i - 1, k] + skip:
             level[i - 1] = -1
             i -= 1
@@ -319,20 +379,22 @@ def _align(base, costs, num_levels, level):
 
 
 @kernel
-def climb(lower, upper, area, by_lower, by_upper):
-    """The largest floors that each part reaches going only up, or only down.
+def find_largest_areas(lower, upper, area, by_lower, by_upper):
+    """Find the largest floors that lead from each plateau going only up, and going only down.
 
     Args:
-        lower, upper: the parts that each step joins, (steps,) int64.
-        area: of the floor that each part belongs to, (parts,) int64.
-        by_lower, by_upper: the steps in the order of the heights of these parts, (steps,) int64.
+        lower: the lower plateau of each step, (steps,) int64.
+        upper: the upper plateau of each step, (steps,) int64.
+        area: how many surfaces the floor has that each plateau belongs to, (plateaus,) int64.
+        by_lower: the steps in the order of the heights of their lower plateaus, (steps,) int64.
+        by_upper: the steps in the order of the heights of their upper plateaus, (steps,) int64.
 
     Returns:
-        The largest area above each part, and below it, 0 for none, (parts,) int64.
+        The largest area above each plateau, and below it; 0 for none, (plateaus,) int64.
     """
     above = np.zeros_like(area)
     below = np.zeros_like(area)
-    # steps up from a part begin higher than steps to it, so they come first
+    # steps up from a plateau begin higher than steps to it, so they come first
     for s in by_lower[::-1]:
         a = lower[s]
         b = upper[s]

@@ -1,4 +1,4 @@
-"""Levels and floors: from the surfaces of all columns to the floors of each storey."""
+"""Find the floors of a scene: from the surfaces of all columns to the floors of each level."""
 
 from __future__ import annotations
 
@@ -12,19 +12,28 @@ from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.floors.growth import GrownFloor, find_links, grow_floors
-from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped, look_at_site
+from navbake.baker.floors.level_assignment import (
+    LevelAssignment,
+    assign_levels,
+    level_height_ranges,
+)
+from navbake.baker.floors.outline import (
+    OccupancyTest,
+    RegionContext,
+    make_region_context,
+    mark_cropped_sides,
+)
 from navbake.baker.floors.reach import (
-    Reached,
-    Unreached,
+    ReachedRegions,
+    UnreachedFloors,
     find_enclosed,
     find_starts,
     find_unreached,
     find_voids,
-    largest_of_lowest,
+    mark_largest_on_lowest_level,
 )
 from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
-from navbake.baker.floors.rejected import are_told, find_rejected
-from navbake.baker.floors.storeys import Placed, given_spans, place_on_levels
+from navbake.baker.floors.rejected import find_rejected, mark_reported_roofs
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -36,15 +45,14 @@ from navbake.types import Bool, Float, Int
 
 @dataclass(frozen=True)
 class LevelFloor:
-    """One storey on the whole lattice.
+    """The floor of one level, on the whole lattice.
 
     Attributes:
-        name: as given, or ``level <number>``, lowest first.
-        ground: ground height [m].
+        name: the configured name, or ``level <number>``, the lowest level being 0.
+        ground: the level's ground height [m].
         floor: floor heights, shape (height, width), float64, NaN for none [m].
         standable: where the floor is a standable surface, shape (height, width), bool.
-        unseen: the part of it that closes a hole, shape (height, width), bool; None where holes
-            stay.
+        unseen: where the floor closes a hole, shape (height, width), bool; None if holes stay open.
     """
 
     name: str
@@ -56,21 +64,22 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Floors:
-    """All storeys, lowest first, and where they meet.
+    """The floors of all levels, how they are linked, and what is no floor.
 
     Attributes:
-        levels: the storeys.
-        links: level a, cell a, level b, cell b, shape (n, 4), int64, cells on the whole lattice:
-            steps between two levels, and neighbours that slopes join but no step does.
-        tops: large tops and shelves that are no floors, the largest first.
-        roofs: roofs that a user may miss, the largest first.
+        levels: the floor of each level, lowest first.
+        links: where an agent steps from one level to another, and neighbors that slopes join but no
+            step does: the lower level, its cell, the upper level, its cell, shape (n, 4), int64;
+            cells are ids on the whole lattice.
+        tops: large tops and shelves, which are no floors, the largest first.
+        roofs: roofs to report, which are no floors, the largest first.
         small_starts: floors only because `floors.from` names them.
-        unreached: what no step leads to, by level, lowest first.
-        left_out: floors that `floors.reach: steps` leaves out, the largest first.
-        enclosed, in_planes: floors inside of closed meshes and of infinite planes, whose geoms the
-            patches have.
+        unreached: floors that no step leads to, by level, lowest first.
+        removed_by_reach: floors that `floors.reach: steps` leaves out, the largest first.
+        enclosed_by_meshes: floors inside of closed meshes, whose geoms the patches have.
+        enclosed_by_planes: floors inside of infinite planes, whose geoms the patches have.
         voids: levels left out as no step reaches them and nobody can stand upright there.
-        spare: surfaces left out because all levels of their columns are taken.
+        without_level: surfaces left out because all levels of their columns are taken.
     """
 
     levels: list[LevelFloor]
@@ -78,12 +87,12 @@ class Floors:
     tops: list[Patch]
     roofs: list[Patch]
     small_starts: list[Patch]
-    unreached: list[Unreached]
-    left_out: list[Patch]
-    enclosed: list[Patch]
-    in_planes: list[Patch]
+    unreached: list[UnreachedFloors]
+    removed_by_reach: list[Patch]
+    enclosed_by_meshes: list[Patch]
+    enclosed_by_planes: list[Patch]
     voids: list[Patch]
-    spare: list[Patch]
+    without_level: list[Patch]
 
 
 def find_floors(
@@ -91,158 +100,190 @@ def find_floors(
     shapes: Shapes,
     agent: AgentSettings,
     settings: FloorSettings,
-    given: Sequence[LevelSettings] | None,
+    level_settings: Sequence[LevelSettings] | None,
     is_occupied: OccupancyTest,
 ) -> Floors:
-    """Find the storeys in columns, the floor of each, and the steps between them.
+    """Find the levels of a scene, the floor of each, and the steps between them.
 
     Standable surfaces → regions → large ones → without tops, shelves and roofs → levels → those
     that are reached → floors that grow under things → links.
 
     Args:
-        shapes: what the columns were cast at.
-        given: the levels of the configuration; None if they are to be found.
+        columns: the hits of all columns.
+        shapes: the geometry that the columns were cast at.
+        agent: the agent that stands and steps on floors.
+        settings: the settings of `floors`.
+        level_settings: the levels of the configuration, lowest first; None if they are to be found.
+        is_occupied: tests whether something stands over cells.
 
     Raises:
-        SceneError: there is no floor at all, none on a given level, or none at a place that one
-            starts from.
+        SceneError: there is no floor at all, none on a level of the configuration, or none at a
+            position of `floors.from`.
     """
     lattice = columns.lattice
     surfaces = find_surfaces(columns, shapes.planes, agent)
     regions = find_regions(surfaces, agent)
     if not regions.num:
-        raise SceneError(_no_floor(columns, surfaces, agent))
+        raise SceneError(_explain_no_floor(columns, surfaces, agent))
     is_large = find_large_regions(regions, np.ones(regions.num, dtype=np.bool_), settings)
-    site = look_at_site(
+    context = make_region_context(
         regions=regions,
         is_large=is_large,
         columns=columns,
-        cropped=find_cropped(lattice, shapes.bounds),
+        is_cropped=mark_cropped_sides(lattice, shapes.bounds),
         agent=agent,
         settings=settings,
         is_occupied=is_occupied,
     )
-    rejected = find_rejected(site, given_spans(given or ()))
-    starts = find_starts(site, rejected, settings.starts)
-    is_floor = is_large & ~(rejected.tops | rejected.shelves | rejected.roofs) | starts
+    rejected = find_rejected(context, level_height_ranges(level_settings or ()))
+    is_start = find_starts(context, rejected, settings.starts)
+    is_furniture = rejected.is_top | rejected.is_shelf
+    is_floor = is_large & ~(is_furniture | rejected.is_roof) | is_start
     if not is_floor.any():
         raise SceneError(
             f"no floor: the largest standable region keeps less than {settings.min_area:g} m² "
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
-    reached = find_reached_levels(site, is_floor, starts, given)
-    grown = grow_floors(regions, reached.placed, is_large | starts, agent)
+    reached = find_reached_levels(context, is_floor, is_start, level_settings)
+    assignment = reached.assignment
+    grown_floors = grow_floors(regions, assignment, is_large | is_start, agent)
+    reported_roofs = mark_reported_roofs(context, rejected.is_roof & ~is_start, is_floor)
     enclosed = find_enclosed(surfaces, agent, settings)
+    plane_geoms = shapes.planes.geom
     return Floors(
-        levels=_name_levels(reached.placed, grown, lattice, settings, is_occupied),
-        links=find_links(regions, reached.placed, agent),
-        tops=describe_regions(regions, (rejected.tops | rejected.shelves) & ~starts),
-        roofs=describe_regions(regions, are_told(site, rejected.roofs & ~starts, is_floor)),
-        small_starts=describe_regions(regions, starts & ~is_large),
-        unreached=find_unreached(regions, reached.placed, reached.regions),
-        left_out=reached.left_out,
-        enclosed=[patch for patch in enclosed if patch.geom not in shapes.planes.geom],
-        in_planes=[patch for patch in enclosed if patch.geom in shapes.planes.geom],
+        levels=_make_level_floors(assignment, grown_floors, lattice, settings, is_occupied),
+        links=find_links(regions, assignment, agent),
+        tops=describe_regions(regions, is_furniture & ~is_start),
+        roofs=describe_regions(regions, reported_roofs),
+        small_starts=describe_regions(regions, is_start & ~is_large),
+        unreached=find_unreached(regions, assignment, reached.is_reached),
+        removed_by_reach=reached.removed_by_reach,
+        enclosed_by_meshes=[patch for patch in enclosed if patch.geom not in plane_geoms],
+        enclosed_by_planes=[patch for patch in enclosed if patch.geom in plane_geoms],
         voids=reached.voids,
-        spare=reached.placed.spare,
+        without_level=assignment.without_level,
     )
 
 
 class ReachedLevels(NamedTuple):
-    """The regions on their levels, as far as they are reached or stay without that.
+    """The regions that are floors of the grid, on their levels.
 
     Attributes:
-        placed: their surfaces on levels.
-        regions: which regions are reached, shape (regions,), bool.
-        left_out, voids: see `Floors`.
+        assignment: their surfaces on levels.
+        is_reached: which regions are reached, shape (regions,), bool.
+        removed_by_reach: see `Floors`.
+        voids: see `Floors`.
     """
 
-    placed: Placed
-    regions: Bool
-    left_out: list[Patch]
+    assignment: LevelAssignment
+    is_reached: Bool
+    removed_by_reach: list[Patch]
     voids: list[Patch]
 
 
 def find_reached_levels(
-    site: Site, is_floor: Bool, starts: Bool, given: Sequence[LevelSettings] | None
+    context: RegionContext,
+    is_floor: Bool,
+    is_start: Bool,
+    level_settings: Sequence[LevelSettings] | None,
 ) -> ReachedLevels:
-    """Place the regions that are floors on levels, but for voids; or those that steps lead to.
+    """Assign floors to levels: all that are no voids, or those that steps lead to.
+
+    With `floors.reach: all`, voids are left out, unless `floors.voids` is set; with `floors.reach:
+    steps`, all that no step leads to.
 
     Args:
+        context: all regions, and the hits of all columns.
         is_floor: which regions are floors, shape (regions,), bool.
-        starts: those on which agents start, where `floors.from` names any.
-        given: see `find_floors`.
+        is_start: the regions on which agents start, if `floors.from` names any, shape (regions,).
+        level_settings: as `find_floors` takes them.
 
     Raises:
-        SceneError: there is no floor on a given level.
+        SceneError: there is no floor on a level of the configuration.
     """
-    regions = site.regions
-    settings = site.settings
+    regions = context.regions
+    settings = context.settings
+    agent = context.agent
     by_steps = settings.reach == "steps"
-    is_given = bool(starts.any())
-    reached = Reached(starts, np.zeros_like(is_floor))
-    placed = None
-    if not is_given or (given is None and not by_steps):
-        placed = place_on_levels(regions, is_floor, (), site.agent, settings)
-        if not is_given:
-            reached = reached._replace(reached=largest_of_lowest(placed.counts, regions.num))
-        if given is None and not settings.voids:
-            reached = find_voids(site, placed.counts, reached.reached, is_given)
-    spans = given_spans(given or ())
-    for number, (low, high) in enumerate(spans):
-        if not regions.between(is_floor, low, high).any():
-            raise SceneError(_no_floor_on(given or (), number, site.columns))
-    stays = is_floor & (reached.reached if by_steps else ~reached.voids)
-    if placed is None or given is not None or not np.array_equal(stays, is_floor):
-        placed = place_on_levels(regions, stays, given or (), site.agent, settings)
-        if not len(placed.counts):
+    has_starts = bool(is_start.any())
+    reached = ReachedRegions(is_start, np.zeros_like(is_floor))
+    assignment = None
+    if not has_starts or (level_settings is None and not by_steps):
+        # starts and voids depend on the levels of all floors, whatever the configuration has
+        assignment = assign_levels(regions, is_floor, (), agent, settings)
+        if not has_starts:
+            is_reached = mark_largest_on_lowest_level(assignment.counts, regions.num)
+            reached = reached._replace(is_reached=is_reached)
+        if level_settings is None and not settings.voids:
+            reached = find_voids(context, assignment.counts, reached.is_reached, has_starts)
+    height_ranges = level_height_ranges(level_settings or ())
+    for number, heights in enumerate(height_ranges):
+        if not regions.mark_in_range(is_floor, heights).any():
+            raise SceneError(_explain_no_floor_on(level_settings or (), number, context.columns))
+    is_kept = is_floor & (reached.is_reached if by_steps else ~reached.is_void)
+    if assignment is None or level_settings is not None or not np.array_equal(is_kept, is_floor):
+        assignment = assign_levels(regions, is_kept, level_settings or (), agent, settings)
+        if not len(assignment.counts.level):
             start = "what `floors.from` names"
-            if not is_given:
+            if not has_starts:
                 start = "the largest floor of the lowest level"
             raise SceneError(f"no floor: {start} lies outside of the `levels`")
-    left_out: list[Patch] = []
+    removed_by_reach: list[Patch] = []
     voids: list[Patch] = []
     if by_steps:
-        left_out = describe_regions(regions, is_floor & ~reached.reached, spans)
+        is_removed = is_floor & ~reached.is_reached
+        removed_by_reach = describe_regions(regions, is_removed, height_ranges)
     else:
-        voids = describe_regions(regions, reached.voids)
-    return ReachedLevels(placed, reached.reached, left_out, voids)
+        voids = describe_regions(regions, reached.is_void)
+    return ReachedLevels(assignment, reached.is_reached, removed_by_reach, voids)
 
 
-def _name_levels(
-    placed: Placed,
-    grown: list[GrownFloor],
+def _make_level_floors(
+    assignment: LevelAssignment,
+    grown_floors: list[GrownFloor],
     lattice: Lattice,
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> list[LevelFloor]:
-    """The levels, whose holes are closed if `floors.fill` says so."""
+    """Make the floor of each level, whose holes are closed if `floors.fill` says so."""
     levels = []
-    for name, ground, floor in zip(placed.labels, placed.grounds, grown, strict=True):
-        height = floor.height.reshape(lattice.shape)
-        level = LevelFloor(name, ground, height, (floor.ring == 0).reshape(lattice.shape))
+    for name, ground, grown_floor in zip(
+        assignment.names, assignment.grounds, grown_floors, strict=True
+    ):
+        height = grown_floor.height.reshape(lattice.shape)
+        is_standable = (grown_floor.ring == 0).reshape(lattice.shape)
+        level = LevelFloor(name, ground, height, is_standable)
         if settings.fill:
             level = fill_holes(level, settings.fill / lattice.cell_size**2, is_occupied)
         levels.append(level)
     return levels
 
 
-def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) -> LevelFloor:
-    """Close the holes of a floor that floor surrounds, up to `largest` cells each.
+def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) -> LevelFloor:
+    """Close the holes of a level's floor that floor surrounds.
 
-    Heights there are interpolated from those round the hole (linearly, over Delaunay's triangles).
-    Holes that nobody gets to from the floor, such as the inside of a pillar, stay.
+    The heights in a hole are interpolated from those around it (linearly, over Delaunay's
+    triangles). Holes that agents can't get to from the floor, such as the inside of a pillar, stay.
+
+    Args:
+        level: the level.
+        max_cells: larger holes stay [cells].
+        is_occupied: tests whether something stands over cells.
+
+    Returns:
+        The level with its `unseen` cells.
     """
-    from scipy.interpolate import griddata  # scipy loads slowly, and few ask for this
+    from scipy.interpolate import griddata  # scipy loads slowly, and few bakes need this
     from scipy.ndimage import binary_dilation, label  # likewise
 
-    holes, _ = label(np.isnan(level.floor))  # by their edges
+    holes, _ = label(np.isnan(level.floor))  # connected by cells' edges
     size = np.bincount(holes.ravel())
-    for edge in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
-        size[edge] = holes.size + 1
-    size[0] = holes.size + 1
-    unseen: Bool = (size <= largest + LIMIT_SLACK)[holes]
+    too_large = holes.size + 1
+    for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
+        size[border] = too_large
+    size[0] = too_large  # cells with a floor
+    unseen: Bool = (size <= max_cells + LIMIT_SLACK)[holes]
     if not unseen.any():
         return replace(level, unseen=unseen)
     near = binary_dilation(unseen, np.ones((3, 3)))
@@ -252,18 +293,23 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
     near &= ~np.isnan(floor)
     free = near.copy()
     free[near] = ~is_occupied(np.flatnonzero(near), floor[near], None)
-    # free cells connected to floor that was seen, and things that stand in such a hole
-    open_part, _ = label(free)
-    reached = free & np.isin(open_part, open_part[free & rim])
-    unseen &= reached | (np.isin(holes, holes[reached & unseen]) & ~free)
+    # free cells connected to floor at the rim, and things that stand in a hole with such cells
+    free_component, _ = label(free)
+    reached = free & np.isin(free_component, free_component[free & rim])
+    has_reached_cell = np.isin(holes, holes[reached & unseen])
+    unseen &= reached | (has_reached_cell & ~free)
     floor[~unseen & (holes > 0)] = np.nan
     return replace(level, floor=floor, standable=level.standable | unseen, unseen=unseen)
 
 
 def crop_floors(floors: Floors, window: Window) -> Floors:
-    """Cut a window out of the floors of a whole scene; patches and parts beside it are left out.
+    """Crop the floors of a whole scene to a window.
 
-    Levels without a standable surface in the window are left out.
+    Patches outside of the window are left out, and so are levels without a standable surface in it.
+
+    Args:
+        floors: the floors on the whole lattice.
+        window: rows and columns of it.
 
     Raises:
         SceneError: no floor lies in the window.
@@ -271,60 +317,107 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     shown = [k for k, level in enumerate(floors.levels) if level.standable[window].any()]
     if not shown:
         raise SceneError("no floor lies inside of `grid.bounds`")
-    number = np.full(len(floors.levels), -1, dtype=np.int64)
-    number[shown] = np.arange(len(shown))
-    levels = []
-    for new, old in enumerate(shown):
-        level = floors.levels[old]
-        name = f"level {new}" if level.name == f"level {old}" else level.name
-        floor = level.floor[window].copy()
-        standable = level.standable[window].copy()
-        unseen = None if level.unseen is None else level.unseen[window].copy()
-        levels.append(LevelFloor(name, level.ground, floor, standable, unseen))
+    new_number = np.full(len(floors.levels), -1, dtype=np.int64)
+    new_number[shown] = np.arange(len(shown))
     width = floors.levels[0].floor.shape[1]
 
-    def is_shown(patch: Patch) -> bool:
-        return bool(crop_cells(patch.cells.astype(np.int64), window, width)[1].any())
+    def crop_patches(patches: list[Patch]) -> list[Patch]:
+        return [patch for patch in patches if _is_inside(patch, window, width)]
 
-    links = floors.links
-    kept = (number[links[:, 0]] >= 0) & (number[links[:, 2]] >= 0)
-    for cell in (1, 3):
-        kept &= crop_cells(links[:, cell], window, width)[1]
-    links = links[kept]
-    for on, cell in ((0, 1), (2, 3)):
-        links[:, on] = number[links[:, on]]
-        links[:, cell] = crop_cells(links[:, cell], window, width)[0]
-    unreached = [
-        replace(part, level=int(number[part.level]))
-        for part in floors.unreached
-        if number[part.level] >= 0 and is_shown(part.patch)
-    ]
-    told = "tops", "roofs", "small_starts", "left_out", "enclosed", "in_planes", "voids", "spare"
-    patches = {name: list(filter(is_shown, getattr(floors, name))) for name in told}
-    return Floors(levels=levels, links=links, unreached=unreached, **patches)
+    unreached = []
+    for part in floors.unreached:
+        level = int(new_number[part.level])
+        if level >= 0 and _is_inside(part.patch, window, width):
+            unreached.append(replace(part, level=level))
+    return Floors(
+        levels=[
+            _crop_level(floors.levels[old], window, old_number=old, new_number=new)
+            for new, old in enumerate(shown)
+        ],
+        links=_crop_links(floors.links, new_number, window, width),
+        tops=crop_patches(floors.tops),
+        roofs=crop_patches(floors.roofs),
+        small_starts=crop_patches(floors.small_starts),
+        unreached=unreached,
+        removed_by_reach=crop_patches(floors.removed_by_reach),
+        enclosed_by_meshes=crop_patches(floors.enclosed_by_meshes),
+        enclosed_by_planes=crop_patches(floors.enclosed_by_planes),
+        voids=crop_patches(floors.voids),
+        without_level=crop_patches(floors.without_level),
+    )
 
 
-def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSource) -> str:
-    level = given[number]
+def _is_inside(patch: Patch, window: Window, width: int) -> bool:
+    """Whether any cell of a patch lies in a window of a lattice of some width."""
+    _, is_inside = crop_cells(patch.cells.astype(np.int64), window, width)
+    return bool(is_inside.any())
+
+
+def _crop_level(level: LevelFloor, window: Window, old_number: int, new_number: int) -> LevelFloor:
+    """Crop a level to a window; if it is named by its number, it is named by the new one."""
+    name = level.name
+    if name == f"level {old_number}":
+        name = f"level {new_number}"
+    return LevelFloor(
+        name=name,
+        ground=level.ground,
+        floor=level.floor[window].copy(),
+        standable=level.standable[window].copy(),
+        unseen=None if level.unseen is None else level.unseen[window].copy(),
+    )
+
+
+def _crop_links(links: Int, new_number: Int, window: Window, width: int) -> Int:
+    """Crop links between levels to a window.
+
+    Args:
+        links: as `Floors` has them.
+        new_number: the new number of each level, -1 for those that are left out.
+        window: rows and columns of the whole lattice.
+        width: of the whole lattice [cells].
+    """
+    lower_level, lower_cell, upper_level, upper_cell = links.T
+    has_levels = (new_number[lower_level] >= 0) & (new_number[upper_level] >= 0)
+    _, is_lower_inside = crop_cells(lower_cell, window, width)
+    _, is_upper_inside = crop_cells(upper_cell, window, width)
+    shown: Int = links[has_levels & is_lower_inside & is_upper_inside]
+    shown[:, 0] = new_number[shown[:, 0]]
+    shown[:, 1], _ = crop_cells(shown[:, 1], window, width)
+    shown[:, 2] = new_number[shown[:, 2]]
+    shown[:, 3], _ = crop_cells(shown[:, 3], window, width)
+    return shown
+
+
+def _explain_no_floor_on(
+    level_settings: Sequence[LevelSettings], number: int, columns: ColumnSource
+) -> str:
+    """Explain that a level of the configuration has no floor."""
+    level = level_settings[number]
     name = f"level {level.name!r}" if level.name else f"level {number}"
-    above = given[number + 1].ground if given[number + 1 :] else np.inf
-    top = above if level.top is None else min(above, level.top)
-    spans = [(block.z.min(), block.z.max()) for block in columns.row_chunks() if len(block.z)]
-    low = float(np.min(spans))
-    high = float(np.max(spans))
+    top = np.inf
+    if number + 1 < len(level_settings):
+        top = level_settings[number + 1].ground
+    if level.top is not None:
+        top = min(top, level.top)
+    low = np.inf
+    high = -np.inf
+    for chunk in columns.row_chunks():
+        low = min(low, chunk.z.min(initial=np.inf))
+        high = max(high, chunk.z.max(initial=-np.inf))
     return (
         f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
         f"the scene's surfaces span {low:g} to {high:g} m"
     )
 
 
-def _no_floor(columns: ColumnSource, surfaces: Surfaces, agent: AgentSettings) -> str:
-    num_surfaces = sum(len(block.z) for block in columns.row_chunks())
-    if not num_surfaces:
+def _explain_no_floor(columns: ColumnSource, surfaces: Surfaces, agent: AgentSettings) -> str:
+    """Explain that no surface is standable."""
+    num_hits = sum(len(chunk.z) for chunk in columns.row_chunks())
+    if not num_hits:
         return "no floor at all: no vertical line through a cell's centre meets a geom"
     if not len(surfaces.z):
         return (
-            f"no floor at all: none of {num_surfaces} surfaces faces up within "
+            f"no floor at all: none of {num_hits} surfaces faces up within "
             f"{agent.max_slope:g}° (a mesh may be inside out, or `scene.up` wrong)"
         )
     return (

@@ -1,4 +1,4 @@
-"""How regions end: at walls, at drops, at the lattice's border, or otherwise."""
+"""How regions end at their edges: at walls, at drops, at the lattice's border, or otherwise."""
 
 from __future__ import annotations
 
@@ -11,58 +11,64 @@ from numpy.typing import NDArray
 from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.floors.member_kernels import (
-    ITSELF,
-    Edges,
-    Labelled,
+from navbake.baker.floors.region_kernels import (
+    SAME_REGION,
+    LabelledSurfaces,
+    RegionEdges,
+    find_surfaces_below,
     list_edges,
-    look_below,
-    mark_holes,
+    mark_hole_edges,
 )
 from navbake.baker.floors.regions import Regions
-from navbake.baker.floors.surfaces import find_near
+from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# How an edge of a region ends, see `Site.endings`
-WALL, BARRIER, DROP, BORDER, OPEN = range(5)
-# The thickness of the bands at an agent's feet and head that both meet a wall [m]
-PROBE = 0.01
+# How a region ends at an edge, see `RegionContext.classify_edges`
+WALL = 0
+BARRIER = 1
+DROP = 2
+BORDER = 3
+OPEN = 4
+# The height of the volumes at an agent's feet and at its head that a wall has to meet [m]
+PROBE_HEIGHT = 0.01
 # An empty array of rows of `list_edges`
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
+# So many cells are worth a call on another thread
+LEAST_CELLS_BELOW = 1000
 
 OccupancyTest = Callable[[Int, Float, HeightRange | None], Bool]
-"""Whether a geom meets a band of heights above the floor, over each cell's square.
+"""Tests whether a geom meets a range of heights above the floor, over each cell's square.
 
-Called with cell ids, the floor's height in each [m], and the band [m]; None is the one between a
-step and the agent's height.
+It is called with the ids of cells, the floor's height in each [m], and the range of heights above
+the floor [m]; None stands for the range from a step to the agent's height.
 """
 
 
-class Endings(NamedTuple):
-    """How a region ends at each of its edges, see `Site.endings`.
+class EdgeEndings(NamedTuple):
+    """How a region ends at each of its edges, see `RegionContext.classify_edges`.
 
     Attributes:
         kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
-        landing: the height of the floor that a drop leads to, NaN for the others [m].
-        floor: the region of that floor, -1 for the others, int32.
-        is_known: False at borders where the lattice crops the scene; at the others nothing stands
-            beside the region, nor is a floor.
+        floor_height: the height of the floor that a drop leads to, NaN for other kinds [m].
+        floor_region: the region of that floor, -1 for other kinds, int32.
+        is_known: False at borders where the lattice crops the scene; at other borders it is known
+            that nothing stands beside the region, and that there is no floor.
     """
 
     kind: NDArray[np.uint8]
-    landing: Float
-    floor: Int32
+    floor_height: Float
+    floor_region: Int32
     is_known: Bool
 
 
 class ListedEdges(NamedTuple):
-    """Edges of regions, as `list_edges` has them.
+    """Edges of regions, as `list_edges` lists them.
 
     Attributes:
-        region: that ends there, int32.
+        region: the region that ends at each edge, int32.
         rows: see `list_edges`, shape (edges, 5), int64.
     """
 
@@ -70,16 +76,19 @@ class ListedEdges(NamedTuple):
     rows: Int
 
 
-class Site(NamedTuple):
-    """The input of the rules for tops, roofs and shelves.
+class RegionContext(NamedTuple):
+    """The regions of a scene, and what the rules for tops, roofs and shelves ask about them.
 
     Attributes:
-        regions: all regions, furniture included.
+        regions: all regions, also those of furniture.
         is_large: which of them are large enough for floors, shape (regions,), bool.
-        columns: all surfaces.
-        cropped: see `find_cropped`.
-        edges: of the large regions.
-        reach: how many cells beyond a region's edge floors are looked for.
+        columns: the hits of all columns.
+        agent: the agent whose floors are found.
+        settings: the settings of `floors`.
+        is_occupied: tests whether something stands over cells.
+        is_cropped: see `mark_cropped_sides`.
+        edges: the edges of the large regions.
+        reach: how many cells beyond a region's edge floors are searched for.
     """
 
     regions: Regions
@@ -88,207 +97,302 @@ class Site(NamedTuple):
     agent: AgentSettings
     settings: FloorSettings
     is_occupied: OccupancyTest
-    cropped: Bool
+    is_cropped: Bool
     edges: ListedEdges
     reach: int
 
-    def edges_of(self, mask: Bool, reach: int) -> Edges:
-        """The edges of some large regions, and the floors below them.
+    def cast_ahead(self, cells: Int) -> None:
+        """Cast the columns of some cells together, before they are asked for in smaller sets.
+
+        A `ColumnSource` that doesn't store the columns of the whole lattice stores those that it
+        cast last, so that later requests for some of these cells cast nothing.
 
         Args:
-            reach: how many cells to look out for floors below.
+            cells: ids of the cells of all later requests.
+        """
+        self.columns.covering(cells)
+
+    def select_edges(self, mask: Bool, reach: int) -> RegionEdges:
+        """Return the edges of some large regions, and the floors below them.
+
+        Args:
+            mask: the regions, shape (regions,).
+            reach: how many cells beyond an edge to search for floors.
         """
         regions = self.regions
         step = self.agent.traversable_floor_height
-        listed = self.edges
-        is_in_mask = mask[listed.region]
-        _, cell, place, way, _ = listed.rows[is_in_mask].T
-        edges = Edges(
-            region=listed.region[is_in_mask],
+        is_selected = mask[self.edges.region]
+        _, cell, surface_id, direction, _ = self.edges.rows[is_selected].T
+        edges = RegionEdges(
+            region=self.edges.region[is_selected],
             cell=cell.copy(),
-            z=regions.surfaces.z[place],
-            way=way.copy(),
-            cells=np.full((len(cell), reach), -1),
-            floors=np.full((len(cell), reach), np.nan),
-            landing=np.full((len(cell), reach), -1, dtype=np.int32),
+            z=regions.surfaces.z[surface_id],
+            direction=direction.copy(),
+            cells_beyond=np.full((len(cell), reach), -1),
+            floors_below=np.full((len(cell), reach), np.nan),
+            regions_below=np.full((len(cell), reach), -1, dtype=np.int32),
         )
-        labelled = regions.labelled(self.is_large)
-        looking = np.arange(len(cell))
+        labelled = regions.label_surfaces(self.is_large)
+        # the edges beyond which the region has not begun again, nor the lattice ended
+        open_edges = np.arange(len(cell))
         for k in range(reach):
-            cells = beside(regions.lattice, edges.cell[looking], edges.way[looking], k + 1)
+            cells = neighbor_cells(
+                regions.lattice, edges.cell[open_edges], edges.direction[open_edges], k + 1
+            )
             is_inside = cells >= 0
-            looking = looking[is_inside]
+            open_edges = open_edges[is_inside]
             cells = cells[is_inside]
-            limits = edges.z[looking] - step - LIMIT_SLACK
-            places, below = find_below(labelled, cells, limits, edges.region[looking])
-            goes_out = places != ITSELF
-            looking = looking[goes_out]
-            places = places[goes_out]
-            edges.cells[looking, k] = cells[goes_out]
-            edges.landing[looking, k] = below[goes_out]
-            lies = places >= 0
-            edges.floors[looking[lies], k] = labelled.surfaces.z[places[lies]]
+            limits = edges.z[open_edges] - step - LIMIT_SLACK
+            below, regions_below = find_below(labelled, cells, limits, edges.region[open_edges])
+            is_outside = below != SAME_REGION
+            open_edges = open_edges[is_outside]
+            below = below[is_outside]
+            edges.cells_beyond[open_edges, k] = cells[is_outside]
+            edges.regions_below[open_edges, k] = regions_below[is_outside]
+            has_floor = below >= 0
+            floor_heights = labelled.surfaces.z[below[has_floor]]
+            edges.floors_below[open_edges[has_floor], k] = floor_heights
         return edges
 
-    def barriers(self, edges: Edges, agent: AgentSettings) -> NDArray[np.uint8]:
-        """`kind` of `endings`, but OPEN in place of DROP; for the agent or another one."""
-        outer = beside(self.regions.lattice, edges.cell, edges.way)
+    def classify_barriers(self, edges: RegionEdges, agent: AgentSettings) -> NDArray[np.uint8]:
+        """Classify edges as `classify_edges` does, but with OPEN in place of DROP.
+
+        Args:
+            edges: the edges.
+            agent: the agent that walls and barriers stop, which need not be the context's.
+        """
+        outer = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         kind = np.full(len(outer), OPEN, dtype=np.uint8)
         kind[outer < 0] = BORDER
-        looking = np.arange(len(outer))
-        at_feet, at_head = probe_bands(agent)
-        for band, meaning in ((at_feet, BARRIER), (at_head, WALL)):
-            stands = self.is_occupied(edges.cell[looking], edges.z[looking], band)
-            beyond = np.flatnonzero(~stands & (outer[looking] >= 0))
-            cells = outer[looking[beyond]]
-            stands[beyond] = self.is_occupied(cells, edges.z[looking[beyond]], band)
-            looking = looking[stands]
-            kind[looking] = meaning
+        candidates = np.arange(len(outer))
+        at_feet, at_head = probe_ranges(agent)
+        # what meets the feet is a barrier; what meets the head, too, is a wall
+        for heights, kind_there in ((at_feet, BARRIER), (at_head, WALL)):
+            is_met = self.is_occupied(edges.cell[candidates], edges.z[candidates], heights)
+            try_beyond = np.flatnonzero(~is_met & (outer[candidates] >= 0))
+            cells = outer[candidates[try_beyond]]
+            is_met[try_beyond] = self.is_occupied(cells, edges.z[candidates[try_beyond]], heights)
+            candidates = candidates[is_met]
+            kind[candidates] = kind_there
         return kind
 
-    def endings(self, edges: Edges) -> Endings:
+    def classify_edges(self, edges: RegionEdges) -> EdgeEndings:
         """Classify how a region ends at each of its edges.
 
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
           agent's feet (just above a step) and at its head (just below its height).
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
         - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand;
-          in any of `edges.cells` up to a barrier, past a bed's frame. There is no drop where a
-          surface continues from the region over that floor, as in an attic.
+          in any of `edges.cells_beyond` up to a barrier, past a bed's frame. There is no drop where
+          a surface continues from the region over that floor, as in an attic.
         - BORDER: the lattice ends.
-        - OPEN: an abyss, a steep slope, a floor on which nobody can stand.
+        - OPEN: an abyss, a steep slope, a floor on which no agent can stand.
+
+        Args:
+            edges: edges of large regions, see `select_edges`.
         """
         agent = self.agent
-        at_feet, _ = probe_bands(agent)
-        # of all these cells at once
-        columns = self.columns.covering(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
-        kind = self.barriers(edges, agent)
-        landing = np.full(len(kind), np.nan)
-        floor = np.full(len(kind), -1, dtype=np.int32)
-        ground = edges.z.copy()
-        looking = np.flatnonzero(kind == OPEN)
-        for k in range(edges.cells.shape[1]):
-            looking = looking[edges.cells[looking, k] >= 0]
-            if k > 0:  # the nearest cell has been asked
-                stops = self.is_occupied(edges.cells[looking, k], edges.z[looking], at_feet)
-                kind[looking[stops]] = BARRIER
-                looking = looking[~stops]
-            cells = edges.cells[looking, k]
-            ground[looking] = find_near(
+        at_feet, _ = probe_ranges(agent)
+        # of all these cells at once, see `cast_ahead`
+        cells_beyond = edges.cells_beyond[edges.cells_beyond >= 0]
+        columns = self.columns.covering(np.concatenate([edges.cell, cells_beyond]))
+        kind = self.classify_barriers(edges, agent)
+        floor_height = np.full(len(kind), np.nan)
+        floor_region = np.full(len(kind), -1, dtype=np.int32)
+        # the height of the surface that continues from the region, NaN where none does
+        continued_z = edges.z.copy()
+        candidates = np.flatnonzero(kind == OPEN)
+        for k in range(edges.cells_beyond.shape[1]):
+            candidates = candidates[edges.cells_beyond[candidates, k] >= 0]
+            if k > 0:  # `classify_barriers` has tested the nearest cell
+                cells = edges.cells_beyond[candidates, k]
+                is_barred = self.is_occupied(cells, edges.z[candidates], at_feet)
+                kind[candidates[is_barred]] = BARRIER
+                candidates = candidates[~is_barred]
+            cells = edges.cells_beyond[candidates, k]
+            continued_z[candidates] = find_highest_within_step(
                 columns.start[cells],
                 columns.start[cells + 1],
                 columns.z,
-                ground[looking],
+                continued_z[candidates],
                 agent.traversable_floor_height,
             )
-            below = looking[~np.isnan(edges.floors[looking, k])]
-            floors = edges.floors[below, k]
-            goes_on = ground[below] > floors + agent.height + LIMIT_SLACK
-            lands = below[~goes_on & ~self.is_occupied(edges.cells[below, k], floors, None)]
-            kind[lands] = DROP
-            landing[lands] = edges.floors[lands, k]
-            floor[lands] = edges.landing[lands, k]
-            looking = looking[kind[looking] == OPEN]
-        return Endings(kind, landing, floor, self.is_known(kind, edges.way))
+            has_floor = candidates[~np.isnan(edges.floors_below[candidates, k])]
+            floors = edges.floors_below[has_floor, k]
+            is_covered = continued_z[has_floor] > floors + agent.height + LIMIT_SLACK
+            is_full = self.is_occupied(edges.cells_beyond[has_floor, k], floors, None)
+            drops = has_floor[~is_covered & ~is_full]
+            kind[drops] = DROP
+            floor_height[drops] = edges.floors_below[drops, k]
+            floor_region[drops] = edges.regions_below[drops, k]
+            candidates = candidates[kind[candidates] == OPEN]
+        is_known = self.mark_known(kind, edges.direction)
+        return EdgeEndings(kind, floor_height, floor_region, is_known)
 
-    def is_known(self, kind: NDArray[np.uint8], way: Int) -> Bool:
-        """Which edges do not end where the lattice crops the scene, by their endings and ways."""
-        known: Bool = (kind != BORDER) | ~self.cropped[way]
-        return known
+    def mark_known(self, kind: NDArray[np.uint8], direction: Int) -> Bool:
+        """Mark the edges that do not end where the lattice crops the scene.
 
-    def share(self, edges: Edges, which: Bool, known: Bool) -> Float:
-        """The share of each region's known edges that are of some kind, NaN where none is known."""
-        num_of_kind = np.bincount(edges.region, which & known, len(self.is_large))
-        num_known = np.bincount(edges.region, known, len(self.is_large))
+        Args:
+            kind: how the region ends at each edge, shape (edges,).
+            direction: the direction out of the region, shape (edges,).
+        """
+        is_known: Bool = (kind != BORDER) | ~self.is_cropped[direction]
+        return is_known
+
+    def share_of_edges(self, edges: RegionEdges, mask: Bool, is_known: Bool) -> Float:
+        """Compute which share of each region's known edges a mask marks.
+
+        Args:
+            edges: the edges.
+            mask: the marked ones, shape (edges,).
+            is_known: which edges count, shape (edges,).
+
+        Returns:
+            Shares, shape (regions,); NaN for regions without an edge that counts.
+        """
+        num_marked = np.bincount(edges.region, mask & is_known, len(self.is_large))
+        num_known = np.bincount(edges.region, is_known, len(self.is_large))
         share = np.full(len(num_known), np.nan)
-        np.divide(num_of_kind, num_known, out=share, where=num_known > 0)
+        np.divide(num_marked, num_known, out=share, where=num_known > 0)
         return share
 
 
-def look_at_site(
+def make_region_context(
     regions: Regions,
     is_large: Bool,
     columns: ColumnSource,
-    cropped: Bool,
+    is_cropped: Bool,
     agent: AgentSettings,
     settings: FloorSettings,
     is_occupied: OccupancyTest,
-) -> Site:
-    """List the edges of large regions; for the arguments, see `Site`."""
+) -> RegionContext:
+    """List the edges of the large regions, for the rules that depend on how regions end.
+
+    Args:
+        regions: all regions.
+        is_large: which of them are large enough for floors, shape (regions,), bool.
+        columns: the hits of all columns.
+        is_cropped: see `mark_cropped_sides`.
+        agent: the agent whose floors are found.
+        settings: the settings of `floors`.
+        is_occupied: tests whether something stands over cells.
+    """
     reach = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
     lowest = regions.low[is_large].min(initial=np.inf)
     _, (rows,) = regions.blocks.list_rows(
         list_edges,
         (NO_EDGES,),
-        regions.labelled(is_large),
+        regions.label_surfaces(is_large),
         lowest,
         agent.traversable_floor_height,
         reach,
     )
-    return Site(
+    return RegionContext(
         regions=regions,
         is_large=is_large,
         columns=columns,
         agent=agent,
         settings=settings,
         is_occupied=is_occupied,
-        cropped=cropped,
-        edges=ListedEdges(regions.of_part[rows[:, 0]], rows),
+        is_cropped=is_cropped,
+        edges=ListedEdges(regions.of_component[rows[:, 0]], rows),
         reach=reach,
     )
 
 
 def find_below(
-    labelled: Labelled, cells: Int, limits: Float, regions: Int32 | None = None
+    labelled: LabelledSurfaces, cells: Int, limits: Float, regions: Int32 | None = None
 ) -> tuple[Int, Int32]:
-    """The highest surfaces of other regions, or of any, below limits, see `look_below`."""
+    """Find the highest surface of another region below a limit in each cell.
+
+    Args:
+        labelled: all surfaces, and the regions that count.
+        cells: ids of cells, shape (n,).
+        limits: the height that the surface has to be below, shape (n,) [m].
+        regions: the region whose surfaces don't count, by cell; None if all count.
+
+    Returns:
+        The ids of the surfaces, NO_SURFACE for none, SAME_REGION where that region itself has a
+        surface in the cell; and the surfaces' regions, -1 for none.
+    """
     if regions is None:
-        regions = np.full(len(cells), -2, dtype=np.int32)
-    places = np.empty(len(cells), dtype=np.int64)
-    below = np.empty(len(cells), dtype=np.int32)
+        regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
+    below = np.empty(len(cells), dtype=np.int64)
+    regions_below = np.empty(len(cells), dtype=np.int32)
     run_in_chunks(
-        look_below, len(cells), labelled, cells, regions, limits, places, below, least=1000
+        find_surfaces_below,
+        len(cells),
+        labelled,
+        cells,
+        regions,
+        limits,
+        below,
+        regions_below,
+        least=LEAST_CELLS_BELOW,
     )
-    return places, below
+    return below, regions_below
 
 
-def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
-    """Whether a scene continues beyond the lattice in the east, south, west and north, shape (4,).
+def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
+    """Return whether a scene continues beyond the lattice in the east, south, west and north.
 
-    `bounds` are its box, shape (2, 3) [m]; None if it is endless.
+    Args:
+        lattice: the lattice.
+        bounds: the lowest and the highest corner of the scene's box, shape (2, 3) [m]; None if the
+            scene is endless.
+
+    Returns:
+        shape (4,), bool.
     """
     if bounds is None:
         return np.ones(4, dtype=np.bool_)
     x_min, y_min, x_max, y_max = lattice.bounds
     low, high = bounds
-    return (
-        np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > LIMIT_SLACK
-    )
+    excess = np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max])
+    return excess > LIMIT_SLACK
 
 
-def find_holes(edges: Edges, lattice: Lattice) -> Bool:
-    """Which edges are at rims of holes, shape (edges,); `edges` are all those of some regions."""
+def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
+    """Mark the edges at the rims of holes.
+
+    Args:
+        edges: all edges of some regions.
+        lattice: of their cells.
+
+    Returns:
+        shape (edges,), bool.
+    """
     order = np.argsort(edges.region, kind="stable")
     start = np.append(np.flatnonzero(np.diff(edges.region[order], prepend=-1)), len(order))
-    marked = np.empty(len(order), dtype=np.bool_)
+    in_hole_in_order = np.empty(len(order), dtype=np.bool_)
+    mark_hole_edges(edges.cell[order], edges.direction[order], start, lattice, in_hole_in_order)
     in_hole = np.empty(len(order), dtype=np.bool_)
-    mark_holes(edges.cell[order], edges.way[order], start, lattice, marked)
-    in_hole[order] = marked
+    in_hole[order] = in_hole_in_order
     return in_hole
 
 
-def beside(lattice: Lattice, cell: Int, way: Int | int, steps: int = 1) -> Int:
-    """The cells so many steps east (0), south (1), west (2) or north (3) of cells, -1 for none."""
+def neighbor_cells(lattice: Lattice, cell: Int, direction: Int | int, steps: int = 1) -> Int:
+    """Return the cells so many steps from others in a direction.
+
+    Args:
+        lattice: the lattice.
+        cell: ids of cells, shape (n,).
+        direction: EAST (0), SOUTH (1), WEST (2) or NORTH (3), for each cell or for all.
+        steps: how many cells to go.
+
+    Returns:
+        Ids of cells, shape (n,); -1 beyond the lattice.
+    """
     row, col = np.divmod(cell, lattice.width)
-    row = row + steps * np.array([0, 1, 0, -1])[way]
-    col = col + steps * np.array([1, 0, -1, 0])[way]
-    inside = (row >= 0) & (row < lattice.height) & (col >= 0) & (col < lattice.width)
-    return np.where(inside, row * lattice.width + col, -1)
+    row = row + steps * np.array([0, 1, 0, -1])[direction]
+    col = col + steps * np.array([1, 0, -1, 0])[direction]
+    is_inside = (row >= 0) & (row < lattice.height) & (col >= 0) & (col < lattice.width)
+    return np.where(is_inside, row * lattice.width + col, -1)
 
 
-def probe_bands(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
-    """The bands above a floor at an agent's feet and at its head, see `Site.endings` [m]."""
+def probe_ranges(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
+    """Return thin ranges of heights above a floor, at an agent's feet and at its head [m]."""
     low = agent.traversable_floor_height
     high = agent.height
-    thickness = min(PROBE, (high - low) / 2)
+    thickness = min(PROBE_HEIGHT, (high - low) / 2)
     return HeightRange(low, low + thickness), HeightRange(high - thickness, high)

@@ -1,4 +1,4 @@
-"""Reach: where agents start, what no step leads to, and floors inside of closed meshes."""
+"""Where agents start, what steps lead to from there, voids, and floors inside of closed meshes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ import numpy as np
 
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
-from navbake.baker.floors.outline import DROP, Site, beside, look_at_site
+from navbake.baker.floors.level_assignment import LevelAssignment, LevelCounts
+from navbake.baker.floors.outline import (
+    DROP,
+    RegionContext,
+    make_region_context,
+    neighbor_cells,
+)
 from navbake.baker.floors.regions import (
     Patch,
     Regions,
-    describe_members,
+    describe_surfaces,
     find_large_regions,
+    find_nearest_position,
     find_regions,
-    place_near,
 )
-from navbake.baker.floors.rejected import LARGE_TOP, Rejected
-from navbake.baker.floors.storeys import Placed
-from navbake.baker.floors.surface_kernels import HELD, Surfaces
-from navbake.baker.floors.surfaces import find_near
+from navbake.baker.floors.rejected import LARGE_TOP, LEAST_LINES, RejectedRegions
+from navbake.baker.floors.surface_kernels import ENCLOSED, Surfaces
+from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
@@ -32,33 +37,37 @@ from navbake.types import Bool, Int
 ON_SURFACE = 0.02
 # The least region that is reported as unreached on a level that is reached: shafts and niches are
 # smaller [m²]
-TOLD_AREA = 6.0
-# A level is a void where this share of it, or more, has less headroom than an adult needs [m]
-NEARLY_ALL = 0.9
-UPRIGHT = 1.8
-# A floor in a closed mesh that continues outside, beyond this share of its outline, only carries it
-GOES_ON = 0.25
+REPORTED_AREA = 6.0
+# A level is a void where this share of it, or more, has less headroom than an adult needs
+VOID_SHARE = 0.9
+# The headroom that an adult needs [m]
+ADULT_HEADROOM = 1.8
+# A floor in a closed mesh that continues outside, along at least this share of its outline, only
+# carries the mesh
+CONTINUING_SHARE = 0.25
 # Unless it is as large as a building [m²]
-BUILDING = 50.0
+BUILDING_AREA = 50.0
 
 
 @dataclass(frozen=True)
-class Unreached:
+class UnreachedFloors:
     """The floors of a level that no step leads to from the starts.
 
     Attributes:
-        level: its number.
-        patch: the floors there, all together; the place is on the largest.
-        whole: whether no floor of the level is reached.
+        level: the level's number.
+        patch: the floors there, all together; the position is on the largest.
+        is_whole_level: whether no floor of the level is reached.
     """
 
     level: int
     patch: Patch
-    whole: bool
+    is_whole_level: bool
 
 
-def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) -> Bool:
-    """Find the regions on which agents start, at some positions.
+def find_starts(
+    context: RegionContext, rejected: RejectedRegions, positions: list[list[float]]
+) -> Bool:
+    """Find the regions on which agents start, from positions.
 
     A position within 2 cm of a surface lies on it. Any other is on the highest floor of its column
     that is at most a step higher. Roofs, and tops of at least 6 m², are floors here. Above
@@ -66,6 +75,7 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
     if there is none.
 
     Args:
+        context: all regions, and how they end.
         rejected: the regions that are floors only where an agent starts.
         positions: `floors.from`, x, y, z of each [m].
 
@@ -75,23 +85,23 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
     Raises:
         SceneError: there is no floor at a position.
     """
-    regions = site.regions
+    regions = context.regions
     lattice = regions.lattice
     surfaces = regions.surfaces
-    step = site.agent.traversable_floor_height
+    step = context.agent.traversable_floor_height
     is_small = regions.size * lattice.cell_size**2 < LARGE_TOP
-    may_start = site.is_large & ~rejected.shelves & ~(rejected.tops & is_small)
-    starts = np.zeros(regions.num, dtype=np.bool_)
+    may_start = context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
+    is_start = np.zeros(regions.num, dtype=np.bool_)
     for number, (x, y, z) in enumerate(positions):
         row, col = lattice.rows_cols([x, y])
-        places = np.empty(0, dtype=np.int64)
+        surface_ids = np.empty(0, dtype=np.int64)
         cell = int(row) * lattice.width + int(col)
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
-            places = np.arange(surfaces.first[cell], surfaces.end[cell])
-            places = places[regions.region_of(places) >= 0]
-        heights = surfaces.z[places]
-        in_column = regions.region_of(places)
-        below = in_column[heights <= z + step + LIMIT_SLACK]
+            surface_ids = np.arange(surfaces.first[cell], surfaces.end[cell])
+            surface_ids = surface_ids[regions.region_of(surface_ids) >= 0]
+        heights = surfaces.z[surface_ids]
+        regions_in_column = regions.region_of(surface_ids)
+        below = regions_in_column[heights <= z + step + LIMIT_SLACK]
         if not len(below):
             in_cell = "there is none in that cell"
             if len(heights):
@@ -100,188 +110,223 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
                 f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
                 f"an agent can stand on, at most a step higher; {in_cell}"
             )
-        exactly = in_column[abs(heights - z) <= ON_SURFACE + LIMIT_SLACK]
-        floors = below[may_start[below]]
-        if len(exactly):
-            starts[exactly[-1]] = True
-        elif len(floors):
-            starts[floors[-1]] = True
+        at_position = regions_in_column[abs(heights - z) <= ON_SURFACE + LIMIT_SLACK]
+        floors_below = below[may_start[below]]
+        if len(at_position):
+            start = int(at_position[-1])
+        elif len(floors_below):
+            start = int(floors_below[-1])
         else:
-            starts[_floor_beside(site, may_start, int(below[-1]))] = True
-    return starts
+            start = _find_floor_beside(context, may_start, int(below[-1]))
+        is_start[start] = True
+    return is_start
 
 
-def _floor_beside(site: Site, may_start: Bool, furniture: int) -> int:
-    """The floor that a region of furniture drops to along most of its outline, else itself."""
+def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) -> int:
+    """Find the floor that a region of furniture drops to along most of its outline, else itself."""
     is_furniture = np.arange(len(may_start)) == furniture
-    site_with_furniture = look_at_site(
-        regions=site.regions,
+    context_with_furniture = make_region_context(
+        regions=context.regions,
         is_large=may_start | is_furniture,
-        columns=site.columns,
-        cropped=site.cropped,
-        agent=site.agent,
-        settings=site.settings,
-        is_occupied=site.is_occupied,
+        columns=context.columns,
+        is_cropped=context.is_cropped,
+        agent=context.agent,
+        settings=context.settings,
+        is_occupied=context.is_occupied,
     )
-    endings = site_with_furniture.endings(
-        site_with_furniture.edges_of(is_furniture, site_with_furniture.reach)
-    )
-    floors = endings.floor[endings.kind == DROP]
+    edges = context_with_furniture.select_edges(is_furniture, context_with_furniture.reach)
+    endings = context_with_furniture.classify_edges(edges)
+    floors = endings.floor_region[endings.kind == DROP]
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
 
-def largest_of_lowest(counts: Int, num_regions: int) -> Bool:
-    """The region with the largest floor on the lowest level, as a mask, shape (regions,).
+def mark_largest_on_lowest_level(counts: LevelCounts, num_regions: int) -> Bool:
+    """Mark the region with the largest floor on the lowest level.
 
     Args:
-        counts: rows of region, level and how many surfaces it has there; they may repeat.
+        counts: how many surfaces of which region are on which level.
+        num_regions: how many regions there are.
+
+    Returns:
+        shape (regions,), bool.
     """
-    region, _, count = counts[counts[:, 1] == counts[:, 1].min()].T
-    largest: Bool = np.arange(num_regions) == np.bincount(region, count).argmax()
-    return largest
+    on_lowest = counts.level == counts.level.min()
+    size = np.bincount(counts.region[on_lowest], counts.num_surfaces[on_lowest])
+    is_largest: Bool = np.arange(num_regions) == size.argmax()
+    return is_largest
 
 
-def count_low(site: Site) -> Int:
-    """How many surfaces of each region something hangs over, lower than an adult needs."""
-    regions = site.regions
+def count_low_surfaces(context: RegionContext) -> Int:
+    """Count the surfaces of each region with less headroom than an adult needs.
+
+    Returns:
+        shape (regions,), int64.
+    """
+    regions = context.regions
     surfaces = regions.surfaces
     cells = regions.blocks.cells(np.arange(regions.blocks.num))
-    which, place = expand_ranges(surfaces.first[cells], surfaces.end[cells])
-    region = regions.region_of(place)
-    stands = region >= 0
-    cell = cells[which[stands]]
-    place = place[stands]
+    cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
+    region = regions.region_of(surface_ids)
+    has_region = region >= 0
+    cell = cells[cell_index[has_region]]
+    surface_ids = surface_ids[has_region]
     is_low = np.zeros(len(cell), dtype=np.bool_)
     run_in_chunks(
         find_blocked_lines,
         len(cell),
         cell,
-        surfaces.z[place] + site.agent.height - TOUCH_DEPTH,
-        surfaces.z[place] + UPRIGHT,
-        site.columns.covering(cell).hits,
+        surfaces.z[surface_ids] + context.agent.height - TOUCH_DEPTH,
+        surfaces.z[surface_ids] + ADULT_HEADROOM,
+        context.columns.covering(cell).hits,
         is_low,
-        least=1000,
+        least=LEAST_LINES,
     )
-    return np.bincount(region[stands][is_low], minlength=regions.num)
+    return np.bincount(region[has_region][is_low], minlength=regions.num)
 
 
-class Reached(NamedTuple):
-    """What steps lead to: masks of regions, shape (regions,).
+class ReachedRegions(NamedTuple):
+    """What steps lead to; masks of shape (regions,), bool.
 
     Attributes:
-        reached: which regions are reached.
-        voids: those of levels that no step reaches and in which nobody can stand upright.
+        is_reached: whether steps lead to the region from a start.
+        is_void: whether it is on a level that no step reaches, in which nobody can stand upright.
     """
 
-    reached: Bool
-    voids: Bool
+    is_reached: Bool
+    is_void: Bool
 
 
-def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> Reached:
+def find_voids(
+    context: RegionContext, counts: LevelCounts, is_reached: Bool, has_starts: bool
+) -> ReachedRegions:
     """Find the levels that no step reaches and in which nobody can stand upright.
 
     Args:
-        counts: rows of region, level and how many surfaces it has there; they may repeat.
-        reached: which regions are reached, shape (regions,), bool.
-        is_given: whether `floors.from` gives the starts; else that is the lowest level that is no
-            void.
+        context: all regions, and the hits of all columns.
+        counts: how many surfaces of which region are on which level.
+        is_reached: which regions are reached, shape (regions,), bool.
+        has_starts: whether `floors.from` names the starts; else the start is the largest floor of
+            the lowest level that is no void.
     """
-    region, level, _ = counts.T
-    voids = np.zeros_like(reached)
-    levels = np.unique(level)
-    if np.isin(levels, level[reached[region]]).all():
-        return Reached(reached, voids)
-    num_low = count_low(site)
+    is_void = np.zeros_like(is_reached)
+    levels = np.unique(counts.level)
+    if np.isin(levels, counts.level[is_reached[counts.region]]).all():
+        return ReachedRegions(is_reached, is_void)
+    num_low = count_low_surfaces(context)
     low_levels = []
-    for number in levels.tolist():
-        on_level = np.unique(region[level == number])
-        if num_low[on_level].sum() / site.regions.size[on_level].sum() >= NEARLY_ALL:
-            low_levels.append(number)
-    if not is_given and len(low_levels) < len(levels):
-        reached = largest_of_lowest(counts[~np.isin(level, low_levels)], len(reached))
-    is_void = np.isin(level, low_levels) & ~np.isin(level, level[reached[region]])
-    voids[region[is_void]] = True
-    voids[region[~is_void]] = False
-    return Reached(reached, voids)
+    for level in levels.tolist():
+        on_level = np.unique(counts.region[counts.level == level])
+        if num_low[on_level].sum() / context.regions.size[on_level].sum() >= VOID_SHARE:
+            low_levels.append(level)
+    on_low_level = np.isin(counts.level, low_levels)
+    if not has_starts and len(low_levels) < len(levels):
+        on_high_level = LevelCounts._make(column[~on_low_level] for column in counts)
+        is_reached = mark_largest_on_lowest_level(on_high_level, len(is_reached))
+    on_reached_level = np.isin(counts.level, counts.level[is_reached[counts.region]])
+    on_void_level = on_low_level & ~on_reached_level
+    # a region that is on another level, too, is no void
+    is_void[counts.region[on_void_level]] = True
+    is_void[counts.region[~on_void_level]] = False
+    return ReachedRegions(is_reached, is_void)
 
 
-def find_unreached(regions: Regions, placed: Placed, reached: Bool) -> list[Unreached]:
+def find_unreached(
+    regions: Regions, assignment: LevelAssignment, is_reached: Bool
+) -> list[UnreachedFloors]:
     """Find the floors that no step leads to, one entry a level, lowest first.
 
     On levels that are reached in part, only regions of at least 6 m² there count.
 
     Args:
-        reached: which regions are reached, shape (regions,), bool.
+        regions: all regions.
+        assignment: their surfaces on levels.
+        is_reached: which regions are reached, shape (regions,), bool.
     """
-    region, level, count = placed.counts.T
-    is_reached = reached[region]
+    counts = assignment.counts
+    row_is_reached = is_reached[counts.region]
     unreached = []
-    for number in np.unique(level[~is_reached]).tolist():
-        on_level = level == number
-        is_unreached = on_level & ~is_reached
-        size = np.bincount(region[is_unreached], count[is_unreached], minlength=regions.num)
-        is_told = size > 0
-        whole = not (is_reached & on_level).any()
-        if not whole:
-            is_told &= size * regions.lattice.cell_size**2 >= TOLD_AREA - LIMIT_SLACK
-        if is_told.any():
-            patch = _describe_on_level(regions, placed, number, is_told, int(size.argmax()))
-            unreached.append(Unreached(number, patch, whole))
+    for level in np.unique(counts.level[~row_is_reached]).tolist():
+        on_level = counts.level == level
+        is_unreached = on_level & ~row_is_reached
+        size = np.bincount(
+            counts.region[is_unreached],
+            counts.num_surfaces[is_unreached],
+            minlength=regions.num,
+        )
+        is_reported = size > 0
+        is_whole_level = not (row_is_reached & on_level).any()
+        if not is_whole_level:
+            area = size * regions.lattice.cell_size**2
+            is_reported &= area >= REPORTED_AREA - LIMIT_SLACK
+        if is_reported.any():
+            patch = _describe_on_level(
+                regions, assignment, level, is_reported, largest=int(size.argmax())
+            )
+            unreached.append(UnreachedFloors(level, patch, is_whole_level))
     return unreached
 
 
 def _describe_on_level(
-    regions: Regions, placed: Placed, number: int, mask: Bool, largest: int
+    regions: Regions, assignment: LevelAssignment, level: int, mask: Bool, largest: int
 ) -> Patch:
-    """Describe the surfaces of some regions on a level, at a place on the largest region there."""
-    on_level = {}
+    """Describe the surfaces of some regions on a level, at a position on the largest region."""
+    surfaces_on_level = {}
     for region in np.flatnonzero(mask).tolist():
-        members = regions.members(region)
-        level = placed.level[members.place]
-        is_on_level = (level >= 0) & (placed.number[np.maximum(level, 0)] == number)
-        on_level[region] = members.only(is_on_level)
-    row, col = np.divmod(on_level[largest].cell, regions.lattice.width)
-    geoms = np.concatenate([members.geom for members in on_level.values()])
-    cells = np.concatenate([members.cell for members in on_level.values()])
+        members = regions.surfaces_of(region)
+        first_level = assignment.level[members.surface_id]
+        final_level = assignment.final_level[np.maximum(first_level, 0)]
+        on_level = (first_level >= 0) & (final_level == level)
+        surfaces_on_level[region] = members.select(on_level)
+    lattice = regions.lattice
+    row, col = np.divmod(surfaces_on_level[largest].cell, lattice.width)
+    geoms = np.concatenate([members.geom for members in surfaces_on_level.values()])
+    cells = np.concatenate([members.cell for members in surfaces_on_level.values()])
     return Patch(
         geom=int(np.bincount(geoms).argmax()),
-        area=len(cells) * regions.lattice.cell_size**2,
-        place=place_near(regions.lattice, on_level[largest], row.mean(), col.mean()),
+        area=len(cells) * lattice.cell_size**2,
+        position=find_nearest_position(lattice, surfaces_on_level[largest], row.mean(), col.mean()),
         cells=cells.astype(np.int32),
     )
 
 
 def find_enclosed(surfaces: Surfaces, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:
-    """Find floors inside of closed meshes and planes, where nobody can stand, the largest first.
+    """Find floors inside of closed meshes and planes, where no agent can stand, the largest first.
 
     A floor that continues outside at its height only carries a closed thing, like a crate, unless
-    that is as large as a building.
+    it is as large as a building.
+
+    Args:
+        surfaces: all surfaces.
+        agent: whose step and slope count.
+        settings: `min_area` and `shrink` count.
     """
-    is_held = surfaces.marks & HELD != 0
-    if not is_held.any():
+    is_enclosed = surfaces.marks & ENCLOSED != 0
+    if not is_enclosed.any():
         return []
     # each region is of one mesh or plane
-    regions = find_regions(surfaces, agent, np.where(is_held, surfaces.geom, np.int32(-1)))
+    group = np.where(is_enclosed, surfaces.geom, np.int32(-1))
+    regions = find_regions(surfaces, agent, group)
+    is_large = find_large_regions(regions, regions.size > 0, settings)
     patches = []
-    for region in np.flatnonzero(find_large_regions(regions, regions.size > 0, settings)).tolist():
-        members = regions.members(region)
+    for region in np.flatnonzero(is_large).tolist():
+        members = regions.surfaces_of(region)
         num_edges = 0
-        num_going_on = 0
-        for way in range(4):
-            cells = beside(regions.lattice, members.cell, way)
+        num_continuing = 0
+        for direction in range(4):
+            cells = neighbor_cells(regions.lattice, members.cell, direction)
             at_edge = ~np.isin(cells, members.cell)
             num_edges += int(np.count_nonzero(at_edge))
             is_inside = at_edge & (cells >= 0)
             cells = cells[is_inside]
-            near = find_near(
+            continued_z = find_highest_within_step(
                 surfaces.first[cells],
                 surfaces.end[cells],
                 surfaces.z,
                 members.z[is_inside],
                 agent.traversable_floor_height,
             )
-            num_going_on += int(np.count_nonzero(~np.isnan(near)))
-        patch = describe_members(regions.lattice, members)
-        if patch.area >= BUILDING or num_going_on < GOES_ON * num_edges:
+            num_continuing += int(np.count_nonzero(~np.isnan(continued_z)))
+        patch = describe_surfaces(regions.lattice, members)
+        if patch.area >= BUILDING_AREA or num_continuing < CONTINUING_SHARE * num_edges:
             patches.append(patch)
     return sorted(patches, key=lambda patch: -patch.area)

@@ -1,4 +1,4 @@
-"""Regions: standable surfaces that steps join, and which of them are large enough for floors."""
+"""Regions: connected standable surfaces, and which of them are large enough for floors."""
 
 from __future__ import annotations
 
@@ -9,38 +9,49 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.area_test import area_test
+from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.blocks import Blocks
 from navbake.baker.core.components import expand_ranges, label_components
-from navbake.baker.floors import label_kernels as kernels
-from navbake.baker.floors.label_kernels import JOINS, LIES, LINKS, Joining, Numbering
-from navbake.baker.floors.member_kernels import Labelled, Members, find_large
+from navbake.baker.floors import component_kernels as kernels
+from navbake.baker.floors.component_kernels import (
+    JOINED,
+    LINKED,
+    STACKED,
+    ComponentNumbering,
+    JoinRule,
+)
+from navbake.baker.floors.region_kernels import (
+    LabelledSurfaces,
+    RegionSurfaces,
+    mark_large_regions,
+)
 from navbake.baker.floors.surface_kernels import Surfaces
-from navbake.baker.floors.surfaces import slopes_may_join
+from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# In place of a key of each surface: there is none
-NO_KEY = np.empty(0, dtype=np.int32)
-# Empty columns of rows that count, and of heights, see `navbake.baker.floors.label_kernels`
+# In place of an array with the group of each surface: there is none
+NO_GROUPS = np.empty(0, dtype=np.int32)
+# Empty arrays of the rows that kernels list: counted numbers, heights, and measures of components
 NO_ROWS = np.empty((0, 4), dtype=np.int64)
 NO_HEIGHTS = np.empty(0)
-# An empty column of the measures of `label_blocks`
 NO_MEASURES = np.empty((0, 7), dtype=np.int64)
 
 
-class Labels(NamedTuple):
-    """The connected parts of surfaces inside of blocks, numbered one block after the other.
+class Components(NamedTuple):
+    """The connected components of surfaces inside of each block, numbered block by block.
 
     Attributes:
-        part: the number of each surface's part, -1 for none, int32.
-        block: of each part.
-        measures, low: of each part, see `label_blocks`.
-        pairs: of parts that meet, rows of `list_pairs`.
+        number: by surface, the number of its component, -1 for none, int32.
+        block: by component, the id of its block.
+        measures: by component, see `label_blocks`, shape (components, 7).
+        low: by component, its lowest height [m].
+        pairs: pairs of components that meet, rows of `list_pairs`.
     """
 
-    part: Int32
+    number: Int32
     block: Int
     measures: Int
     low: Float
@@ -48,21 +59,32 @@ class Labels(NamedTuple):
 
     @property
     def num(self) -> int:
-        """How many parts there are."""
+        """How many components there are."""
         return len(self.measures)
 
-    def pairs_of(self, kind: int) -> Int:
-        """The rows of pairs that meet in one way: JOINS, LINKS or LIES."""
+    def pairs_of_kind(self, kind: int) -> Int:
+        """The rows of the pairs of one kind: JOINED, LINKED or STACKED."""
         rows: Int = self.pairs[self.pairs[:, 2] == kind]
         return rows
 
-    def wholes(self) -> Int32:
-        """The whole that each part belongs to, across blocks, numbered by their first parts."""
-        return label_components(self.pairs_of(JOINS)[:, :2].T, self.num)
+    def merge(self) -> Int32:
+        """Merge components across the borders of blocks.
 
-    def links(self, whole_of_part: Int32) -> tuple[Int, Int]:
-        """The pairs of linked wholes, each once, and the lower number first."""
-        linked = whole_of_part[self.pairs_of(LINKS)[:, :2]].astype(np.int64)
+        Returns:
+            By component, the number of its merged component, in the order of the first ones.
+        """
+        return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num)
+
+    def linked_pairs(self, merged: Int32) -> tuple[Int, Int]:
+        """Find the pairs of merged components that are linked.
+
+        Args:
+            merged: as `merge` returns it.
+
+        Returns:
+            The lower number and the higher number of each pair; each pair once.
+        """
+        linked = merged[self.pairs_of_kind(LINKED)[:, :2]].astype(np.int64)
         lower = linked.min(axis=1)
         upper = linked.max(axis=1)
         differs = lower != upper
@@ -70,43 +92,62 @@ class Labels(NamedTuple):
         return np.divmod(pair_ids, max(self.num, 1))
 
 
-def label_surfaces(surfaces: Surfaces, joining: Joining, key: Int32 = NO_KEY) -> Labels:
-    """Find the connected parts of surfaces in each block; for the key, see `label_blocks`."""
+def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS) -> Components:
+    """Find the connected components of surfaces inside of each block.
+
+    Args:
+        surfaces: all surfaces.
+        rule: which surfaces are connected, and which are linked.
+        group: by surface, its group, less than 0 for none; only surfaces of one group are
+            connected. If empty, all standable surfaces are one group.
+    """
     blocks = Blocks(surfaces.lattice)
-    part = np.empty(len(surfaces.z), dtype=np.int32)
+    number_in_block = np.empty(len(surfaces.z), dtype=np.int32)
     block, (measures, low) = blocks.list_rows(
-        kernels.label_blocks, (NO_MEASURES, NO_HEIGHTS), surfaces, key, joining, part
+        kernels.label_blocks, (NO_MEASURES, NO_HEIGHTS), surfaces, group, rule, number_in_block
     )
-    numbering = Numbering(
-        part=part,
+    numbering = ComponentNumbering(
+        in_block=number_in_block,
         offset=np.searchsorted(block, np.arange(blocks.num)),
-        number=np.empty(len(surfaces.z), dtype=np.int32),
+        overall=np.empty(len(surfaces.z), dtype=np.int32),
     )
-    _, (pairs,) = blocks.list_rows(
-        kernels.list_pairs, (NO_ROWS,), surfaces, key, joining, numbering
-    )
-    return Labels(numbering.number, block, measures, low, pairs)
+    _, (pairs,) = blocks.list_rows(kernels.list_pairs, (NO_ROWS,), surfaces, group, rule, numbering)
+    return Components(numbering.overall, block, measures, low, pairs)
+
+
+class RegionStacks(NamedTuple):
+    """Regions that lie directly above others; arrays of shape (n,), pairs may repeat.
+
+    Attributes:
+        upper: the upper region, int32.
+        lower: the next one below, which may be the same region, int32.
+        num_cells: in how many cells, int64.
+    """
+
+    upper: Int32
+    lower: Int32
+    num_cells: Int
 
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """All regions of a scene, numbered by their first surfaces.
+    """All regions of a scene, numbered in the order of their first surfaces.
 
     Attributes:
-        surfaces: the surfaces that they are made of.
-        labels: the parts of regions in each block.
-        of_part: the region of each part, shape (parts,), int32.
-        size: how many surfaces each has, int64.
-        tops: over how many of these nothing lies.
-        box: its first row and column, and past its last ones, shape (regions, 4).
-        low: its lowest height [m].
+        surfaces: all surfaces.
+        components: the components of regions inside of each block.
+        of_component: by component, its region, shape (components,), int32.
+        size: by region, how many surfaces it has, int64.
+        num_uncovered: by region, how many of its surfaces nothing lies above, int64.
+        box: by region, its first row and column, and those past its last ones, shape (regions, 4).
+        low: by region, its lowest height [m].
     """
 
     surfaces: Surfaces
-    labels: Labels
-    of_part: Int32
+    components: Components
+    of_component: Int32
     size: Int
-    tops: Int
+    num_uncovered: Int
     box: Int
     low: Float
 
@@ -123,156 +164,208 @@ class Regions:
     @property
     def lattice(self) -> Lattice:
         """The lattice that the surfaces lie on."""
-        lattice: Lattice = self.surfaces.lattice
-        return lattice
+        return self.surfaces.lattice
 
-    def labelled(self, mask: Bool) -> Labelled:
-        """The surfaces with the numbers of their regions, -1 for those that are not in the mask."""
-        region = np.where(mask[self.of_part], self.of_part, np.int32(-1)).astype(np.int32)
-        return Labelled(self.surfaces, self.labels.part, region)
+    def label_surfaces(self, mask: Bool) -> LabelledSurfaces:
+        """Return the surfaces with the ids of the regions that a mask marks, shape (regions,)."""
+        is_marked = mask[self.of_component]
+        region = np.where(is_marked, self.of_component, np.int32(-1)).astype(np.int32)
+        return LabelledSurfaces(self.surfaces, self.components.number, region)
 
-    def region_of(self, place: Int) -> Int32:
-        """The regions of some surfaces, by their places; -1 for those that belong to none."""
-        part = self.labels.part[place]
-        return np.where(part >= 0, self.of_part[part], np.int32(-1))
+    def region_of(self, surface_ids: Int) -> Int32:
+        """The regions of some surfaces, by their ids; -1 for those that belong to none."""
+        component = self.components.number[surface_ids]
+        return np.where(component >= 0, self.of_component[component], np.int32(-1))
 
-    def stacks(self) -> tuple[Int32, Int32, Int]:
-        """Upper regions, the ones next below, and in how many cells; pairs may repeat."""
-        upper, lower, _, num_cells = self.labels.pairs_of(LIES).T
-        return self.of_part[upper], self.of_part[lower], num_cells
+    def find_stacks(self) -> RegionStacks:
+        """Find which regions lie above which others, and in how many cells."""
+        upper, lower, _, num_cells = self.components.pairs_of_kind(STACKED).T
+        return RegionStacks(self.of_component[upper], self.of_component[lower], num_cells)
 
-    def members(self, region: int) -> Members:
-        """The surfaces of a region."""
+    def surfaces_of(self, region: int) -> RegionSurfaces:
+        """The surfaces of a region, in the order of their cells."""
         surfaces = self.surfaces
         row0, col0, row1, col1 = self.box[region].tolist()
         in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
         cells = in_box.ravel()
-        which, place = expand_ranges(surfaces.first[cells], surfaces.end[cells])
-        is_member = self.region_of(place) == region
-        place = place[is_member]
-        return Members(cells[which[is_member]], surfaces.z[place], surfaces.geom[place], place)
+        cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
+        in_region = self.region_of(surface_ids) == region
+        surface_ids = surface_ids[in_region]
+        return RegionSurfaces(
+            cell=cells[cell_index[in_region]],
+            z=surfaces.z[surface_ids],
+            geom=surfaces.geom[surface_ids],
+            surface_id=surface_ids,
+        )
 
-    def between(self, mask: Bool, low: float, high: float) -> Bool:
-        """Which of some regions have a surface from a height up to below another one [m]."""
-        result = np.zeros_like(mask)
+    def mark_in_range(self, mask: Bool, heights: HeightRange) -> Bool:
+        """Mark those of some regions that have a surface in a range of heights.
+
+        Args:
+            mask: the regions to test, shape (regions,).
+            heights: the range [low, high) [m].
+
+        Returns:
+            shape (regions,), bool.
+        """
+        in_range = np.zeros_like(mask)
         for region in np.flatnonzero(mask).tolist():
-            z = self.members(region).z
-            result[region] = ((low <= z) & (z < high)).any()
-        return result
+            z = self.surfaces_of(region).z
+            in_range[region] = ((heights.low <= z) & (z < heights.high)).any()
+        return in_range
 
 
-def region_joining(lattice: Lattice, agent: AgentSettings) -> Joining:
-    """What joins surfaces to regions."""
-    return Joining(agent.traversable_floor_height, by_slopes=slopes_may_join(lattice, agent))
+def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
+    """Return the rule by which surfaces are connected to regions: by steps, and by slopes.
+
+    Args:
+        lattice: of the surfaces.
+        agent: whose step and slope count.
+    """
+    return JoinRule(agent.traversable_floor_height, by_slopes=may_slopes_join(lattice, agent))
 
 
-def find_regions(surfaces: Surfaces, agent: AgentSettings, key: Int32 = NO_KEY) -> Regions:
-    """Join surfaces to regions; for the key, see `label_blocks`."""
-    labels = label_surfaces(surfaces, region_joining(surfaces.lattice, agent), key)
-    whole_of_part = labels.wholes()
-    num = int(whole_of_part.max(initial=-1)) + 1
-    # the parts of each whole side by side
-    together = np.argsort(whole_of_part, kind="stable")
-    start = np.searchsorted(whole_of_part[together], np.arange(num))
-    measures = labels.measures[together]
+def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GROUPS) -> Regions:
+    """Connect surfaces to regions.
+
+    Args:
+        surfaces: all surfaces.
+        agent: whose step and slope count.
+        group: as `find_components` takes it.
+    """
+    components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
+    merged = components.merge()
+    num = int(merged.max(initial=-1)) + 1
+    # reduce the measures of the components of each region, which stand side by side in this order
+    order = np.argsort(merged, kind="stable")
+    start = np.searchsorted(merged[order], np.arange(num))
+    measures = components.measures[order]
     sums = np.add.reduceat(measures[:, :2], start)
-    least = np.minimum.reduceat(measures[:, 2:5], start)
-    most = np.maximum.reduceat(measures[:, 5:], start)
-    by_first = np.argsort(least[:, 0])
-    number = np.argsort(by_first).astype(np.int32)
+    minima = np.minimum.reduceat(measures[:, 2:5], start)
+    maxima = np.maximum.reduceat(measures[:, 5:], start)
+    by_first_surface = np.argsort(minima[:, 0])
+    number = np.argsort(by_first_surface).astype(np.int32)
     return Regions(
         surfaces=surfaces,
-        labels=labels,
-        of_part=number[whole_of_part],
-        size=sums[by_first, 0],
-        tops=sums[by_first, 1],
-        box=np.hstack([least[by_first, 1:], most[by_first]]),
-        low=np.minimum.reduceat(labels.low[together], start)[by_first],
+        components=components,
+        of_component=number[merged],
+        size=sums[by_first_surface, 0],
+        num_uncovered=sums[by_first_surface, 1],
+        box=np.hstack([minima[by_first_surface, 1:], maxima[by_first_surface]]),
+        low=np.minimum.reduceat(components.low[order], start)[by_first_surface],
     )
 
 
 def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) -> Bool:
-    """Which of some regions are large enough for floors, see `area_test`; shape (regions,).
+    """Mark the regions that are large enough for floors.
 
-    A region's cells are taken together over all heights.
+    A region is large enough if it keeps `floors.min_area` when it is shrunk by `floors.shrink`. Its
+    cells are taken together over all heights.
+
+    Args:
+        regions: all regions.
+        mask: which of them are tested, shape (regions,).
+        settings: `min_area` [m²] and `shrink` [m] count.
+
+    Returns:
+        Which regions are large enough, shape (regions,), bool.
     """
-    test = area_test(regions.lattice, settings)
-    result = np.zeros(regions.num, dtype=np.bool_)
-    candidates = np.flatnonzero(mask & (regions.size >= test.min_cells))
+    disc = area_test(regions.lattice, settings)
+    is_large = np.zeros(regions.num, dtype=np.bool_)
+    candidates = np.flatnonzero(mask & (regions.size >= disc.min_cells))
     # the blocks of each candidate, one candidate after the other
-    is_candidate = np.isin(regions.of_part, candidates)
-    region_of_part = regions.of_part[is_candidate].astype(np.int64)
-    pair_ids = np.unique(region_of_part * regions.blocks.num + regions.labels.block[is_candidate])
+    is_of_candidate = np.isin(regions.of_component, candidates)
+    region_of_component = regions.of_component[is_of_candidate].astype(np.int64)
+    block_of_component = regions.components.block[is_of_candidate]
+    pair_ids = np.unique(region_of_component * regions.blocks.num + block_of_component)
     region, block = np.divmod(pair_ids, regions.blocks.num)
     start = np.searchsorted(region, [*candidates, regions.num])
     run_in_chunks(
-        find_large,
+        mark_large_regions,
         len(candidates),
-        regions.labelled(mask),
+        regions.label_surfaces(mask),
         regions.box,
         candidates,
         start,
         block,
-        test,
-        result,
+        disc,
+        is_large,
     )
-    return result
+    return is_large
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Surfaces that lie side by side, such as a region that is no floor.
+    """A description of surfaces that lie side by side, such as a region that is no floor.
 
     Attributes:
-        geom: the geom that most of it belongs to.
+        geom: id of the geom that most of them belong to.
         area: [m²].
-        place: x, y, z of a place near its middle, in world coordinates [m].
-        cells: the cells of its surfaces, shape (n,), int32.
+        position: x, y, z of one of them near their middle, in world coordinates [m].
+        cells: ids of their cells, shape (n,), int32.
     """
 
     geom: int
     area: float
-    place: tuple[float, float, float]
+    position: tuple[float, float, float]
     cells: Int32 = field(repr=False, compare=False)
 
 
-def describe_members(lattice: Lattice, members: Members) -> Patch:
-    """Describe some surfaces, one at least."""
-    row, col = np.divmod(members.cell, lattice.width)
+def describe_surfaces(lattice: Lattice, surfaces: RegionSurfaces) -> Patch:
+    """Describe some surfaces.
+
+    Args:
+        lattice: of their cells.
+        surfaces: one at least.
+    """
+    row, col = np.divmod(surfaces.cell, lattice.width)
     return Patch(
-        geom=int(np.bincount(members.geom).argmax()),
-        area=len(members.cell) * lattice.cell_size**2,
-        place=place_near(lattice, members, row.mean(), col.mean()),
-        cells=members.cell.astype(np.int32),
+        geom=int(np.bincount(surfaces.geom).argmax()),
+        area=len(surfaces.cell) * lattice.cell_size**2,
+        position=find_nearest_position(lattice, surfaces, row.mean(), col.mean()),
+        cells=surfaces.cell.astype(np.int32),
     )
 
 
-def place_near(
-    lattice: Lattice, members: Members, row: float, col: float
+def find_nearest_position(
+    lattice: Lattice, surfaces: RegionSurfaces, row: float, col: float
 ) -> tuple[float, float, float]:
-    """x, y, z of the surface nearest to a row and a column [m]."""
-    rows, cols = np.divmod(members.cell, lattice.width)
+    """Find the surface nearest to a row and a column.
+
+    Args:
+        lattice: of the cells.
+        surfaces: one at least.
+        row: a row of the lattice, not necessarily a whole number.
+        col: a column of it.
+
+    Returns:
+        World coordinates x, y, z [m].
+    """
+    rows, cols = np.divmod(surfaces.cell, lattice.width)
     nearest = int(((rows - row) ** 2 + (cols - col) ** 2).argmin())
     x = lattice.center_x()[cols[nearest]]
     y = lattice.center_y()[rows[nearest]]
-    return float(x), float(y), float(members.z[nearest])
+    return float(x), float(y), float(surfaces.z[nearest])
 
 
 def describe_regions(
-    regions: Regions, mask: Bool, spans: Sequence[tuple[float, float]] = ()
+    regions: Regions, mask: Bool, height_ranges: Sequence[HeightRange] = ()
 ) -> list[Patch]:
     """Describe some regions, the largest first.
 
     Args:
-        spans: of heights; if there are any, only surfaces in these are described [m].
+        regions: all regions.
+        mask: which of them are described, shape (regions,).
+        height_ranges: if there are any, only surfaces in these heights [low, high) are described
+            [m].
     """
     patches = []
     for region in np.flatnonzero(mask).tolist():
-        members = regions.members(region)
-        if spans:
-            z = members.z
-            in_spans = np.any([(z >= low) & (z < high) for low, high in spans], axis=0)
-            members = members.only(in_spans)
-        if len(members.z):
-            patches.append(describe_members(regions.lattice, members))
+        surfaces = regions.surfaces_of(region)
+        if height_ranges:
+            z = surfaces.z
+            in_ranges = [(z >= heights.low) & (z < heights.high) for heights in height_ranges]
+            surfaces = surfaces.select(np.any(in_ranges, axis=0))
+        if len(surfaces.z):
+            patches.append(describe_surfaces(regions.lattice, surfaces))
     return sorted(patches, key=lambda patch: -patch.area)

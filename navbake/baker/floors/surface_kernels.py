@@ -1,11 +1,12 @@
-"""Surfaces that floors may go on at, cell by cell, and which of them an agent can stand on.
+"""List the surfaces that floors may consist of, cell by cell, and mark those an agent can stand on.
 
-A surface lies inside of a solid by the winding number of the vertical line above it: how many
-solids the line leaves there less how many it enters.
+Whether a surface lies inside of a solid follows from the winding number of the vertical line above
+it: the line's exits from solids less its entries (signed crossings of a ray, as in Alciatore and
+Miranda, A Winding Number and Point-in-Polygon Algorithm, 1995).
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,33 +15,43 @@ from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.core.tiles import cell_center
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int32
 
-# Marks: a floor may go on at it, an agent can stand on it, nothing lies above it; an agent could
-# stand on it if the closed mesh or plane around it were hollow
-FLOOR_LIKE = 1
-STANDS = 2
-TOP = 4
-HELD = 8
-# Sides that are nearly upright face up by at most this, as those of steps in a building that leans
-LEANING = 0.05
+# Bits of `Surfaces.marks`.
+FLOOR_LIKE = 1  # a floor may continue at the surface
+STANDABLE = 2  # an agent can stand on it
+UNCOVERED = 4  # an agent can stand on it, and nothing lies above it
+ENCLOSED = 8  # it would be standable if the closed mesh or the plane around it were hollow
+
+# Directions from a cell to its neighbor; rows run south, against y
+EAST = 0
+SOUTH = 1
+WEST = 2
+NORTH = 3
+
+# The z of the normal of a tread's side, in a building that leans a little, is at most this
+MAX_SIDE_UP = 0.05
 
 
 class Surfaces(NamedTuple):
-    """The floor-like surfaces of all cells: cell i holds ``[first[i], end[i])``.
+    """The floor-like surfaces of all cells: cell i has the surfaces ``[first[i], end[i])``.
 
-    The runs of a block of cells lie together, so their order is not that of the cells.
+    The surfaces of a block of cells lie together in memory: their order is not that of the cells.
 
     Attributes:
-        lattice: of the cells.
-        first, end: (cells,) int32.
-        z: heights, ascending in a cell, (n,) float64 [m].
-        geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane around.
-        marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
-        normal: unit normals, (n, 3) float32; (n, 0) where no slope rises more than a step a cell.
+        lattice: the lattice of the cells.
+        first: by cell, the id of its lowest surface, shape (cells,), int32.
+        end: by cell, the id past its highest surface, shape (cells,), int32.
+        z: heights, ascending in a cell, shape (n,), float64 [m].
+        geom: MuJoCo's geom ids, shape (n,), int32; of ENCLOSED surfaces, the id of the mesh or
+            plane around them.
+        marks: bits FLOOR_LIKE, STANDABLE, UNCOVERED and ENCLOSED, shape (n,), uint8.
+        normal: unit normals, shape (n, 3), float32; (n, 0) where no slope rises by more than a step
+            over a cell.
     """
 
-    lattice: Any
+    lattice: Lattice
     first: Int32
     end: Int32
     z: Float
@@ -50,8 +61,8 @@ class Surfaces(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def planes_over(planes, lattice, cell, z):
-    """How many infinite planes are over a height in a cell, and the geom of the last, or -1."""
+def find_planes_above(planes, lattice, cell, z):
+    """Count the infinite planes above a height in a cell; also the last one's geom id, or -1."""
     count = 0
     geom = np.int32(-1)
     for p in range(planes.geom.shape[0]):
@@ -68,8 +79,8 @@ def planes_over(planes, lattice, cell, z):
 
 
 @subkernel(inline="always")
-def _next_above(hits, i, last):
-    """The next height above the i-th surface."""
+def _height_above(hits, i, last):
+    """The height of the next hit above the i-th one, infinity if there is none [m]."""
     for j in range(i + 1, last):
         if hits.z[j] - hits.z[i] > SAME_HEIGHT:
             return hits.z[j]
@@ -77,31 +88,31 @@ def _next_above(hits, i, last):
 
 
 @subkernel(**NO_REFCOUNT)
-def _count_around(hits, i, last):
-    """How many closed surfaces hold the i-th surface, and how many other solids.
+def _count_enclosing(hits, i, last):
+    """Count the closed meshes, and the other solids, that the i-th hit lies inside of.
 
-    A solid that begins at the surface's height (within SAME_HEIGHT) stands on it and holds it; one
+    A solid that begins at the hit's height (within SAME_HEIGHT) stands on it and encloses it; one
     that ends there does not.
     """
     z = hits.z
     normal = hits.normal
     closed = hits.closed
-    surfaces = 0
-    others = 0
+    num_meshes = 0
+    num_solids = 0
     for j in range(i + 1, last):
         if z[j] - z[i] <= SAME_HEIGHT:
             continue
-        turn = 1 if normal[j, 2] > 0.0 else -1
+        winding = 1 if normal[j, 2] > 0.0 else -1
         if closed[j] == CLOSED_SURFACE:
-            surfaces += turn
+            num_meshes += winding
         elif closed[j] != OPEN_SURFACE:
-            others += turn
-    return surfaces, others
+            num_solids += winding
+    return num_meshes, num_solids
 
 
 @subkernel(inline="always")
-def _find_holder(hits, i, last):
-    """The geom of the closed surface around the i-th surface that ends lowest, or -1."""
+def _find_enclosing_mesh(hits, i, last):
+    """Find the closed mesh around the i-th hit whose top is lowest; its geom id, or -1."""
     z = hits.z
     normal = hits.normal
     geom = hits.geom
@@ -109,53 +120,69 @@ def _find_holder(hits, i, last):
     for j in range(i + 1, last):
         if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[i] <= SAME_HEIGHT:
             continue
-        inside = 0
+        winding = 0
         for k in range(i + 1, last):
             if geom[k] == geom[j] and closed[k] == CLOSED_SURFACE and z[k] - z[i] > SAME_HEIGHT:
-                inside += 1 if normal[k, 2] > 0.0 else -1
-        if inside > 0:
+                winding += 1 if normal[k, 2] > 0.0 else -1
+        if winding > 0:
             return geom[j]
     return np.int32(-1)
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, end):
-    """List the surfaces that floors may go on at in the columns of ``cells[begin:end]``.
+    """List the surfaces that floors may consist of, in the columns of ``cells[begin:end]``.
 
-    FLOOR_LIKE faces up within the slope, or faces up more steeply at most a step above what does:
-    a bump too low to be an obstacle. STANDS faces up within the slope, lies inside of no solid,
-    and has the headroom below the next surface; HELD would, without the closed meshes around it or
-    the infinite planes over it. Of several surfaces at one height the lowest counts. Where a line
-    leaves a solid by a side that leans a little, at most a step above what faces up within the
-    slope, the floor is that of the lower side, which STANDS.
+    A hit is FLOOR_LIKE if its normal keeps the agent's slope; or if it faces up more steeply, at
+    most a step above one that keeps it: a bump too low to be an obstacle.
 
-    The rows, see `list_rows`: height [m], geom (of HELD surfaces, the one that
-    holds them), marks and normal.
+    A hit is STANDABLE if it keeps the slope, lies inside of no solid, and has the agent's headroom
+    below the next hit above it. It is ENCLOSED if that holds without the closed meshes around it,
+    or without the infinite planes above it. Of several hits at one height the lowest counts.
+
+    In a building that leans, a line may leave a tread by its side, at most a step above the tread
+    below. There the floor is that tread, which becomes STANDABLE.
+
+    The kernel lists rows as `navbake.baker.core.blocks.list_rows` describes: height [m], geom id
+    (see `Surfaces`), marks, and normal.
+
+    Args:
+        lattice: of the cells.
+        hits: the `ColumnHits` of the cells.
+        planes: the infinite planes of the scene.
+        limits: the `AgentLimits`.
+        cells: ids of cells.
+        counts: receives the number of rows of each cell.
+        columns: the arrays of the rows; normals may have no columns.
+        begin: the first of the cells.
+        end: past the last one.
     """
     heights, geoms, marks, normals = columns
     num = 0
     for n in range(begin, end):
         first = hits.start[cells[n]]
         last = hits.start[cells[n] + 1]
-        before = num
+        num_before = num
         if num + last - first > heights.shape[0]:
             return n
-        previous = -math.inf
-        held = -math.inf
-        gentle = -math.inf
-        at = num
+        standable_z = -math.inf  # of the last standable surface
+        enclosed_z = -math.inf  # of the last enclosed one
+        gentle_z = -math.inf  # of the last one that keeps the slope
+        gentle_row = num
         for i in range(first, last):
             z = hits.z[i]
             up = hits.normal[i, 2]
             is_gentle = up >= limits.min_up
-            if not is_gentle and not (up > 0.0 and z - gentle <= limits.step + LIMIT_SLACK):
+            if not is_gentle and not (up > 0.0 and z - gentle_z <= limits.step + LIMIT_SLACK):
                 continue
-            if not is_gentle and up <= LEANING and gentle - previous > SAME_HEIGHT:
-                surfaces, others = _count_around(hits, i, last)
-                above = _next_above(hits, i, last)
-                if surfaces + others <= 0 and above - gentle >= limits.headroom - LIMIT_SLACK:
-                    previous = gentle
-                    marks[at] |= STANDS if above < math.inf else STANDS | TOP
+            if not is_gentle and up <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
+                # the side of a tread covers the tread below, which is the floor
+                num_meshes, num_solids = _count_enclosing(hits, i, last)
+                above = _height_above(hits, i, last)
+                has_headroom = above - gentle_z >= limits.headroom - LIMIT_SLACK
+                if num_meshes + num_solids <= 0 and has_headroom:
+                    standable_z = gentle_z
+                    marks[gentle_row] |= STANDABLE if above < math.inf else STANDABLE | UNCOVERED
                     continue
             heights[num] = z
             geoms[num] = hits.geom[i]
@@ -163,46 +190,60 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
             for axis in range(normals.shape[1]):
                 normals[num, axis] = hits.normal[i, axis]
             if is_gentle:
-                gentle = z
-                at = num
-                above = _next_above(hits, i, last)
-                if z - previous > SAME_HEIGHT and above - z >= limits.headroom - LIMIT_SLACK:
-                    surfaces, others = _count_around(hits, i, last)
-                    behind, plane = planes_over(planes, lattice, cells[n], z)
-                    if surfaces + others + behind <= 0:
-                        marks[num] |= STANDS
-                        previous = z
+                gentle_z = z
+                gentle_row = num
+                above = _height_above(hits, i, last)
+                if z - standable_z > SAME_HEIGHT and above - z >= limits.headroom - LIMIT_SLACK:
+                    num_meshes, num_solids = _count_enclosing(hits, i, last)
+                    num_planes, plane_geom = find_planes_above(planes, lattice, cells[n], z)
+                    # inside of meshes alone, or of planes alone
+                    is_hollowable = num_solids <= 0 and (num_meshes <= 0 or num_planes == 0)
+                    if num_meshes + num_solids + num_planes <= 0:
+                        marks[num] |= STANDABLE
+                        standable_z = z
                         if hits.z[last - 1] - z <= LIMIT_SLACK:
-                            marks[num] |= TOP
-                    elif others <= 0 and (surfaces <= 0 or behind == 0) and z - held > SAME_HEIGHT:
-                        marks[num] |= HELD
-                        held = z
-                        holder = _find_holder(hits, i, last)
-                        geoms[num] = holder if holder >= 0 else plane
+                            marks[num] |= UNCOVERED
+                    elif is_hollowable and z - enclosed_z > SAME_HEIGHT:
+                        marks[num] |= ENCLOSED
+                        enclosed_z = z
+                        mesh_geom = _find_enclosing_mesh(hits, i, last)
+                        geoms[num] = mesh_geom if mesh_geom >= 0 else plane_geom
             num += 1
-        counts[n] = num - before
+        counts[n] = num - num_before
     return end
 
 
 @subkernel(**NO_REFCOUNT)
-def slope_joins(surfaces, a, b, way, step):
-    """Whether slopes join two surfaces of neighbouring cells that no step joins.
+def slopes_join(surfaces, a, b, direction, step):
+    """Whether slopes join two surfaces of neighboring cells that no step joins.
 
-    `b` is east (0) or south (1) of `a`. The slope of each predicts a rise from `a` to `b`, the
-    steeper more than a step. They join if the real rise lies between the two, as where a floor
-    bends on the way at a ramp's foot, or at most a step from both.
+    The normal of each surface predicts the rise from `a` to `b`, and the steeper one predicts more
+    than a step. The surfaces join if the real rise lies between the two predictions, as where a
+    floor bends between the cells at a ramp's foot; or if it differs from both by at most a step.
+
+    Args:
+        a: id of a surface.
+        b: id of a surface of the next cell in the direction.
+        direction: EAST or SOUTH.
+        step: the highest step [m].
     """
-    dz = surfaces.z[b] - surfaces.z[a]
-    if abs(dz) <= step + LIMIT_SLACK:
+    rise = surfaces.z[b] - surfaces.z[a]
+    if abs(rise) <= step + LIMIT_SLACK:
         return False
     normal = surfaces.normal
     cell_size = surfaces.lattice.cell_size
-    # rows run south, against y
-    axis, turn = (0, -cell_size) if way == 0 else (1, cell_size)
-    one = turn * normal[a, axis] / normal[a, 2]
-    other = turn * normal[b, axis] / normal[b, 2]
-    if max(abs(one), abs(other)) <= step + LIMIT_SLACK:
+    axis = 0
+    slope_sign = -cell_size
+    if direction == SOUTH:  # which is against y
+        axis = 1
+        slope_sign = cell_size
+    rise_by_a = slope_sign * normal[a, axis] / normal[a, 2]
+    rise_by_b = slope_sign * normal[b, axis] / normal[b, 2]
+    if max(abs(rise_by_a), abs(rise_by_b)) <= step + LIMIT_SLACK:
         return False
-    if min(one, other) - LIMIT_SLACK <= dz <= max(one, other) + LIMIT_SLACK:
+    lowest_rise = min(rise_by_a, rise_by_b)
+    highest_rise = max(rise_by_a, rise_by_b)
+    if lowest_rise - LIMIT_SLACK <= rise <= highest_rise + LIMIT_SLACK:
         return True
-    return abs(dz - one) <= step + LIMIT_SLACK and abs(dz - other) <= step + LIMIT_SLACK
+    is_near_a = abs(rise - rise_by_a) <= step + LIMIT_SLACK
+    return is_near_a and abs(rise - rise_by_b) <= step + LIMIT_SLACK

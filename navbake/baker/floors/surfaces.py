@@ -1,4 +1,4 @@
-"""The surfaces that floors are made of, cell by cell."""
+"""Find the surfaces that floors may consist of, in all columns of a lattice."""
 
 from __future__ import annotations
 
@@ -22,32 +22,50 @@ from navbake.types import Float, Int, Int32
 
 
 def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
-    """The height of the top of each cell's column, NaN where it is too steep to stand on [m]."""
+    """Find the height of the uppermost surface of each cell's column, if it is not too steep.
+
+    Args:
+        shapes: the geometry whose upper side is asked about.
+        lattice: the cells.
+        agent: whose slope counts.
+
+    Returns:
+        Heights, shape (height, width), float64 [m]; NaN where nothing lies in the column, or its
+        uppermost surface is steeper than `agent.max_slope`.
+    """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
-    has_any = np.flatnonzero(np.diff(columns.start))
-    last = columns.start[has_any + 1] - 1
-    is_flat = columns.normal[last, 2] >= agent_limits(agent).min_up
+    has_hit = np.flatnonzero(np.diff(columns.start))
+    uppermost = columns.start[has_hit + 1] - 1
+    is_gentle = columns.normal[uppermost, 2] >= agent_limits(agent).min_up
     top = np.full(lattice.shape, np.nan)
-    top.ravel()[has_any[is_flat]] = columns.z[last[is_flat]]
+    top.ravel()[has_hit[is_gentle]] = columns.z[uppermost[is_gentle]]
     return top
 
 
-def slopes_may_join(lattice: Lattice, agent: AgentSettings) -> bool:
-    """Whether a slope that is standable may rise more than a step over a cell."""
+def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
+    """Return whether a slope that an agent keeps may rise by more than a step over a cell.
+
+    Args:
+        lattice: whose cells they are.
+        agent: whose slope and step count.
+    """
     rise = lattice.cell_size * np.tan(np.radians(agent.max_slope))
     return bool(rise > agent.traversable_floor_height)
 
 
 def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -> Surfaces:
-    """Find the surfaces that floors may go on at, in all columns.
+    """Find the floor-like surfaces of all columns.
 
-    Those of a block of cells lie together, which makes kernels a third faster.
+    The surfaces of a block of cells lie together, which makes kernels a third faster.
 
     Args:
+        columns: the hits of all columns.
         planes: the infinite planes of the scene.
+        agent: whose slope, step and height count.
     """
     lattice = columns.lattice
-    num_axes = 3 if slopes_may_join(lattice, agent) else 0
+    # normals are stored only where slopes may join surfaces
+    num_axes = 3 if may_slopes_join(lattice, agent) else 0
     no_rows = (
         np.empty(0),
         np.empty(0, dtype=np.int32),
@@ -57,15 +75,15 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
     first = np.zeros(lattice.width * lattice.height, dtype=np.int32)
     end = np.zeros(lattice.width * lattice.height, dtype=np.int32)
     num_surfaces = 0
-    parts: list[list[NDArray[Any]]] = []
-    for band in columns.row_chunks():
-        cells = _cells_by_block(lattice, band.valid_rows)
+    arrays_by_chunk: list[list[NDArray[Any]]] = []
+    for chunk in columns.row_chunks():
+        cells = _cells_by_block(lattice, chunk.valid_rows)
         counts, arrays = list_rows(
             list_surfaces,
             cells,
             no_rows,
             lattice,
-            band.hits,
+            chunk.hits,
             planes,
             agent_limits(agent),
             least=LEAST_CELLS,
@@ -73,13 +91,13 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         end[cells] = num_surfaces + np.cumsum(counts)
         first[cells] = end[cells] - counts
         num_surfaces += int(counts.sum())
-        parts.append(arrays)
-    z, geom, marks, normal = join_arrays(parts)
+        arrays_by_chunk.append(arrays)
+    z, geom, marks, normal = join_arrays(arrays_by_chunk)
     return Surfaces(lattice, first, end, z, geom, marks, normal)
 
 
 def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
-    """The cells of some rows, one block after the other."""
+    """The cells of a chunk of rows, in the order of their blocks."""
     blocks = Blocks(lattice)
     first_block = rows.first // BLOCK * blocks.cols
     end_block = -(-rows.end // BLOCK) * blocks.cols
@@ -88,11 +106,24 @@ def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
     return cells[(first <= cells) & (cells < end)]
 
 
-def find_near(first: Int | Int32, end: Int | Int32, heights: Float, z: Float, step: float) -> Float:
-    """The highest of the heights of each range within a step of a height, NaN for none [m]."""
-    nearest = np.full(len(z), np.nan)
+def find_highest_within_step(
+    first: Int | Int32, end: Int | Int32, heights: Float, z: Float, step: float
+) -> Float:
+    """Find, for each cell, its highest surface that differs from a height by at most a step.
+
+    Args:
+        first: the index of each cell's first surface, shape (n,).
+        end: the index past its last surface, shape (n,).
+        heights: the heights of all surfaces [m].
+        z: the height to compare with, by cell, shape (n,) [m].
+        step: the highest step [m].
+
+    Returns:
+        Heights, shape (n,) [m]; NaN for a cell without such a surface.
+    """
+    highest = np.full(len(z), np.nan)
     for k in range(int((end - first).max(initial=0))):
         height = heights[np.minimum(first + k, end - 1)]
         is_near = (first + k < end) & (abs(height - z) <= step + LIMIT_SLACK)
-        nearest[is_near] = height[is_near]
-    return nearest
+        highest[is_near] = height[is_near]
+    return highest

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import growth
 from navbake.baker.floors.growth import grow_level
-from navbake.baker.floors.member_kernels import Labelled
+from navbake.baker.floors.region_kernels import LabelledSurfaces
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
@@ -77,9 +77,9 @@ def grow(floor, options):
         normal=np.empty((len(z), 0), dtype=np.float32),
     )
     return grow_level(
-        barred=Labelled(surfaces, none, none[:0]),
+        labelled=LabelledSurfaces(surfaces, none, none[:0]),
         level=np.repeat(stands.astype(np.int32) - 1, end - first).astype(np.int32),
-        number=np.zeros(1, dtype=np.int64),
+        final_level=np.zeros(1, dtype=np.int64),
         grown_level=0,
         agent=AgentSettings(height=1.0, traversable_floor_height=STEP),
     )

@@ -12,7 +12,7 @@ from navbake.baker.core.limits import agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.core.windows import NEIGHBOR_SLICES
 from navbake.baker.floors.regions import find_regions
-from navbake.baker.floors.surface_kernels import STANDS, TOP
+from navbake.baker.floors.surface_kernels import STANDABLE, UNCOVERED
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.threads import limit_threads
 
@@ -55,7 +55,7 @@ def listed(surfaces):
     for cell in range(len(surfaces.first)):
         for j in range(surfaces.first[cell], surfaces.end[cell]):
             marks = int(surfaces.marks[j])
-            found.append((cell, surfaces.z[j], bool(marks & STANDS), bool(marks & TOP)))
+            found.append((cell, surfaces.z[j], bool(marks & STANDABLE), bool(marks & UNCOVERED)))
     return found
 
 
@@ -78,7 +78,7 @@ class InBands(NamedTuple):
     def row_chunks(self):
         return map(self.columns.select_rows, self.bands)
 
-    def at(self, cells):
+    def covering(self, cells):
         return self.columns
 
 
@@ -113,9 +113,9 @@ def check_regions(regions, step):
     number = label_components(np.array(pairs).T, len(cell))
     assert np.array_equal(regions.size, np.bincount(number))
     top = np.array([row[3] for row in rows])
-    assert np.array_equal(regions.tops, np.bincount(number, top).astype(int))
+    assert np.array_equal(regions.num_uncovered, np.bincount(number, top).astype(int))
     for region in range(regions.num):
-        members = regions.members(region)
+        members = regions.surfaces_of(region)
         assert np.array_equal(members.cell, cell[number == region])
         assert np.array_equal(members.z, z[number == region])
         row, col = np.divmod(members.cell, lattice.width)
@@ -124,7 +124,7 @@ def check_regions(regions, step):
     over = np.zeros(regions.num, dtype=np.int64)
     for i in range(1, len(cell)):
         over[number[i]] += cell[i - 1] == cell[i] and number[i - 1] != number[i]
-    above, below, count = regions.stacks()
+    above, below, count = regions.find_stacks()
     assert np.array_equal(np.bincount(above, count * (above != below), len(over)), over)
 
 

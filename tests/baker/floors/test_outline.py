@@ -15,7 +15,7 @@ from navbake.baker.floors.outline import (
     DROP,
     OPEN,
     WALL,
-    look_at_site,
+    make_region_context,
 )
 from navbake.baker.floors.regions import find_large_regions
 from navbake.baker.occupancy.footprint import Footprint
@@ -53,25 +53,25 @@ def endings_at(tmp_path: Path):
 
         regions, settings = regions_of(stages), stages.config.floors
         is_large = find_large_regions(regions, regions.size > 0, settings)
-        members = [regions.members(region) for region in range(regions.num)]
+        members = [regions.surfaces_of(region) for region in range(regions.num)]
         chosen = is_large & [np.isclose(own.z, z).any() for own in members]
-        site = look_at_site(
+        context = make_region_context(
             regions=regions,
             is_large=is_large,
             columns=columns,
-            cropped=np.zeros(4, dtype=np.bool_),
+            is_cropped=np.zeros(4, dtype=np.bool_),
             agent=agent,
             settings=settings,
             is_occupied=is_occupied,
         )
-        edges = site.edges_of(chosen, 4)
-        ending, landing, floor, _ = site.endings(edges)
+        edges = context.select_edges(chosen, 4)
+        ending, landing, floor, _ = context.classify_edges(edges)
         assert ((floor >= 0) == (ending == DROP)).all()
         assert (np.isnan(landing) == (ending != DROP)).all()
         # not the corners: a wall along a side meets their other edge, too
         row = edges.cell // stages.lattice.width
         y = stages.lattice.center_y()[row]
-        at = [(edges.way == way) & (abs(y) < 0.85) for way in (EAST, WEST)]
+        at = [(edges.direction == way) & (abs(y) < 0.85) for way in (EAST, WEST)]
         return set(ending[at[0]].tolist()), set(ending[at[1]].tolist())
 
     return find

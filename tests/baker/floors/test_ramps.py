@@ -11,9 +11,9 @@ import pytest
 import navbake
 from navbake.baker.bake.pipeline import build_grid
 from navbake.baker.bake.stages import bake_stages
-from navbake.baker.floors.label_kernels import Joining
-from navbake.baker.floors.regions import label_surfaces
-from navbake.baker.floors.surface_kernels import FLOOR_LIKE, STANDS, Surfaces
+from navbake.baker.floors.component_kernels import JoinRule
+from navbake.baker.floors.regions import find_components
+from navbake.baker.floors.surface_kernels import FLOOR_LIKE, STANDABLE, Surfaces
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.path_finder import PathFinder
@@ -128,7 +128,7 @@ def test_slopes_join_what_they_predict(rise):
     """Pairs of surfaces with slopes, against the rule spelled out."""
     lattice, generator = Lattice(0.0, 1.0, 1.0, 2, 1), np.random.default_rng(7)
     first, ids = np.arange(2, dtype=np.int32), np.zeros(2, dtype=np.int32)
-    marks = np.full(2, FLOOR_LIKE | STANDS, dtype=np.uint8)
+    marks = np.full(2, FLOOR_LIKE | STANDABLE, dtype=np.uint8)
     for _ in range(300):
         one, other = generator.uniform(-rise, rise, 2)
         dz = generator.uniform(-0.5, 0.5)
@@ -136,9 +136,9 @@ def test_slopes_join_what_they_predict(rise):
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         z = np.array([0.0, dz])
         surfaces = Surfaces(lattice, first, first + np.int32(1), z, ids, marks, normal)
-        labels = label_surfaces(surfaces, Joining(0.12, by_slopes=True))
+        components = find_components(surfaces, JoinRule(0.12, by_slopes=True))
         is_steep = max(abs(one), abs(other)) > 0.12
         between = min(one, other) <= dz <= max(one, other)
         near = max(abs(dz - one), abs(dz - other)) <= 0.12
         expected = abs(dz) <= 0.12 or (is_steep and (between or near))
-        assert labels.num == (1 if expected else 2)
+        assert components.num == (1 if expected else 2)

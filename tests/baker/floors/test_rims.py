@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from navbake.baker.core.components import adjacent_pairs, label_components
-from navbake.baker.floors.member_kernels import Edges
-from navbake.baker.floors.outline import beside, find_holes
+from navbake.baker.floors.outline import find_hole_edges, neighbor_cells
+from navbake.baker.floors.region_kernels import RegionEdges
 from navbake.navgrid.lattice import Lattice
 
 MASKS = arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=9))
@@ -19,7 +19,7 @@ def edges_of(mask: np.ndarray, number: int) -> tuple[Lattice, list[np.ndarray]]:
     """The edges of a region with the cells of a mask: its number, their cells and ways."""
     lattice = Lattice(0.0, float(mask.shape[0]), 1.0, mask.shape[1], mask.shape[0])
     cell, way = (part.ravel() for part in np.meshgrid(np.flatnonzero(mask), np.arange(4)))
-    other = beside(lattice, cell, way)
+    other = neighbor_cells(lattice, cell, way)
     ends = (other < 0) | ~mask.ravel()[other]
     return lattice, [np.full(ends.sum(), number, dtype=np.int32), cell[ends], way[ends]]
 
@@ -45,6 +45,6 @@ def test_edges_of_holes_are_those_that_no_cells_beyond_join_to_the_first(mask, t
         number, cell, way = np.append(number, number + 2), np.tile(cell, 2), np.tile(way, 2)
     order = np.random.default_rng(0).permutation(len(cell))
     nothing = np.empty(0)
-    edges = Edges(number[order], cell[order], nothing, way[order], nothing, nothing, nothing)
+    edges = RegionEdges(number[order], cell[order], nothing, way[order], nothing, nothing, nothing)
     expected = slow_holes(mask, cell[order], way[order])
-    np.testing.assert_array_equal(find_holes(edges, lattice), expected)
+    np.testing.assert_array_equal(find_hole_edges(edges, lattice), expected)

@@ -8,11 +8,11 @@ import pytest
 from scipy import ndimage
 
 from navbake.baker.core.area_test import AreaTest, disc_half_widths, is_large_enough
-from navbake.baker.floors import member_kernels as members
+from navbake.baker.floors import region_kernels
 from navbake.config.settings import FloorSettings
 from navbake.navgrid.lattice import Lattice
 
-shrink = numba.njit(members.shrink.py_func)
+shrink = numba.njit(region_kernels.shrink.py_func)
 
 
 def count(mask, limit):

@@ -13,16 +13,17 @@ from hypothesis import strategies as st
 
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.core.blocks import Blocks
+from navbake.baker.floors.level_assignment import HISTOGRAM_ROWS
 from navbake.baker.floors.level_kernels import (
     MOVE_FLOOR,
     MOVE_STAIR,
     SKIP_FLOOR,
     SKIP_STAIR,
     Candidates,
-    climb,
-    place_blocks,
+    LevelRule,
+    assign_columns,
+    find_largest_areas,
 )
-from navbake.baker.floors.storeys import ROWS_AND_HEIGHTS
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
@@ -219,18 +220,19 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
         normal=none,
     )
     candidates = Candidates(
-        key=ids.astype(np.int8),
+        group=ids.astype(np.int8),
         plateau=np.arange(num, dtype=np.int32),
         is_stair=np.array(is_stair),
     )
     level, grounds = np.empty(num, dtype=np.int32), np.arange(num_levels, dtype=np.float64)
     Blocks(surfaces.lattice).list_rows(
-        place_blocks,
-        ROWS_AND_HEIGHTS,
+        assign_columns,
+        HISTOGRAM_ROWS,
         surfaces,
         candidates,
-        (grounds, 1e-6, False),
-        (ids, level),
+        LevelRule(grounds, tolerance=1e-6, skip_floors=False),
+        ids,
+        level,
     )
     return np.maximum(level, -1).tolist()
 
@@ -280,13 +282,13 @@ def test_columns_of_stairwells():
     st.lists(st.integers(1, 50), min_size=n, max_size=n),
 )))  # fmt: skip
 @settings(deadline=None)  # the first one may compile
-def test_climb_finds_the_largest_floor_above_and_below(graph):
+def test_climbing_stairs_finds_the_largest_floor_above_and_below(graph):
     """Parts are numbered by their heights; each is asked what it leads to, step by step."""
     steps, area = graph
     edges = sorted({(min(a, b), max(a, b)) for a, b in steps if a != b})
     lower, upper = np.array(edges, dtype=np.int64).reshape(-1, 2).T
     orders = np.argsort(lower, kind="stable"), np.argsort(upper, kind="stable")
-    above, below = climb(lower, upper, np.array(area), *orders)
+    above, below = find_largest_areas(lower, upper, np.array(area), *orders)
 
     def reach(part: int, up: bool) -> set[int]:
         ways = edges if up else [(b, a) for a, b in edges]

@@ -112,7 +112,7 @@ def test_the_ground_is_no_top(tmp_path: Path, name, margin):
 def test_what_stands_on_a_floor_has_a_top(tmp_path: Path, name, geoms):
     floors = find_floors_of(tmp_path, geoms)
     assert [level.ground for level in floors.levels] == [0.0]
-    assert len(floors.tops) == 1 and floors.tops[0].place[2] > 0.5
+    assert len(floors.tops) == 1 and floors.tops[0].position[2] > 0.5
 
 
 def test_large_top_is_told_of_with_a_place_that_keeps_it(tmp_path: Path):

@@ -16,7 +16,7 @@ from navbake.baker.bake.lattice import extend_lattice
 from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.baker.bake.stages import bake_stages
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors
-from navbake.baker.floors.reach import Unreached
+from navbake.baker.floors.reach import UnreachedFloors
 from navbake.baker.floors.regions import Patch
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
@@ -166,13 +166,13 @@ def test_levels_and_links_of_a_window_are_numbered_anew():
     links = np.array([[0, 0, 1, 0], [0, 1, 2, 2], [0, 4, 2, 5], [1, 1, 2, 2], [2, 6, 3, 7]])
     cells = np.array([[0, 4], [4, 5]])
     patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), cells[k]) for k in (0, 1)]
-    unreached = [Unreached(level, patches[1], True) for level in (1, 2)]
+    unreached = [UnreachedFloors(level, patches[1], True) for level in (1, 2)]
     whole = Floors(levels, links, patches, [], [], unreached, [], patches[:1], [], [], [])
     window = crop_floors(whole, (slice(0, 2), slice(1, 4)))
     assert [level.name for level in window.levels] == ["level 0", "level 1", "attic"]
     assert [level.ground for level in window.levels] == [0, 6, 9]
     assert window.links.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
-    assert window.tops == patches[1:] and window.enclosed == []
+    assert window.tops == patches[1:] and window.enclosed_by_meshes == []
     assert [part.level for part in window.unreached] == [1]
     np.testing.assert_array_equal(window.levels[1].floor, floor[:, 1:] + 6)
     nowhere = replace(whole, levels=[replace(level, standable=first) for level in levels])

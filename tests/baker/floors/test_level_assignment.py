@@ -57,7 +57,7 @@ def test_treads_without_room_in_their_columns_are_left_out(tmp_path: Path):
     stages = stages_of_xml(tmp_path, two_storeys(under=0.06))
     assert grounds(stages) == [0, 2.8]
     [warning] = [text for text in warnings_of(stages) if "more floors than there are" in text]
-    count = sum(len(patch.cells) for patch in stages.floors.spare)
+    count = sum(len(patch.cells) for patch in stages.floors.without_level)
     assert 0 < count < 40
     assert f"{count} cells of 'tread" in warning
 
@@ -83,10 +83,10 @@ def test_what_a_walk_needs_opens_a_level(tmp_path: Path, size):
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
     if size == 0.5:
         assert grounds(stages) == [0, 4.8]
-        assert 1 < sum(patch.area for patch in stages.floors.spare) < 2
+        assert 1 < sum(patch.area for patch in stages.floors.without_level) < 2
     else:
         assert len(stages.floors.levels) > 2
-        assert stages.floors.spare == []
+        assert stages.floors.without_level == []
     assert stages.floors.unreached == []
 
 
@@ -126,7 +126,7 @@ def cast(folder: Path, xml: str) -> Stages:
 
 
 def column(stages: Stages, x: float, y: float) -> list[tuple[float, int]]:
-    columns = stages.floor_columns.at(np.arange(stages.floor_columns.lattice.width))
+    columns = stages.floor_columns.covering(np.arange(stages.floor_columns.lattice.width))
     lattice = columns.lattice
     row, col = (int(i[0]) for i in lattice.rows_cols([[x, y]]))
     first, end = columns.start[[row * lattice.width + col, row * lattice.width + col + 1]]
@@ -142,7 +142,7 @@ def test_line_in_a_common_face_belongs_to_the_eastern_and_northern_geom(tmp_path
     assert column(stages, 0.35, 0.95) == [(0.0, 0), (0.2, 0)]
     south, north = box("", 0, 0, 0, 1, 0.45, 0.2), box("", 0, 0.45, 0, 1, 1, 0.7)
     stages = stages_of_xml(tmp_path, world(south + north))
-    columns = stages.floor_columns.at(np.arange(100))
+    columns = stages.floor_columns.covering(np.arange(100))
     cell = 5 * 10 + 3  # of the row whose centre is at y = 0.45
     first, end = columns.start[cell], columns.start[cell + 1]
     assert columns.geom[first:end].tolist() == [1, 1]
@@ -164,7 +164,7 @@ def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
     one, other = boxes, bake_stages({"scene": {"path": str(mesh), "up": "z"}})
     settled = []
     for stages in (one, other):
-        columns = stages.floor_columns.at(np.arange(3))
+        columns = stages.floor_columns.covering(np.arange(3))
         raw = cast_columns(stages.floor_tile_index)
         settled.append(np.flatnonzero(np.diff(columns.start) != np.diff(raw.start)).tolist())
     assert settled[0] == settled[1] != []

@@ -1,0 +1,684 @@
+"""Assign the surfaces of floors to levels.
+
+The steps, in their order:
+
+1. `_find_stairs` tells the plateaus of stairs and ramps from those of floors.
+2. `_find_grounds` counts the heights of floors over floors in histograms, and so finds the grounds:
+   the heights at which levels begin. Levels of the configuration have their grounds.
+3. `_assign_surfaces` assigns each surface to a level by its height, and by the surfaces above and
+   below it in its column; `_lower_grounds` lowers grounds to parts of floors just below them.
+4. `_resolve_full_columns` leaves out surfaces of columns that have more of them than there are
+   levels, or opens further levels.
+5. `_drop_empty_levels` numbers and names the levels that have surfaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.core.area_test import AreaTest, area_test, is_large_enough
+from navbake.baker.core.arrays import HeightRange
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.floors import level_kernels as kernels
+from navbake.baker.floors.component_kernels import HEIGHT_BIN, JoinRule, cross_tabulate
+from navbake.baker.floors.level_kernels import (
+    ALL_WINDOWS,
+    LOWEST_SURFACES,
+    NO_FREE_LEVEL,
+    Candidates,
+    HeightSelection,
+    LevelRule,
+)
+from navbake.baker.floors.region_kernels import RegionSurfaces
+from navbake.baker.floors.regions import (
+    NO_GROUPS,
+    NO_HEIGHTS,
+    NO_ROWS,
+    Components,
+    Patch,
+    Regions,
+    describe_surfaces,
+    find_components,
+    region_join_rule,
+)
+from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
+from navbake.threads import run_in_chunks
+from navbake.types import Bool, Float, Int, Int32
+
+# A ground of the configuration takes in floors down to this much below it [m]
+CONFIGURED_GROUND_TOLERANCE = 0.02
+# A level that is opened for stairs takes in surfaces of their region that lie so little below: that
+# much a scanned floor is uneven [m]
+UNEVENNESS = 0.005
+# Levels rarely begin farther above one another than this [m]. In a scene with more than so many
+# levels, the search for the next ground looks no higher at first, which saves time in towers.
+HIGH_STOREY = 8.0
+MANY_LEVELS = 4
+# A plateau is a part of a stair if the floors that it leads to are more than so many times larger
+STAIR_AREA_RATIO = 4
+# Grounds that are found are rounded to so many decimals [m]
+GROUND_DECIMALS = 9
+# Where no surface tells the ground of a further level, it is so much above the highest one [m]
+EXTRA_LEVEL_RISE = 1.0
+# Empty arrays of the rows of a histogram: counted numbers, and heights
+HISTOGRAM_ROWS = NO_ROWS, NO_HEIGHTS
+# An area test that shrinks nothing and needs no cell
+NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
+
+
+def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
+    """Return the heights [low, high) of the surfaces of each level of the configuration [m].
+
+    They begin `CONFIGURED_GROUND_TOLERANCE` below the level's ground, and end just below its top,
+    or where those of the next level begin, if that is lower.
+
+    Args:
+        level_settings: the levels of the configuration, lowest first.
+    """
+    height_ranges = []
+    for number, level in enumerate(level_settings):
+        top = np.inf
+        if number + 1 < len(level_settings):
+            top = level_settings[number + 1].ground - CONFIGURED_GROUND_TOLERANCE
+        if level.top is not None:
+            top = min(top, level.top)
+        low = level.ground - CONFIGURED_GROUND_TOLERANCE
+        height_ranges.append(HeightRange(low, top - LIMIT_SLACK))
+    return height_ranges
+
+
+class LevelCounts(NamedTuple):
+    """How many surfaces of a region are on a level; arrays of shape (n,), pairs may repeat.
+
+    Attributes:
+        region: ids of regions, int32.
+        level: final numbers of levels, int64.
+        num_surfaces: how many surfaces of the region are on the level, int64.
+    """
+
+    region: Int32
+    level: Int
+    num_surfaces: Int
+
+
+class LevelAssignment(NamedTuple):
+    """The surfaces of regions on levels, lowest level first.
+
+    Attributes:
+        grounds: by level, its ground height [m].
+        names: by level, its name.
+        level: by surface, its level before those without surfaces are left out; less than 0 for
+            none, int32.
+        final_level: by number in `level`, the level's index in `grounds`, int64.
+        counts: how many surfaces of which region are on which level.
+        without_level: surfaces left out because all levels of their columns are taken.
+    """
+
+    grounds: list[float]
+    names: list[str]
+    level: Int32
+    final_level: Int
+    counts: LevelCounts
+    without_level: list[Patch]
+
+
+class ComponentLevels(NamedTuple):
+    """How many surfaces of a component are on a level; arrays of shape (n,), pairs may repeat.
+
+    Attributes:
+        component: components of regions, int64.
+        level: their levels; NO_FREE_LEVEL or less for surfaces without one, int64.
+        num_surfaces: how many surfaces of the component are on the level, int64.
+        low: the lowest of their heights, float64 [m].
+    """
+
+    component: Int
+    level: Int
+    num_surfaces: Int
+    low: Float
+
+
+class SurfaceLevels(NamedTuple):
+    """The levels of all candidates, for some grounds: one attempt at an assignment.
+
+    Attributes:
+        grounds: the heights at which levels begin, ascending [m].
+        skips_floors: whether floors are left out rather than stairs where a column has too few
+            levels.
+        level: by surface, its level, see `assign_columns`, int32.
+        components: the same by components of regions.
+    """
+
+    grounds: list[float]
+    skips_floors: bool
+    level: Int32
+    components: ComponentLevels
+
+
+class HeightHistogram(NamedTuple):
+    """How many surfaces lie at which height; arrays of shape (n,), rows may repeat.
+
+    Attributes:
+        window: the number of a window of heights, see `HeightSelection`, int64.
+        height_bin: the number of a bin of heights inside of the window, int64.
+        num_surfaces: how many surfaces lie in the bin, int64.
+        low: the lowest of their heights, float64 [m].
+    """
+
+    window: Int
+    height_bin: Int
+    num_surfaces: Int
+    low: Float
+
+    def select(self, mask: Bool) -> HeightHistogram:
+        """The rows that a mask marks, shape (n,)."""
+        return HeightHistogram._make(column[mask] for column in self)
+
+    def most_common_height(self) -> float:
+        """The lowest height in the bin with the most surfaces [m]."""
+        bins, bin_index = np.unique(self.height_bin, return_inverse=True)
+        largest = int(np.bincount(bin_index, self.num_surfaces).argmax())
+        return float(self.low[self.height_bin == bins[largest]].min())
+
+
+class AssignmentInput(NamedTuple):
+    """The surfaces to assign to levels, and the settings that decide how.
+
+    Attributes:
+        regions: all regions.
+        candidates: which of their surfaces are assigned, and which are stairs.
+        is_stacked: whether any candidate lies above another one.
+        tolerance: how far below a ground the floors of its level may lie [m].
+        agent: whose step and slope count.
+        settings: `min_area` and `shrink` count.
+    """
+
+    regions: Regions
+    candidates: Candidates
+    is_stacked: bool
+    tolerance: float
+    agent: AgentSettings
+    settings: FloorSettings
+
+
+def assign_levels(
+    regions: Regions,
+    mask: Bool,
+    level_settings: Sequence[LevelSettings],
+    agent: AgentSettings,
+    settings: FloorSettings,
+) -> LevelAssignment:
+    """Assign the surfaces of some regions to levels.
+
+    Args:
+        regions: all regions.
+        mask: the regions that are floors, shape (regions,), bool.
+        level_settings: the levels of the configuration, of which only surfaces in
+            `level_height_ranges` are assigned; empty if levels are to be found.
+        agent: whose step and slope count.
+        settings: `min_area` and `shrink` count.
+    """
+    group = np.empty(len(regions.surfaces.z), dtype=np.int8)
+    has_stack = np.empty(regions.blocks.num, dtype=np.bool_)
+    height_ranges = np.array(level_height_ranges(level_settings), dtype=np.float64).reshape(-1, 2)
+    run_in_chunks(
+        kernels.mark_candidates,
+        regions.blocks.num,
+        regions.label_surfaces(mask),
+        height_ranges,
+        group,
+        has_stack,
+    )
+    is_stacked = bool(has_stack.any())
+    if is_stacked:
+        candidates = _find_stairs(regions, group, agent.traversable_floor_height)
+    else:
+        # stairs matter only where surfaces lie above each other
+        candidates = Candidates(group, NO_GROUPS, np.empty(0, np.bool_))
+    assignment_input = AssignmentInput(
+        regions=regions,
+        candidates=candidates,
+        is_stacked=is_stacked,
+        tolerance=CONFIGURED_GROUND_TOLERANCE if level_settings else LIMIT_SLACK,
+        agent=agent,
+        settings=settings,
+    )
+    if level_settings:
+        grounds = sorted(level.ground for level in level_settings)
+        surface_levels = _assign_surfaces(assignment_input, grounds)
+    else:
+        grounds = _find_grounds(assignment_input)
+        surface_levels = _lower_grounds(assignment_input, grounds)
+    without_level: list[Patch] = []
+    if (surface_levels.components.level <= NO_FREE_LEVEL).any():
+        surface_levels, without_level = _resolve_full_columns(assignment_input, surface_levels)
+    names = {level.ground: level.name for level in level_settings}
+    return _drop_empty_levels(regions, surface_levels, names, without_level)
+
+
+def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Candidates:
+    """Find which candidates are parts of stairs and ramps.
+
+    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if going only up from
+    it, and also going only down, leads to a floor more than four times as large as its own. A floor
+    is all of a region within half a step of its height, since walls and thresholds divide it.
+    """
+    plateau_rule = JoinRule(min(step, HEIGHT_BIN), link_step=step)
+    components = find_components(regions.surfaces, plateau_rule, group.astype(np.int32))
+    plateau_of_component = components.merge()
+    num_plateaus = int(plateau_of_component.max(initial=-1)) + 1
+
+    # the histogram of each plateau's heights; a plateau's component lies in one of a region
+    _, (rows, low) = regions.blocks.list_rows(
+        cross_tabulate,
+        HISTOGRAM_ROWS,
+        regions.surfaces,
+        components.number,
+        regions.components.number,
+        NO_GROUPS,
+    )
+    plateau = plateau_of_component[rows[:, 0]]
+    region = regions.of_component[rows[:, 1]].astype(np.int64)
+    height_bin = rows[:, 2]
+    num_surfaces = rows[:, 3]
+    height = np.full(num_plateaus, np.inf)
+    np.minimum.at(height, plateau, low)
+
+    half_step = max(step, HEIGHT_BIN) / 2
+    floor_area = _count_near_height(region, height_bin, num_surfaces, half_step)
+    area = np.zeros(num_plateaus, dtype=np.int64)
+    np.maximum.at(area, plateau, floor_area)
+
+    # steps between plateaus, from the lower to the upper one
+    first_plateau, second_plateau = components.linked_pairs(plateau_of_component)
+    is_first_lower = height[first_plateau] < height[second_plateau]
+    lower = np.where(is_first_lower, first_plateau, second_plateau)
+    upper = np.where(is_first_lower, second_plateau, first_plateau)
+    rises = height[lower] < height[upper]
+    lower = lower[rises]
+    upper = upper[rises]
+    above, below = kernels.find_largest_areas(
+        lower,
+        upper,
+        area,
+        np.argsort(height[lower], kind="stable"),
+        np.argsort(height[upper], kind="stable"),
+    )
+    is_stair = STAIR_AREA_RATIO * area < np.minimum(above, below)
+    return Candidates(group, components.number, is_stair[plateau_of_component])
+
+
+def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_step: float) -> Int:
+    """Count, by row of a histogram, the surfaces of the region within half a step of the height.
+
+    Rows may repeat.
+    """
+    num_bins = int(half_step / HEIGHT_BIN + LIMIT_SLACK)
+    # a sliding window over one axis of heights, on which each region has a stretch of its own, so
+    # far from the next one's that no window reaches it
+    lowest = height_bin.min(initial=0)
+    stretch = int(height_bin.max(initial=0) - lowest + 2 * num_bins + 1)
+    bin_on_axis = region * stretch + height_bin - lowest
+    bins, row_bin = np.unique(bin_on_axis, return_inverse=True)
+    cumulative = np.append(0, np.bincount(row_bin, num_surfaces).astype(np.int64).cumsum())
+    first = np.searchsorted(bins, bins - num_bins, side="left")
+    end = np.searchsorted(bins, bins + num_bins, side="right")
+    count: Int = (cumulative[end] - cumulative[first])[row_bin]
+    return count
+
+
+def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
+    """Find the ground heights of the levels, lowest first.
+
+    The first ground is the lowest floor that is large enough after shrinking; each further one is
+    the lowest such floor above floors of the level below. So a hill, a half-storey, a stair or a
+    platform with nothing under it opens no level.
+    """
+    half_step = max(assignment_input.agent.traversable_floor_height, HEIGHT_BIN) / 2
+    ground = _find_next_ground(assignment_input, -np.inf, half_step)
+    if ground is None:
+        # nothing is large enough: the most common height of what there is
+        selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
+        ground = _count_heights(assignment_input, selection, NO_SHRINKING).most_common_height()
+    grounds = [ground]
+    while assignment_input.is_stacked:
+        tops = [np.inf]
+        if len(grounds) > MANY_LEVELS:
+            tops = [grounds[-1] + HIGH_STOREY, np.inf]
+        ground = _find_next_ground(assignment_input, grounds[-1], half_step, tops)
+        if ground is None:
+            break
+        grounds.append(ground)
+    return [round(ground, GROUND_DECIMALS) for ground in grounds]
+
+
+def _find_next_ground(
+    assignment_input: AssignmentInput,
+    ground: float,
+    half_step: float,
+    tops: Sequence[float] = (np.inf,),
+) -> float | None:
+    """Find the ground of the lowest large floor above another ground, or None.
+
+    A floor is large if it passes the area test in a window of heights one step high; windows begin
+    half a step apart. The windows below each of `tops` are searched in turn.
+    """
+    disc = area_test(assignment_input.regions.lattice, assignment_input.settings)
+    for top in tops:
+        # before shrinking, to skip windows with too few surfaces
+        selection = HeightSelection(ground, ALL_WINDOWS, half_step, top)
+        histogram = _count_heights(assignment_input, selection, NO_SHRINKING)
+        windows, window_index = np.unique(histogram.window, return_inverse=True)
+        sums = np.bincount(window_index, histogram.num_surfaces)
+        num_in_window = dict(zip(windows.tolist(), sums.tolist(), strict=True))
+        # two windows of half a step each, the lower one first
+        first_windows = {
+            first
+            for window in num_in_window
+            for first in (window - 1, window)
+            if first >= windows[0]
+        }
+        for window in sorted(first_windows):
+            end = (window + 2) * half_step
+            num_surfaces = num_in_window.get(window, 0) + num_in_window.get(window + 1, 0)
+            if num_surfaces < disc.min_cells or end > top:
+                continue
+            # stairs and thresholds are too narrow to remain after shrinking
+            selection = HeightSelection(ground, window, half_step, end)
+            remaining = _count_heights(assignment_input, selection, disc)
+            if remaining.num_surfaces.sum() < disc.min_cells:
+                continue
+            if len(remaining.num_surfaces):
+                return remaining.most_common_height()
+            in_windows = np.isin(histogram.window, [window, window + 1])
+            return histogram.select(in_windows).most_common_height()
+    return None
+
+
+def _count_heights(
+    assignment_input: AssignmentInput, selection: HeightSelection, disc: AreaTest
+) -> HeightHistogram:
+    """Count the heights of the selected floors after shrinking, see `count_heights`."""
+    regions = assignment_input.regions
+    _, (rows, low) = regions.blocks.list_rows(
+        kernels.count_heights,
+        HISTOGRAM_ROWS,
+        regions.surfaces,
+        assignment_input.candidates,
+        selection,
+        disc,
+    )
+    return HeightHistogram(
+        window=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], low=low
+    )
+
+
+def _assign_surfaces(
+    assignment_input: AssignmentInput, grounds: list[float], skip_floors: bool = False
+) -> SurfaceLevels:
+    """Assign the candidates to levels that begin at some grounds, see `assign_columns`.
+
+    Args:
+        assignment_input: the surfaces to assign.
+        grounds: of the levels, ascending [m].
+        skip_floors: whether floors are left out rather than stairs where a column has too few
+            levels.
+    """
+    regions = assignment_input.regions
+    level = np.empty(len(regions.surfaces.z), dtype=np.int32)
+    _, (rows, low) = regions.blocks.list_rows(
+        kernels.assign_columns,
+        HISTOGRAM_ROWS,
+        regions.surfaces,
+        assignment_input.candidates,
+        LevelRule(np.array(grounds), assignment_input.tolerance, skip_floors),
+        regions.components.number,
+        level,
+    )
+    components = ComponentLevels(
+        component=rows[:, 0], level=rows[:, 2], num_surfaces=rows[:, 3], low=low
+    )
+    return SurfaceLevels(grounds, skip_floors, level, components)
+
+
+def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
+    """Assign surfaces to levels, after lowering grounds to parts of floors just below them.
+
+    Such parts lie within a step below the ground, are no stairs, and steps join them to nothing
+    else than the level's floor.
+    """
+    surface_levels = _assign_surfaces(assignment_input, grounds)
+    for _ in grounds[1:]:
+        lowered = _lower_grounds_once(assignment_input, surface_levels)
+        if lowered == surface_levels.grounds:
+            break
+        surface_levels = _assign_surfaces(assignment_input, lowered)
+    if surface_levels.grounds != sorted(surface_levels.grounds):
+        surface_levels = _assign_surfaces(assignment_input, sorted(surface_levels.grounds))
+    return surface_levels
+
+
+def _lower_grounds_once(
+    assignment_input: AssignmentInput, surface_levels: SurfaceLevels
+) -> list[float]:
+    """Return the grounds, each lowered to parts of its floor that are on the level below."""
+    regions = assignment_input.regions
+    candidates = assignment_input.candidates
+    step = assignment_input.agent.traversable_floor_height
+    grounds = surface_levels.grounds
+
+    # the connected parts of each level
+    rule = JoinRule(step, link_step=step)
+    components = find_components(regions.surfaces, rule, surface_levels.level)
+    part_of_component = components.merge()
+    num_parts = int(part_of_component.max(initial=-1)) + 1
+    _, (rows, heights) = regions.blocks.list_rows(
+        cross_tabulate,
+        HISTOGRAM_ROWS,
+        regions.surfaces,
+        components.number,
+        candidates.plateau,
+        surface_levels.level,
+    )
+    part = part_of_component[rows[:, 0]]
+    low = np.full(num_parts, np.inf)
+    np.minimum.at(low, part, heights)
+    level = np.zeros(num_parts, dtype=np.int64)
+    level[part] = rows[:, 2]
+    is_floor = ~candidates.is_stair[rows[:, 1]]
+    has_floor = np.bincount(part[is_floor], minlength=num_parts) > 0
+
+    # steps between parts, in both directions
+    first_part, second_part = components.linked_pairs(part_of_component)
+    from_part = np.append(first_part, second_part)
+    to_part = np.append(second_part, first_part)
+    lowered = list(grounds)
+    for k in range(1, len(grounds)):
+        is_from_below = level[from_part] == k - 1
+        is_to_level = level[to_part] == k
+        steps_to_level = from_part[is_from_below & is_to_level]
+        steps_elsewhere = from_part[is_from_below & ~is_to_level]
+        leads_to_level = np.bincount(steps_to_level, minlength=num_parts) > 0
+        leads_elsewhere = np.bincount(steps_elsewhere, minlength=num_parts) > 0
+        is_near = low >= grounds[k] - step - LIMIT_SLACK
+        belongs_to_level = has_floor & leads_to_level & ~leads_elsewhere & is_near
+        if belongs_to_level.any():
+            lowest = round(float(low[belongs_to_level].min()), GROUND_DECIMALS)
+            lowered[k] = min(grounds[k], lowest)
+    return lowered
+
+
+def _resolve_full_columns(
+    assignment_input: AssignmentInput, surface_levels: SurfaceLevels
+) -> tuple[SurfaceLevels, list[Patch]]:
+    """Assign surfaces again where columns have more of them than there are levels.
+
+    Stairs, or else the floors under them, are left out if they are dispensable, see
+    `_are_dispensable`. Else a level is opened at the lowest surface without one, or a little below
+    it on its region, so that an uneven floor stays on one level.
+
+    Returns:
+        The surfaces on their levels, and those that are left out.
+    """
+    regions = assignment_input.regions
+    walks = _find_walks(assignment_input, assignment_input.candidates.group)
+    while True:
+        full_regions = _list_full_regions(regions, surface_levels)
+        if _are_dispensable(assignment_input, surface_levels, full_regions, walks):
+            break
+        without_floors = _assign_surfaces(
+            assignment_input, surface_levels.grounds, skip_floors=True
+        )
+        full_floors = _list_full_regions(regions, without_floors)
+        if _are_dispensable(assignment_input, without_floors, full_floors, walks):
+            surface_levels = without_floors
+            full_regions = full_floors
+            break
+        ground = _choose_extra_ground(assignment_input.candidates, surface_levels, full_regions)
+        grounds = sorted([*surface_levels.grounds, ground])
+        surface_levels = _assign_surfaces(assignment_input, grounds)
+    without_level = []
+    for region_surfaces in full_regions:
+        has_no_level = surface_levels.level[region_surfaces.surface_id] <= NO_FREE_LEVEL
+        without_level.append(
+            describe_surfaces(regions.lattice, region_surfaces.select(has_no_level))
+        )
+    return surface_levels, without_level
+
+
+def _list_full_regions(regions: Regions, surface_levels: SurfaceLevels) -> list[RegionSurfaces]:
+    """List the surfaces of each region of which any surface has no level."""
+    components = surface_levels.components
+    has_no_level = components.level <= NO_FREE_LEVEL
+    region_ids = np.unique(regions.of_component[components.component[has_no_level]])
+    return [regions.surfaces_of(region) for region in region_ids.tolist()]
+
+
+def _choose_extra_ground(
+    candidates: Candidates, surface_levels: SurfaceLevels, full_regions: list[RegionSurfaces]
+) -> float:
+    """Choose the ground of a further level, for surfaces without a level."""
+    grounds = surface_levels.grounds
+    components = surface_levels.components
+    has_no_level = components.level == NO_FREE_LEVEL
+    lowest_without = float(components.low[has_no_level].min(initial=np.inf))
+    if lowest_without == np.inf:
+        # all are at grounds, so the levels of their columns are taken: open one above all levels
+        return max(grounds) + EXTRA_LEVEL_RISE
+    heights = []
+    for region_surfaces in full_regions:
+        is_candidate = candidates.group[region_surfaces.surface_id] >= 0
+        heights.append(region_surfaces.z[is_candidate])
+    z = np.concatenate(heights)
+    # above each ground below the surface
+    grounds_below = [ground + LIMIT_SLACK for ground in grounds if ground <= lowest_without]
+    low = max([lowest_without - UNEVENNESS, *grounds_below])
+    is_near = (z >= low) & (z <= lowest_without)
+    return round(float(z[is_near].min(initial=lowest_without)), GROUND_DECIMALS)
+
+
+def _are_dispensable(
+    assignment_input: AssignmentInput,
+    surface_levels: SurfaceLevels,
+    full_regions: list[RegionSurfaces],
+    walks: Components,
+) -> bool:
+    """Return whether the surfaces without a level can be left out.
+
+    They can if they are rims, nowhere wider than floors are shrunk by; or floors under stairs that
+    are too small to be floors by themselves. And they must not cut a walk: without them, the other
+    surfaces of their regions make up no more walks that are large enough for floors.
+
+    Args:
+        assignment_input: the surfaces that are assigned.
+        surface_levels: their levels.
+        full_regions: the surfaces of the regions of which any has no level.
+        walks: of all candidates, see `_find_walks`.
+    """
+    if not full_regions:
+        return True
+    lattice = assignment_input.regions.lattice
+    settings = assignment_input.settings
+    size_limits = settings
+    if not surface_levels.skips_floors:
+        rim = {"min_area": lattice.cell_size**2, "shrink": settings.shrink / 2}
+        size_limits = settings.model_copy(update=rim)
+    for region_surfaces in full_regions:
+        has_no_level = surface_levels.level[region_surfaces.surface_id] <= NO_FREE_LEVEL
+        cells = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+        cells[region_surfaces.cell[has_no_level]] = True
+        if is_large_enough(lattice, size_limits, cells):
+            return False
+    candidate_group = assignment_input.candidates.group
+    remaining_group = np.where(surface_levels.level <= NO_FREE_LEVEL, np.int8(-1), candidate_group)
+    remaining_walks = _find_walks(assignment_input, remaining_group)
+    min_cells = area_test(lattice, settings).min_cells
+    num_remaining = _count_walks(remaining_walks, full_regions, min_cells)
+    return num_remaining <= _count_walks(walks, full_regions, min_cells)
+
+
+def _find_walks(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
+    """Find the walks: the components of surfaces that steps connect, by groups of surfaces."""
+    surfaces = assignment_input.regions.surfaces
+    rule = region_join_rule(surfaces.lattice, assignment_input.agent)
+    return find_components(surfaces, rule, group.astype(np.int32))
+
+
+def _count_walks(walks: Components, regions: list[RegionSurfaces], min_surfaces: int) -> int:
+    """Count the walks that have so many surfaces of a region, or more."""
+    walk_of_component = walks.merge()
+    num_walks = 0
+    for region_surfaces in regions:
+        component = walks.number[region_surfaces.surface_id]
+        walk = walk_of_component[component[component >= 0]]
+        num_walks += int(np.count_nonzero(np.bincount(walk) >= min_surfaces))
+    return num_walks
+
+
+def _drop_empty_levels(
+    regions: Regions,
+    surface_levels: SurfaceLevels,
+    names: dict[float, str | None],
+    without_level: list[Patch],
+) -> LevelAssignment:
+    """Leave out the levels without surfaces, and name the others.
+
+    Args:
+        regions: all regions.
+        surface_levels: their surfaces on levels.
+        names: the names of levels by their grounds; other levels are named by their numbers.
+        without_level: see `LevelAssignment`.
+    """
+    components = surface_levels.components
+    has_level = components.level >= 0
+    level = components.level[has_level]
+    is_used = np.bincount(level, minlength=len(surface_levels.grounds)) > 0
+    final_level = np.cumsum(is_used, dtype=np.int64) - 1
+    grounds = [surface_levels.grounds[k] for k in np.flatnonzero(is_used).tolist()]
+    return LevelAssignment(
+        grounds=grounds,
+        names=_name_levels([names.get(ground) for ground in grounds]),
+        level=surface_levels.level,
+        final_level=final_level,
+        counts=LevelCounts(
+            region=regions.of_component[components.component[has_level]],
+            level=final_level[level],
+            num_surfaces=components.num_surfaces[has_level],
+        ),
+        without_level=without_level,
+    )
+
+
+def _name_levels(configured_names: list[str | None]) -> list[str]:
+    """Name each level differently; those without a configured name by their number."""
+    names: list[str] = []
+    for number, configured_name in enumerate(configured_names):
+        name = configured_name or f"level {number}"
+        while name in names or (not configured_name and name in configured_names):
+            name += "'"
+        names.append(name)
+    return names

@@ -1,0 +1,339 @@
+"""Find the edges of regions, what lies below them, and what is left of regions that are shrunk.
+
+An edge is a side of a cell beyond which the cell's region has no surface, as in Recast's region
+contours. Shrinking is an erosion by a disc, whose rows are intervals (Ji, Piper and Tang, Erosion
+and Dilation of Binary Images by Arbitrary Structuring Elements Using Interval Coding, 1989): a cell
+remains if all cells nearer than the disc's radius belong to the mask.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.core.tiles import block_window
+from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.core.union_find import find_root, unite
+from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfaces
+from navbake.compiled import NO_REFCOUNT, kernel, subkernel
+from navbake.types import Bool, Float, Int, Int32
+
+# In place of the id of a surface beyond an edge
+NO_SURFACE = np.int64(-1)  # there is none that counts
+SAME_REGION = np.int64(-2)  # the edge's own region has a surface there
+
+
+class LabelledSurfaces(NamedTuple):
+    """Surfaces with the ids of some regions, as kernels take them.
+
+    Attributes:
+        surfaces: all surfaces.
+        component: by surface, the id of its component, see `Components`, -1 for none, int32.
+        region: by component, the id of its region; -1 if that is not among those that count, int32.
+    """
+
+    surfaces: Surfaces
+    component: Int32
+    region: Int32
+
+
+class RegionSurfaces(NamedTuple):
+    """The surfaces of a region or of several, in the order of their cells, shape (n,).
+
+    Attributes:
+        cell: ids of the cells, int64.
+        z: heights, float64 [m].
+        geom: MuJoCo's geom ids, int32.
+        surface_id: indices into `Surfaces`, int64.
+    """
+
+    cell: Int
+    z: Float
+    geom: Int32
+    surface_id: Int
+
+    def select(self, mask: Bool) -> "RegionSurfaces":
+        """The surfaces that a mask of shape (n,) marks."""
+        return RegionSurfaces._make(array[mask] for array in self)
+
+
+class RegionEdges(NamedTuple):
+    """Edges of regions, and the floors below them; arrays of shape (edges,) or (edges, reach).
+
+    Attributes:
+        region: the region that ends at the edge, int32.
+        cell: the cell on the region's side, int64.
+        z: the region's height in that cell, float64 [m].
+        direction: the direction out of the region: EAST, SOUTH, WEST or NORTH, int64.
+        cells_beyond: the cells in that direction, the nearest first; -1 from where the lattice ends
+            or the region begins again, shape (edges, reach), int64.
+        floors_below: in each of these cells the highest floor of another region that is more than a
+            step lower, NaN for none, shape (edges, reach), float64 [m].
+        regions_below: the regions of these floors, -1 for none, shape (edges, reach), int32.
+    """
+
+    region: Int32
+    cell: Int
+    z: Float
+    direction: Int
+    cells_beyond: Int
+    floors_below: Float
+    regions_below: Int32
+
+    def select(self, selection: Bool | Int) -> "RegionEdges":
+        """Some of the edges, by a mask of shape (edges,) or by their indices."""
+        return RegionEdges._make(array[selection] for array in self)
+
+
+@subkernel(**NO_REFCOUNT)
+def shrink(mask, disc, remaining):
+    """Erode a mask by a disc.
+
+    Args:
+        mask: 1 at the cells to shrink and 0 elsewhere, with a margin of `disc.radius` cells on each
+            side, int32. It is overwritten: each cell receives how many cells of the mask end there
+            in a row, so that one comparison tests a row of the disc.
+        disc: an `AreaTest`.
+        remaining: receives which cells remain, bool, without the margin.
+    """
+    for row in range(mask.shape[0]):
+        for col in range(1, mask.shape[1]):
+            mask[row, col] *= mask[row, col - 1] + 1
+    for r in range(remaining.shape[0]):
+        for c in range(remaining.shape[1]):
+            remaining[r, c] = True
+            for k in range(disc.half_widths.shape[0]):
+                half = disc.half_widths[k]
+                if mask[r + k, c + disc.radius + half] <= 2 * half:
+                    remaining[r, c] = False
+                    break
+
+
+@subkernel(inline="always")
+def region_of_surface(labelled, j):
+    """The region of a surface, or -1.
+
+    Args:
+        labelled: a `LabelledSurfaces`.
+        j: the id of the surface.
+    """
+    component = labelled.component[j]
+    return labelled.region[component] if component >= 0 else np.int32(-1)
+
+
+@subkernel(inline="always")
+def _find_surface_below(labelled, row, col, region, limit):
+    """The highest surface of another region below a limit in a cell; NO_SURFACE or SAME_REGION."""
+    surfaces = labelled.surfaces
+    highest = NO_SURFACE
+    cell = row * surfaces.lattice.width + col
+    for j in range(surfaces.first[cell], surfaces.end[cell]):
+        region_here = region_of_surface(labelled, j)
+        if region_here == region:
+            return SAME_REGION
+        if region_here >= 0 and surfaces.z[j] < limit:
+            highest = np.int64(j)
+    return highest
+
+
+@subkernel(**NO_REFCOUNT)
+def _mark_region(labelled, region, window, margin, mask):
+    """Mark a region's cells in a window and its margin, in a mask that is all 0."""
+    row0, row1, col0, col1 = window
+    lattice = labelled.surfaces.lattice
+    for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
+        for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
+            if _find_surface_below(labelled, row, col, region, -math.inf) == SAME_REGION:
+                mask[row - row0 + margin, col - col0 + margin] = 1
+
+
+@kernel(nogil=True)
+def mark_large_regions(labelled, boxes, regions, start, blocks, disc, is_large, begin, end):
+    """Mark the regions of ``regions[begin:end]`` that keep enough cells after shrinking.
+
+    Args:
+        labelled: a `LabelledSurfaces`.
+        boxes: by region, its first row and column, and those past its last ones, (regions, 4).
+        regions: ids of regions.
+        start: see `blocks`.
+        blocks: ids of the blocks that ``regions[n]`` lies in are ``blocks[start[n]:start[n + 1]]``.
+        disc: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
+        is_large: by region, receives whether it is large enough.
+        begin: the first of the regions to test.
+        end: past the last one.
+    """
+    radius = disc.radius
+    for n in range(begin, end):
+        region = regions[n]
+        num_remaining = 0
+        shorter_side = min(
+            boxes[region, 2] - boxes[region, 0],
+            boxes[region, 3] - boxes[region, 1],
+        )
+        for b in range(start[n], start[n + 1]):
+            if num_remaining >= disc.min_cells or shorter_side <= 2 * radius:
+                break
+            row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
+            row0 = max(row0, boxes[region, 0])
+            row1 = min(row1, boxes[region, 2])
+            col0 = max(col0, boxes[region, 1])
+            col1 = min(col1, boxes[region, 3])
+            if row1 > row0 and col1 > col0:
+                mask = np.zeros((row1 - row0 + 2 * radius, col1 - col0 + 2 * radius), np.int32)
+                _mark_region(labelled, region, (row0, row1, col0, col1), radius, mask)
+                remaining = np.empty((row1 - row0, col1 - col0), np.bool_)
+                shrink(mask, disc, remaining)
+                num_remaining += int(remaining.sum())
+        is_large[region] = num_remaining >= disc.min_cells
+
+
+@subkernel(inline="always")
+def _step_to(lattice, row, col, direction):
+    """The row and column of the next cell in a direction; a row less than 0 for none."""
+    row += 1 if direction == SOUTH else (-1 if direction == NORTH else 0)
+    col += 1 if direction == EAST else (-1 if direction == WEST else 0)
+    if row >= lattice.height or col < 0 or col >= lattice.width:
+        row = -1
+    return row, col
+
+
+@subkernel(**NO_REFCOUNT)
+def _has_drop(labelled, row, col, direction, region, limit, reach):
+    """Whether another region's surface lies below a limit, at most `reach` cells from an edge."""
+    for _ in range(reach):
+        row, col = _step_to(labelled.surfaces.lattice, row, col, direction)
+        below = SAME_REGION
+        if row >= 0:
+            below = _find_surface_below(labelled, row, col, region, limit)
+        if below != NO_SURFACE:
+            return below >= 0
+    return False
+
+
+@kernel(nogil=True, **NO_REFCOUNT)
+def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
+    """List the edges of regions in ``blocks[begin:end]``.
+
+    The rows, see `navbake.baker.core.blocks.list_rows`: the component, the cell, the id of the
+    surface, the direction out of the region, and whether a surface of another region lies more than
+    a step below within reach of the edge, 1 or 0.
+
+    Args:
+        labelled: a `LabelledSurfaces`.
+        lowest: no surface of a region is lower [m].
+        step: the highest step [m].
+        reach: how many cells beyond an edge are searched.
+        blocks: ids of blocks.
+        counts: receives the number of rows of each block.
+        columns: the array of the rows.
+        begin: the first of the blocks to list.
+        end: past the last one.
+    """
+    (rows,) = columns
+    num = 0
+    surfaces = labelled.surfaces
+    for k in range(begin, end):
+        num_before = num
+        row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[k])
+        for row in range(row0, row1):
+            for col in range(col0, col1):
+                cell = row * surfaces.lattice.width + col
+                for j in range(surfaces.first[cell], surfaces.end[cell]):
+                    region = region_of_surface(labelled, j)
+                    if region < 0:
+                        continue
+                    limit = surfaces.z[j] - step - LIMIT_SLACK
+                    for direction in range(4):
+                        r, c = _step_to(surfaces.lattice, row, col, direction)
+                        if r >= 0:
+                            below = _find_surface_below(labelled, r, c, region, limit)
+                            if below == SAME_REGION:
+                                continue
+                        if num == rows.shape[0]:
+                            return k
+                        has_drop = limit > lowest and _has_drop(
+                            labelled, row, col, direction, region, limit, reach
+                        )
+                        rows[num, 0] = labelled.component[j]
+                        rows[num, 1] = cell
+                        rows[num, 2] = j
+                        rows[num, 3] = direction
+                        rows[num, 4] = 1 if has_drop else 0
+                        num += 1
+        counts[k] = num - num_before
+    return end
+
+
+@kernel(nogil=True, **NO_REFCOUNT)
+def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, begin, end):
+    """Find the highest surface of another region below a limit, for each of ``cells[begin:end]``.
+
+    Args:
+        labelled: a `LabelledSurfaces`.
+        cells: ids of cells, (n,) int64.
+        regions: for each cell, the region whose surfaces don't count, int32.
+        limits: for each cell, the height that the surface has to be below [m].
+        below: receives the surfaces' ids, NO_SURFACE where there is none, and SAME_REGION where the
+            region itself has a surface in the cell, int64.
+        regions_below: receives the surfaces' regions, -1 for none, int32.
+        begin: the first of the cells.
+        end: past the last one.
+    """
+    width = labelled.surfaces.lattice.width
+    for n in range(begin, end):
+        row = cells[n] // width
+        col = cells[n] % width
+        j = _find_surface_below(labelled, row, col, regions[n], limits[n])
+        below[n] = j
+        regions_below[n] = region_of_surface(labelled, j) if j >= 0 else np.int32(-1)
+
+
+@kernel(nogil=True)
+def mark_hole_edges(cells, directions, start, lattice, in_hole):
+    """Mark the edges at the rims of holes in regions, by union-find over the cells beyond them.
+
+    Two edges are on one rim if a chain of cells beyond edges leads from one to the other, each
+    meeting the next at an edge or a corner. At a corner, one of the two cells between them must be
+    no cell of the region. The rim with the first of these cells, in the order of ids, is the outer
+    one; the others are rims of holes.
+
+    Args:
+        cells: the cell of each edge, region by region.
+        directions: the direction out of the region at each edge.
+        start: the n-th region has the edges ``start[n]:start[n + 1]``.
+        lattice: of the cells.
+        in_hole: by edge, receives whether it is at a hole's rim, bool.
+    """
+    # ids of cells on a padded lattice: a margin around it, and an empty column between two rows
+    width = lattice.width
+    stride = lattice.width + 3
+    to_neighbor = np.array([1, stride, -1, -stride])  # east, south, west and north
+    # SAME_REGION in the region's cells at edges; beyond edges, the parents of union-find
+    parent = np.full(stride * (lattice.height + 3), NO_SURFACE, np.int32)
+    inner, outer = np.empty((2, cells.shape[0]), np.int64)
+    for s in range(start.shape[0] - 1):
+        first = start[s]
+        end = start[s + 1]
+        first_outer = np.int64(parent.shape[0])
+        for n in range(first, end):
+            inner[n] = (cells[n] // width + 1) * stride + cells[n] % width + 1
+            outer[n] = inner[n] + to_neighbor[directions[n]]
+            first_outer = min(first_outer, outer[n])
+            parent[inner[n]] = SAME_REGION
+            parent[outer[n]] = outer[n]
+        for n in range(first, end):
+            cell = outer[n]
+            for neighbor in (cell + 1, cell + stride - 1, cell + stride, cell + stride + 1):
+                if parent[neighbor] < 0:
+                    continue
+                if neighbor != cell + 1 and neighbor != cell + stride:
+                    # they meet at a corner: the region may connect the two cells between them
+                    is_above_region = parent[neighbor - stride] == SAME_REGION
+                    if is_above_region and parent[cell + stride] == SAME_REGION:
+                        continue
+                unite(parent, cell, neighbor)
+        for n in range(first, end):
+            in_hole[n] = find_root(parent, outer[n]) != first_outer
+        for n in range(first, end):
+            parent[inner[n]] = NO_SURFACE
+            parent[outer[n]] = NO_SURFACE
