@@ -100,7 +100,7 @@ def grow_level(
     return GrownFloor(state.floor, state.ring)
 
 
-def find_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
+def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
     """Find where levels meet, and the neighbors that slopes join but no step does.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
-from navbake.baker.floors.growth import GrownFloor, find_links, grow_floors
+from navbake.baker.floors.growth import GrownFloor, find_level_links, grow_floors
 from navbake.baker.floors.level_assignment import (
     LevelAssignment,
     assign_levels,
@@ -26,14 +26,14 @@ from navbake.baker.floors.outline import (
 from navbake.baker.floors.reach import (
     ReachedRegions,
     UnreachedFloors,
-    find_enclosed,
-    find_starts,
-    find_unreached,
+    find_enclosed_floors,
+    find_start_regions,
+    find_unreached_floors,
     find_voids,
     mark_largest_on_lowest_level,
 )
 from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
-from navbake.baker.floors.rejected import find_rejected, mark_reported_roofs
+from navbake.baker.floors.rejected import find_rejected_regions, mark_reported_roofs
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -135,8 +135,8 @@ def find_floors(
         settings=settings,
         is_occupied=is_occupied,
     )
-    rejected = find_rejected(context, level_height_ranges(level_settings or ()))
-    is_start = find_starts(context, rejected, settings.starts)
+    rejected = find_rejected_regions(context, level_height_ranges(level_settings or ()))
+    is_start = find_start_regions(context, rejected, settings.starts)
     is_furniture = rejected.is_top | rejected.is_shelf
     is_floor = is_large & ~(is_furniture | rejected.is_roof) | is_start
     if not is_floor.any():
@@ -149,15 +149,15 @@ def find_floors(
     assignment = reached.assignment
     grown_floors = grow_floors(regions, assignment, is_large | is_start, agent)
     reported_roofs = mark_reported_roofs(context, rejected.is_roof & ~is_start, is_floor)
-    enclosed = find_enclosed(surfaces, agent, settings)
+    enclosed = find_enclosed_floors(surfaces, agent, settings)
     plane_geoms = shapes.planes.geom
     return Floors(
         levels=_make_level_floors(assignment, grown_floors, lattice, settings, is_occupied),
-        links=find_links(regions, assignment, agent),
+        links=find_level_links(regions, assignment, agent),
         tops=describe_regions(regions, is_furniture & ~is_start),
         roofs=describe_regions(regions, reported_roofs),
         small_starts=describe_regions(regions, is_start & ~is_large),
-        unreached=find_unreached(regions, assignment, reached.is_reached),
+        unreached=find_unreached_floors(regions, assignment, reached.is_reached),
         removed_by_reach=reached.removed_by_reach,
         enclosed_by_meshes=[patch for patch in enclosed if patch.geom not in plane_geoms],
         enclosed_by_planes=[patch for patch in enclosed if patch.geom in plane_geoms],
@@ -221,9 +221,13 @@ def find_reached_levels(
     for number, heights in enumerate(height_ranges):
         if not regions.mark_in_range(is_floor, heights).any():
             raise SceneError(_explain_no_floor_on(level_settings or (), number, context.columns))
-    is_kept = is_floor & (reached.is_reached if by_steps else ~reached.is_void)
-    if assignment is None or level_settings is not None or not np.array_equal(is_kept, is_floor):
-        assignment = assign_levels(regions, is_kept, level_settings or (), agent, settings)
+    is_included = is_floor & (reached.is_reached if by_steps else ~reached.is_void)
+    if (
+        assignment is None
+        or level_settings is not None
+        or not np.array_equal(is_included, is_floor)
+    ):
+        assignment = assign_levels(regions, is_included, level_settings or (), agent, settings)
         if not len(assignment.counts.level):
             start = "what `floors.from` names"
             if not has_starts:

@@ -143,7 +143,9 @@ class RegionContext(NamedTuple):
             open_edges = open_edges[is_inside]
             cells = cells[is_inside]
             limits = edges.z[open_edges] - step - LIMIT_SLACK
-            below, regions_below = find_below(labelled, cells, limits, edges.region[open_edges])
+            below, regions_below = find_highest_below(
+                labelled, cells, limits, edges.region[open_edges]
+            )
             is_outside = below != SAME_REGION
             open_edges = open_edges[is_outside]
             below = below[is_outside]
@@ -167,13 +169,13 @@ class RegionContext(NamedTuple):
         candidates = np.arange(len(outer))
         at_feet, at_head = probe_ranges(agent)
         # what meets the feet is a barrier; what meets the head, too, is a wall
-        for heights, kind_there in ((at_feet, BARRIER), (at_head, WALL)):
+        for heights, ending in ((at_feet, BARRIER), (at_head, WALL)):
             is_met = self.is_occupied(edges.cell[candidates], edges.z[candidates], heights)
-            try_beyond = np.flatnonzero(~is_met & (outer[candidates] >= 0))
-            cells = outer[candidates[try_beyond]]
-            is_met[try_beyond] = self.is_occupied(cells, edges.z[candidates[try_beyond]], heights)
+            not_met = np.flatnonzero(~is_met & (outer[candidates] >= 0))
+            cells = outer[candidates[not_met]]
+            is_met[not_met] = self.is_occupied(cells, edges.z[candidates[not_met]], heights)
             candidates = candidates[is_met]
-            kind[candidates] = kind_there
+            kind[candidates] = ending
         return kind
 
     def classify_edges(self, edges: RegionEdges) -> EdgeEndings:
@@ -300,7 +302,7 @@ def make_region_context(
     )
 
 
-def find_below(
+def find_highest_below(
     labelled: LabelledSurfaces, cells: Int, limits: Float, regions: Int32 | None = None
 ) -> tuple[Int, Int32]:
     """Find the highest surface of another region below a limit in each cell.

@@ -64,7 +64,7 @@ class UnreachedFloors:
     is_whole_level: bool
 
 
-def find_starts(
+def find_start_regions(
     context: RegionContext, rejected: RejectedRegions, positions: list[list[float]]
 ) -> Bool:
     """Find the regions on which agents start, from positions.
@@ -230,7 +230,7 @@ def find_voids(
     return ReachedRegions(is_reached, is_void)
 
 
-def find_unreached(
+def find_unreached_floors(
     regions: Regions, assignment: LevelAssignment, is_reached: Bool
 ) -> list[UnreachedFloors]:
     """Find the floors that no step leads to, one entry a level, lowest first.
@@ -289,7 +289,9 @@ def _describe_on_level(
     )
 
 
-def find_enclosed(surfaces: Surfaces, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:
+def find_enclosed_floors(
+    surfaces: Surfaces, agent: AgentSettings, settings: FloorSettings
+) -> list[Patch]:
     """Find floors inside of closed meshes and planes, where no agent can stand, the largest first.
 
     A floor that continues outside at its height only carries a closed thing, like a crate, unless

@@ -128,10 +128,10 @@ def _find_surface_below(labelled, row, col, region, limit):
     highest = NO_SURFACE
     cell = row * surfaces.lattice.width + col
     for j in range(surfaces.first[cell], surfaces.end[cell]):
-        region_here = region_of_surface(labelled, j)
-        if region_here == region:
+        cell_region = region_of_surface(labelled, j)
+        if cell_region == region:
             return SAME_REGION
-        if region_here >= 0 and surfaces.z[j] < limit:
+        if cell_region >= 0 and surfaces.z[j] < limit:
             highest = np.int64(j)
     return highest
 

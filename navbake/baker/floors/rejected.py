@@ -18,7 +18,7 @@ from navbake.baker.floors.outline import (
     DROP,
     WALL,
     RegionContext,
-    find_below,
+    find_highest_below,
     find_hole_edges,
     neighbor_cells,
     probe_ranges,
@@ -79,7 +79,9 @@ class RejectedRegions(NamedTuple):
     is_roof: Bool
 
 
-def find_rejected(context: RegionContext, height_ranges: Sequence[HeightRange]) -> RejectedRegions:
+def find_rejected_regions(
+    context: RegionContext, height_ranges: Sequence[HeightRange]
+) -> RejectedRegions:
     """Find the large regions that are no floors.
 
     A roof that is the only region of the scene, or of a level of the configuration, is a floor
@@ -92,16 +94,16 @@ def find_rejected(context: RegionContext, height_ranges: Sequence[HeightRange]) 
     """
     regions = context.regions
     is_large = context.is_large
-    nothing = np.zeros(regions.num, dtype=np.bool_)
-    is_top = nothing
-    is_shelf = nothing
-    is_roof = nothing
+    no_regions = np.zeros(regions.num, dtype=np.bool_)
+    is_top = no_regions
+    is_shelf = no_regions
+    is_roof = no_regions
     stacks = regions.find_stacks()
     size = np.maximum(regions.size, 1)
     sky_share = regions.num_uncovered / size
     # also over furniture: a hall's roof stays over its floor whatever stands there
-    num_over_others = stacks.num_cells * (stacks.upper != stacks.lower)
-    over_share = np.bincount(stacks.upper, num_over_others, regions.num) / size
+    num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
+    over_share = np.bincount(stacks.upper, num_cells_over, regions.num) / size
     if not context.settings.tops:
         is_top = _find_tops(context)
         is_shelf = _find_shelves(
@@ -112,7 +114,7 @@ def find_rejected(context: RegionContext, height_ranges: Sequence[HeightRange]) 
         is_roof = _find_roofs(context, may_be_roof, over_share)
     is_floor = is_large & ~(is_top | is_shelf | is_roof)
     if not is_floor.any():
-        is_roof = nothing
+        is_roof = no_regions
     for heights in height_ranges:
         on_level = regions.mark_in_range(is_large, heights)
         if not (on_level & is_floor).any():
@@ -233,7 +235,7 @@ def _count_over_room(context: RegionContext, region: int, floor: float) -> int:
     cells = members.cell
     step = context.agent.traversable_floor_height
     labelled = context.regions.label_surfaces(context.is_large)
-    below, _ = find_below(labelled, cells, members.z)
+    below, _ = find_highest_below(labelled, cells, members.z)
     has_floor = (below >= 0) & (labelled.surfaces.z[below] >= floor - step - LIMIT_SLACK)
     is_blocked = np.zeros(len(cells), dtype=np.bool_)
     run_in_chunks(
@@ -325,7 +327,7 @@ def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
     labelled = regions.label_surfaces(np.ones_like(candidates))
     for region in np.flatnonzero(candidates).tolist():
         members = regions.surfaces_of(region)
-        _, region_below = find_below(labelled, members.cell, members.z)
+        _, region_below = find_highest_below(labelled, members.cell, members.z)
         is_over_region = (region_below >= 0) & (region_below != region)
         is_over = np.zeros(lattice.shape, dtype=np.bool_)
         is_over.flat[members.cell] = mark_over_wall_tops(context, members) | is_over_region
