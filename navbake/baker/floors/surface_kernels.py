@@ -5,8 +5,10 @@ it: the line's exits from solids less its entries (signed crossings of a ray, as
 Miranda, A Winding Number and Point-in-Polygon Algorithm, 1995).
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,10 @@ from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.core.tiles import cell_center
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int32
+
+if TYPE_CHECKING:  # kernels depend on kernels alone
+    from navbake.navgrid.lattice import Lattice
 
 # Bits of `Surfaces.marks`.
 FLOOR_LIKE = 1  # a floor may continue at the surface
