@@ -302,7 +302,7 @@ def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeomet
         footprint.reach,
     )
     return CollisionGeometry(
-        parts=[CollisionShapes(cast_columns(tiled), tiled)],
+        sources=[CollisionShapes(cast_columns(tiled), tiled)],
         footprint=footprint,
         window=car.window,
     )

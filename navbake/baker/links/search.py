@@ -84,12 +84,12 @@ class CollisionGeometry(NamedTuple):
     """What an agent on a link may collide with.
 
     Attributes:
-        parts: the geometry, in parts of which each is checked by itself.
+        sources: the geometry; each source is checked by itself.
         footprint: the volume over a cell that has to be free.
         window: the part of the whole lattice that the geometry is on; None for all of it.
     """
 
-    parts: Sequence[CollisionShapes]
+    sources: Sequence[CollisionShapes]
     footprint: Footprint
     window: Window | None = None
 
@@ -98,11 +98,11 @@ class CollisionGeometry(NamedTuple):
 
         Args:
             shapes: the further shapes.
-            lattice: the lattice of the other parts.
+            lattice: the lattice of the geometry.
         """
         tiled = tile_shapes(shapes, lattice, self.footprint.reach)
-        further_part = CollisionShapes(cast_columns(tiled), tiled)
-        return self._replace(parts=[*self.parts, further_part])
+        further_source = CollisionShapes(cast_columns(tiled), tiled)
+        return self._replace(sources=[*self.sources, further_source])
 
 
 class CrossingGroup(NamedTuple):
@@ -290,10 +290,10 @@ class LinkSearch(NamedTuple):
         if geometry.window is not None:
             checked_cells, _ = crop_cells(checked_cells, geometry.window, width)
         is_clear = np.ones(len(crossings), dtype=np.bool_)
-        for part in geometry.parts:
+        for source in geometry.sources:
             occupancy = check_occupancy(
-                part.columns.covering(np.unique(checked_cells)),
-                part.tiles.near_cells(checked_cells),
+                source.columns.covering(np.unique(checked_cells)),
+                source.tiles.near_cells(checked_cells),
                 geometry.footprint,
                 checked_cells,
                 checked_heights,

@@ -119,11 +119,11 @@ def check_occupancy(
     shapes = tiled.shapes
     shape_arrays = ShapeArrays(shapes.solids, tiled.facets, shapes.planes)
     cells = cells.astype(np.int64, copy=False)
-    state = np.zeros(len(cells), dtype=np.uint8)
+    query_flags = np.zeros(len(cells), dtype=np.uint8)
     queries = Queries(
         cell=cells,
         floor=np.ascontiguousarray(floors),
-        state=state,
+        flags=query_flags,
         tested_flags=np.zeros(len(cells), dtype=np.uint8),
         geom_flags=np.zeros(len(cells), dtype=np.uint8),
     )
@@ -148,21 +148,21 @@ def check_occupancy(
         run_in_chunks(check_rows, last_row - first_row + 1, begin=first_row)
     geom, flags = _join_lists(lists_by_row, lists.first, cells, lattice)
 
-    occupied = (state & BLOCKING) > 0
-    is_undecided = ~occupied & ((state & MAYBE_BLOCKING) > 0)
+    occupied = (query_flags & BLOCKING) > 0
+    is_undecided = ~occupied & ((query_flags & MAYBE_BLOCKING) > 0)
     for n in np.flatnonzero(is_undecided):
         occupied[n] = _fcl_finds_overlap(tiled, footprint, int(cells[n]), float(floors[n]))
     square_occupied = occupied
     if footprint.radius > 0:
-        square_occupied = (state & BLOCKING_SQUARE) > 0
+        square_occupied = (query_flags & BLOCKING_SQUARE) > 0
         square = footprint._replace(square=lattice.cell_size / 2 - TOUCH_DEPTH, radius=0.0)
-        is_undecided = occupied & ~square_occupied & ((state & MAYBE_BLOCKING_SQUARE) > 0)
+        is_undecided = occupied & ~square_occupied & ((query_flags & MAYBE_BLOCKING_SQUARE) > 0)
         for n in np.flatnonzero(is_undecided):
             square_occupied[n] = _fcl_finds_overlap(tiled, square, int(cells[n]), float(floors[n]))
         square_occupied &= occupied
     if len(lists.first):
         # FCL has decided about the cell, not about a geom: all that may block an occupied cell do
-        for n in np.flatnonzero(occupied & ((state & MAYBE_BLOCKING) > 0)):
+        for n in np.flatnonzero(occupied & ((query_flags & MAYBE_BLOCKING) > 0)):
             i = lists.first[n]
             while geom[i] >= 0:
                 if flags[i] & MAYBE_BLOCKING:

@@ -7,7 +7,7 @@ A query is a cell and the height of a floor in it. It is decided in these steps:
 2. `_check_geom`: the geoms over a tile of cells, in the order of their ids, each get their flags in
    the queries near them: first those that the line proves (`find_flags_on_line`), then those of the
    volumes that one of the geom's shapes meets (`shape_meets_prism`). `volume_kernels` has both.
-3. `_keep_flags`: the flags are added to the query's state, and to the tile's list of occupants. A
+3. `_keep_flags`: the flags are added to the query's, and to the tile's list of occupants. A
    query is occupied if any geom is BLOCKING.
 4. If no geom is BLOCKING, but one is MAYBE_BLOCKING, the caller has to ask FCL.
 
@@ -73,7 +73,7 @@ if TYPE_CHECKING:  # kernels depend on kernels alone
     from navbake.baker.occupancy.footprint import Footprint
     from navbake.navgrid.lattice import Lattice
 
-BLOCKED_BY_LINE = 64  # of a query's state: its line alone proves that it is occupied
+BLOCKED_BY_LINE = 64  # of a query: its line alone proves that it is occupied
 NO_GEOM = np.int32(2**31 - 1)  # above all geom ids
 FIRST_ROOM = 1024  # entries that arrays have room for at first
 
@@ -133,7 +133,7 @@ class TileTask(NamedTuple):
         footprint: the volume that has to be free.
         queries: all queries, of which some are in the tile.
         lists: of occupants.
-        state: of the tile.
+        tile_state: the tile's.
     """
 
     lattice: Lattice
@@ -143,14 +143,14 @@ class TileTask(NamedTuple):
     footprint: Footprint
     queries: Queries
     lists: OccupantLists
-    state: TileState
+    tile_state: TileState
 
 
 @kernel(nogil=True)
 def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, first, end):
     """Decide the queries in rows of tiles ``range(first, end)``, and list their occupants.
 
-    A query's `state` says whether it is occupied. Its list holds the geoms with any flag, in the
+    A query's flags say whether it is occupied. Its list holds the geoms with any flag, in the
     order of ids, from `lists.first` to the geom -1. Lists begin at 1; place 0 is the list of all
     queries without occupants.
 
@@ -169,17 +169,17 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         The geom ids of all lists, int32; their flags, uint8; and how long the used part of both
         arrays is.
     """
-    state = TileState(
-        np.zeros((TILE, 2), np.int64),
-        np.empty((TILE, TILE), np.int64),
-        np.empty((TILE, TILE), np.int64),
-        np.empty(2),
-        np.empty(1, np.int64),
-        np.empty(4, np.int64),
-        np.empty((4, 2)),
-        np.empty((1, 6)),
-        np.empty(1, np.int32),
-        Scratch(make_simplex(), make_polygons()),
+    tile_state = TileState(
+        row_queries=np.zeros((TILE, 2), np.int64),
+        first_query=np.empty((TILE, TILE), np.int64),
+        end_query=np.empty((TILE, TILE), np.int64),
+        heights=np.empty(2),
+        open_cells=np.empty(1, np.int64),
+        pending=np.empty(4, np.int64),
+        pending_heights=np.empty((4, 2)),
+        geom_box=np.empty((1, 6)),
+        plane=np.empty(1, np.int32),
+        scratch=Scratch(make_simplex(), make_polygons()),
     )
     list_geom = np.empty(FIRST_ROOM, np.int32)
     list_flags = np.empty(FIRST_ROOM, np.uint8)
@@ -191,10 +191,19 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
     tiles_x = (lattice.width + TILE - 1) // TILE
     for tile in range(first * tiles_x, end * tiles_x):
         window = tile_window(lattice, tile)
-        num_queries = _find_queries(lattice, window, queries.cell, state.row_queries)
+        num_queries = _find_queries(lattice, window, queries.cell, tile_state.row_queries)
         if num_queries == 0:
             continue
-        task = TileTask(lattice, window, hits, shape_arrays, footprint, queries, lists, state)
+        task = TileTask(
+            lattice=lattice,
+            window=window,
+            hits=hits,
+            shape_arrays=shape_arrays,
+            footprint=footprint,
+            queries=queries,
+            lists=lists,
+            tile_state=tile_state,
+        )
         num_entries = np.int64(-1)
         while num_entries < 0:
             num_entries = _check_tile(task, tiles, tile, entries)
@@ -213,7 +222,13 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
             list_geom = larger_geom
             list_flags = larger_flags
         list_end = _write_lists(
-            state.row_queries, entries, num_entries, lists.first, list_geom, list_flags, list_end
+            tile_state.row_queries,
+            entries,
+            num_entries,
+            lists.first,
+            list_geom,
+            list_flags,
+            list_end,
         )
     return list_geom, list_flags, list_end
 
@@ -259,28 +274,30 @@ def _check_lines(task):
     """
     queries = task.queries
     lists = task.lists
-    state = task.state
+    tile_state = task.tile_state
     hits = task.hits
     footprint = task.footprint
     is_listing = lists.ceiling.shape[0] > 0
-    state.first_query[:] = 0
-    state.end_query[:] = 0
-    state.open_cells[0] = 0
-    state.heights[0] = math.inf
-    state.heights[1] = -math.inf
-    for tile_row in range(state.row_queries.shape[0]):
+    tile_state.first_query[:] = 0
+    tile_state.end_query[:] = 0
+    tile_state.open_cells[0] = 0
+    tile_state.heights[0] = math.inf
+    tile_state.heights[1] = -math.inf
+    for tile_row in range(tile_state.row_queries.shape[0]):
         row = task.window[0] + tile_row
-        for query in range(state.row_queries[tile_row, 0], state.row_queries[tile_row, 1]):
+        for query in range(
+            tile_state.row_queries[tile_row, 0], tile_state.row_queries[tile_row, 1]
+        ):
             cell = queries.cell[query]
             floor = queries.floor[query]
             col = cell - row * task.lattice.width
             tile_col = col - task.window[2]
-            if state.end_query[tile_row, tile_col] == 0:
-                state.first_query[tile_row, tile_col] = query
-            state.end_query[tile_row, tile_col] = query + 1
+            if tile_state.end_query[tile_row, tile_col] == 0:
+                tile_state.first_query[tile_row, tile_col] = query
+            tile_state.end_query[tile_row, tile_col] = query + 1
             agent_heights = HeightRange(floor + footprint.low, floor + footprint.high)
             is_blocked = is_line_blocked(hits, cell, agent_heights, ANY_GEOM)
-            queries.state[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
+            queries.flags[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if is_listing:
                 lists.first[query] = 0
                 floor_geom, gap_below = describe_floor(hits, cell, floor, lists.min_up)
@@ -288,9 +305,9 @@ def _check_lines(task):
                 lists.gap_below[query] = gap_below
             if is_listing or not is_blocked:
                 envelope = make_envelope(task.lattice, footprint, queries, lists, query, row, col)
-                state.heights[0] = min(state.heights[0], envelope.low)
-                state.heights[1] = max(state.heights[1], envelope.high)
-                state.open_cells[0] |= cell_bit(tile_row, tile_col)
+                tile_state.heights[0] = min(tile_state.heights[0], envelope.low)
+                tile_state.heights[1] = max(tile_state.heights[1], envelope.high)
+                tile_state.open_cells[0] |= cell_bit(tile_row, tile_col)
 
 
 # ---------------------------------------------------------------- the geoms over a tile
@@ -306,8 +323,8 @@ def _check_tile(task, tiles, tile, entries):
     solids = task.shape_arrays.solids
     facets = task.shape_arrays.facets
     planes = task.shape_arrays.planes
-    state = task.state
-    geom_box = state.geom_box
+    tile_state = task.tile_state
+    geom_box = tile_state.geom_box
     _check_lines(task)
     num_entries = np.int64(0)  # see `list_end` above
     plane_at = 0
@@ -315,7 +332,7 @@ def _check_tile(task, tiles, tile, entries):
     solid_end = tiles.solid_start[tile + 1]
     triangle_at = tiles.triangle_start[tile]
     triangle_end = tiles.triangle_start[tile + 1]
-    while num_entries >= 0 and state.open_cells[0] != 0:
+    while num_entries >= 0 and tile_state.open_cells[0] != 0:
         plane_geom = planes.geom[plane_at] if plane_at < planes.geom.shape[0] else NO_GEOM
         solid_geom = solids.geom[tiles.solid_item[solid_at]] if solid_at < solid_end else NO_GEOM
         triangle_geom = (
@@ -332,10 +349,10 @@ def _check_tile(task, tiles, tile, entries):
         end = solid_at + 1
         if geom == plane_geom:
             kind = PLANE_KIND
-            items = state.plane
+            items = tile_state.plane
             begin = np.int64(0)
             end = np.int64(1)
-            state.plane[0] = plane_at
+            tile_state.plane[0] = plane_at
             plane_at += 1
         elif geom == solid_geom:
             solid_at += 1
@@ -378,18 +395,21 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
     """
     lattice = task.lattice
     window = task.window
-    state = task.state
+    tile_state = task.tile_state
     queries = task.queries
-    if state.geom_box[0, 2] >= state.heights[1] or state.geom_box[0, 5] <= state.heights[0]:
+    if (
+        tile_state.geom_box[0, 2] >= tile_state.heights[1]
+        or tile_state.geom_box[0, 5] <= tile_state.heights[0]
+    ):
         return num_entries
     footprint = task.footprint
     facets = task.shape_arrays.facets
     # how far from a cell's centre its square, and any of its volumes, reach
     square_reach = lattice.cell_size / 2 + SEARCH_MARGIN
     reach = max(square_reach, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
-    near_geom = window_near_box(lattice, window, state.geom_box, 0, reach)
-    pending = state.pending
-    pending_heights = state.pending_heights
+    near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, reach)
+    pending = tile_state.pending
+    pending_heights = tile_state.pending_heights
     pending[:] = 0
     pending_heights[:, 0] = math.inf
     pending_heights[:, 1] = -math.inf
@@ -398,11 +418,11 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
         for col in range(near_geom[2], near_geom[3]):
             tile_row = row - window[0]
             tile_col = col - window[2]
-            first_query = state.first_query[tile_row, tile_col]
-            for query in range(first_query, state.end_query[tile_row, tile_col]):
+            first_query = tile_state.first_query[tile_row, tile_col]
+            for query in range(first_query, tile_state.end_query[tile_row, tile_col]):
                 queries.tested_flags[query] = 0
                 envelope = make_envelope(lattice, footprint, queries, task.lists, query, row, col)
-                if is_beside_prism(state.geom_box, 0, envelope):
+                if is_beside_prism(tile_state.geom_box, 0, envelope):
                     continue
                 if kind == PLANE_KIND and not plane_meets_prism(
                     task.shape_arrays.planes, shapes[0], envelope
@@ -449,8 +469,8 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
                 if (disc_cells | square_cells) & cell_bit(tile_row, tile_col) == 0:
                     continue
                 open_flags = np.int64(0)
-                first_query = state.first_query[tile_row, tile_col]
-                for query in range(first_query, state.end_query[tile_row, tile_col]):
+                first_query = tile_state.first_query[tile_row, tile_col]
+                for query in range(first_query, tile_state.end_query[tile_row, tile_col]):
                     if queries.tested_flags[query] & ~queries.geom_flags[query]:
                         volumes = make_volumes(
                             lattice, footprint, queries, task.lists, query, row, col
@@ -468,21 +488,21 @@ def _begin_geom(task, kind, geom, query, volumes):
     queries = task.queries
     lists = task.lists
     footprint = task.footprint
-    state = np.int64(queries.state[query])
+    query_flags = np.int64(queries.flags[query])
     tested_flags = 0
     geom_flags = 0
     # where the square is a part of the footprint, each geom is tested; else until one meets it
-    if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & BLOCKING_SQUARE):
+    if footprint.radius > 0.0 and (footprint.square > 0.0 or not query_flags & BLOCKING_SQUARE):
         tested_flags = BLOCKING_SQUARE
     if lists.ceiling.shape[0] > 0:
         tested_flags |= OCCUPYING | BLOCKING
         if kind != PLANE_KIND and lists.is_wall_candidate[geom]:  # a plane is no wall
             tested_flags |= AT_WALL_HEIGHT
         # the geom's own winding number proves BLOCKING only where that of all geoms does, too
-        provable = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if state & BLOCKED_BY_LINE else 0)
+        provable = OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if query_flags & BLOCKED_BY_LINE else 0)
         on_line = find_flags_on_line(task.hits, queries.cell[query], geom, volumes)
         geom_flags = on_line & provable & tested_flags
-    elif not state & BLOCKING:
+    elif not query_flags & BLOCKING:
         tested_flags |= BLOCKING
     queries.tested_flags[query] = tested_flags
     queries.geom_flags[query] = geom_flags
@@ -499,7 +519,7 @@ def _check_shape(task, kind, shape, query, volumes):
         flag = 1 << k
         if not open_flags & flag:
             continue
-        answer = shape_meets_prism(task.shape_arrays, kind, shape, volume, task.state.scratch)
+        answer = shape_meets_prism(task.shape_arrays, kind, shape, volume, task.tile_state.scratch)
         if answer == MEETS:
             geom_flags |= flag
         elif answer == APART:
@@ -528,12 +548,12 @@ def _make_entries(size):
 
 @subkernel(**NO_REFCOUNT)
 def _keep_flags(task, near, geom, entries, num_entries):
-    """Add a geom's flags to the states of the queries near it, and to the entries.
+    """Add a geom's flags to those of the queries near it, and to the entries.
 
     Cells that no further geom has to be tested for are closed. Returns the number of entries, or -1
     if there is no room for them.
     """
-    state = task.state
+    tile_state = task.tile_state
     queries = task.queries
     footprint = task.footprint
     is_listing = task.lists.ceiling.shape[0] > 0
@@ -542,8 +562,8 @@ def _keep_flags(task, near, geom, entries, num_entries):
             tile_row = row - task.window[0]
             tile_col = col - task.window[2]
             is_open = is_listing
-            first_query = state.first_query[tile_row, tile_col]
-            for query in range(first_query, state.end_query[tile_row, tile_col]):
+            first_query = tile_state.first_query[tile_row, tile_col]
+            for query in range(first_query, tile_state.end_query[tile_row, tile_col]):
                 flags = np.int64(queries.geom_flags[query])
                 if queries.tested_flags[query] and flags:
                     # the square is a part of the footprint, or lies in its disc
@@ -551,7 +571,7 @@ def _keep_flags(task, near, geom, entries, num_entries):
                         flags |= MAYBE_BLOCKING
                     if flags & BLOCKING_SQUARE:
                         flags |= BLOCKING
-                    queries.state[query] |= flags & (
+                    queries.flags[query] |= flags & (
                         BLOCKING | BLOCKING_SQUARE | MAYBE_BLOCKING | MAYBE_BLOCKING_SQUARE
                     )
                     if flags & BLOCKING:
@@ -567,12 +587,12 @@ def _keep_flags(task, near, geom, entries, num_entries):
                         entries.flags[num_entries] = flags
                         num_entries += 1
                 queries.tested_flags[query] = 0
-                query_state = np.int64(queries.state[query])
-                is_open |= not query_state & BLOCKING or (
-                    footprint.radius > 0.0 and not query_state & BLOCKING_SQUARE
+                query_flags = np.int64(queries.flags[query])
+                is_open |= not query_flags & BLOCKING or (
+                    footprint.radius > 0.0 and not query_flags & BLOCKING_SQUARE
                 )
             if not is_open:
-                state.open_cells[0] &= ~cell_bit(tile_row, tile_col)
+                tile_state.open_cells[0] &= ~cell_bit(tile_row, tile_col)
     return num_entries
 
 

@@ -66,7 +66,7 @@ class Queries(NamedTuple):
     Attributes:
         cell: cell ids, ascending, int64.
         floor: height of the floor, float64 [m].
-        state: receives BLOCKING, BLOCKING_SQUARE, MAYBE_BLOCKING and MAYBE_BLOCKING_SQUARE if any
+        flags: receives BLOCKING, BLOCKING_SQUARE, MAYBE_BLOCKING and MAYBE_BLOCKING_SQUARE if any
             geom has them, and BLOCKED_BY_LINE, uint8.
         tested_flags: scratch: the flags that the current geom is tested for, uint8.
         geom_flags: scratch: the flags that the current geom has, uint8.
@@ -74,7 +74,7 @@ class Queries(NamedTuple):
 
     cell: Int
     floor: Float
-    state: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
     tested_flags: NDArray[np.uint8]
     geom_flags: NDArray[np.uint8]
 
@@ -125,7 +125,18 @@ class Scratch(NamedTuple):
 
 @subkernel(inline="always")
 def make_volumes(lattice, footprint, queries, lists, query, row, col):
-    """Make the four volumes over the floor of a query, whose cell is at a row and column."""
+    """Make the four volumes over the floor of a query.
+
+    Args:
+        lattice: the cells.
+        footprint: the volume over a floor that has to be free.
+        queries: all queries.
+        lists: its ceilings and heights of walls; without lists, the first and third volume mean
+            nothing.
+        query: number of the query.
+        row: row of its cell.
+        col: column of its cell.
+    """
     floor = queries.floor[query]
     x, y = cell_center_at(lattice, row, col)
     low = floor + footprint.low
@@ -134,16 +145,28 @@ def make_volumes(lattice, footprint, queries, lists, query, row, col):
     is_round = footprint.radius > 0.0
     ceiling = lists.ceiling[query] if lists.ceiling.shape[0] > 0 else high
     return Volumes(
-        Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, NOT_ROUND),
-        Prism(x, y, low, high, footprint.radius if is_round else half, is_round),
-        Prism(x, y, floor + lists.wall_low, floor + lists.wall_high, half, NOT_ROUND),
-        Prism(x, y, low, high, half, NOT_ROUND),
+        occupying=Prism(x, y, floor + (SAME_HEIGHT + TOUCH_DEPTH), ceiling, half, NOT_ROUND),
+        blocking=Prism(x, y, low, high, footprint.radius if is_round else half, is_round),
+        at_wall_height=Prism(
+            x, y, floor + lists.wall_low, floor + lists.wall_high, half, NOT_ROUND
+        ),
+        blocking_square=Prism(x, y, low, high, half, NOT_ROUND),
     )
 
 
 @subkernel(inline="always")
 def make_envelope(lattice, footprint, queries, lists, query, row, col):
-    """Make a prism that holds all tested volumes over the floor of a query, see `make_volumes`."""
+    """Make a prism that holds all tested volumes over the floor of a query, with SEARCH_MARGIN.
+
+    Args:
+        lattice: the cells.
+        footprint: the volume over a floor that has to be free.
+        queries: all queries.
+        lists: its ceilings.
+        query: number of the query.
+        row: row of its cell.
+        col: column of its cell.
+    """
     floor = queries.floor[query]
     x, y = cell_center_at(lattice, row, col)
     half = max(lattice.cell_size / 2, footprint.square, footprint.radius) + SEARCH_MARGIN
@@ -159,8 +182,14 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
 def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
     """Does a shape of a geom meet a prism? APART, MEETS, or UNDECIDED if rounding hides it.
 
-    `shape` is the number of a plane, solid or triangle, by `kind`. Only solids may be UNDECIDED:
-    planes and triangles are tested without an iteration.
+    Only solids may be UNDECIDED: planes and triangles are tested without an iteration.
+
+    Args:
+        shape_arrays: all shapes.
+        kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape: number of the plane, solid or triangle.
+        prism: a square or a disc between two heights.
+        scratch: room for the test.
     """
     if kind == PLANE_KIND:
         return MEETS if plane_meets_prism(shape_arrays.planes, shape, prism) else APART
@@ -184,6 +213,12 @@ def find_flags_on_line(hits, cell, geom, volumes):
     heights, or runs inside of it there: where the winding number, counted from above, is positive.
     It is `is_line_blocked` for three volumes in one pass over the hits; for BLOCKING_SQUARE it
     proves nothing.
+
+    Args:
+        hits: the columns of all cells.
+        cell: cell id.
+        geom: geom id.
+        volumes: over the floor of the cell.
     """
     occupying = volumes.occupying
     blocking = volumes.blocking
@@ -226,6 +261,12 @@ def describe_floor(hits, cell, floor, min_up):
 
     The gap is the distance to the highest surface of another geom that is as flat as a floor, inf
     for none [m].
+
+    Args:
+        hits: the columns of all cells.
+        cell: cell id.
+        floor: height of the floor [m].
+        min_up: least z of the normal of a surface that is a floor.
     """
     floor_geom = np.int32(-1)
     gap_below = np.inf

@@ -238,12 +238,12 @@ def _select_entries(entries: OccupantEntries, places: Bool | Int) -> OccupantEnt
     return OccupantEntries(entries.cell[places], entries.geom[places], entries.flags[places])
 
 
-def join_entries(parts: Sequence[OccupantEntries]) -> OccupantEntries:
-    """Return the entries of several parts, one after the other."""
+def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
+    """Return the entries of several row chunks, one after the other."""
     return OccupantEntries(
-        cell=np.concatenate([part.cell for part in parts]),
-        geom=np.concatenate([part.geom for part in parts]),
-        flags=np.concatenate([part.flags for part in parts]),
+        cell=np.concatenate([chunk.cell for chunk in row_chunks]),
+        geom=np.concatenate([chunk.geom for chunk in row_chunks]),
+        flags=np.concatenate([chunk.flags for chunk in row_chunks]),
     )
 
 
@@ -326,7 +326,7 @@ def name_occupants(
     `objects` are all things but walls and the building's own floors, ceilings and stairs, also
     those that one stands on (rugs, pallets); `walls` the walls. Both stand, hang or lie between
     the floor and the next storey. `blockers` are what the agent's disc or square meets in its
-    band, where these are not the same names. `navbake.navgrid.door_states.with_door_names` adds
+    volume, where these are not the same names. `navbake.navgrid.door_states.with_door_names` adds
     the doors.
 
     Args:
