@@ -26,9 +26,10 @@ from navbake.voxels.grid import finite_array
 
 ARENA = (20, 15)  # rows and columns of the format's arena
 SQUARE = 0.1  # edge of its squares [m]
-PAD = np.array([1, 1], dtype=np.uint8)
-MOST = 10**8  # squares of a map
-HAIR = 1e-6  # a range that ends this near before a face ends on it [m]
+PADDING = np.array([1, 1], dtype=np.uint8)  # before and after the bits of part 1
+MAX_SQUARES = 10**8  # of a map
+END_SLACK = 1e-6  # a ray that ends this near before a square's side ends in the square [m]
+PARALLEL = 1e-12  # the share of a direction along an axis that counts as none
 
 UNEXPLORED = "?"
 FREE = "."
@@ -39,124 +40,217 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
     """Encode a map.
 
     Args:
-        explored: shape (rows, cols), row 0 at the top, true for explored squares.
-        obstacles: the same, true for obstacles; unexplored squares are ignored.
+        explored: Shape (rows, cols), row 0 at the top, true for explored squares.
+        obstacles: The same, true for obstacles; unexplored squares are ignored.
 
     Returns:
         Part 1 and part 2, in capitals; part 2 is empty if nothing is explored.
 
     Raises:
-        FormatError: the two aren't of one shape, or of no squares.
+        FormatError: The two have different shapes, or no squares.
     """
-    known = _flags(explored, "explored")
-    filled = _flags(obstacles, "obstacles")
-    if known.shape != filled.shape:
-        both = f"{known.shape} and {filled.shape}"
-        raise FormatError(f"expected explored and obstacles of one shape (rows, cols), got {both}")
+    is_explored = _as_flags(explored, "explored")
+    is_obstacle = _as_flags(obstacles, "obstacles")
+    if is_explored.shape != is_obstacle.shape:
+        expected = "explored and obstacles of one shape (rows, cols)"
+        raise FormatError(
+            f"expected {expected}, got {is_explored.shape} and {is_obstacle.shape}",
+            key="obstacles",
+            value=is_obstacle.shape,
+            expected=expected,
+        )
     # the format goes from the bottom row up, arrays from the top row down
-    squares = known[::-1].ravel()
-    content = filled[::-1].ravel()
-    parts = np.concatenate([PAD, squares, PAD]), content[squares]
-    part1, part2 = (np.packbits(bits.astype(np.uint8)).tobytes().hex().upper() for bits in parts)
+    explored_bits = is_explored[::-1].ravel()
+    obstacle_bits = is_obstacle[::-1].ravel()
+    part1 = _to_hex(np.concatenate([PADDING, explored_bits, PADDING]))
+    part2 = _to_hex(obstacle_bits[explored_bits])
     return part1, part2
+
+
+def _to_hex(bits: NDArray[Any]) -> str:
+    """Hexadecimal digits of bits, with 0s up to a full byte."""
+    return np.packbits(bits.astype(np.uint8)).tobytes().hex().upper()
 
 
 def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
     """Decode a map; the inverse of `encode`.
 
-    Also reads small letters, and a part 2 that is filled up to a digit instead of a byte.
+    Small letters are read as well, and a part 2 with 0s up to a digit instead of a byte.
 
     Args:
-        shape: rows and columns, >= 1 each.
+        part1: Part 1 of the map descriptor.
+        part2: Part 2 of the map descriptor.
+        shape: Rows and columns of the arena, >= 1 each.
 
     Returns:
         explored and obstacles, shape (rows, cols), bool, row 0 at the top; unexplored squares
         have no obstacle.
 
     Raises:
-        FormatError: a string isn't hexadecimal, too short or too long, or its padding is wrong.
+        FormatError: A string is not hexadecimal, too short or too long, or its padding is wrong.
     """
     rows, cols = check_shape(shape)
-    bits, got = _from_hex(part1, "part 1")
-    count = rows * cols + 4
-    digits = 2 * -(-count // 8)
-    if got != digits:
-        squares = f"{rows} × {cols} squares"
-        raise FormatError(f"expected {digits} digits in part 1 for {squares}, got {got}")
-    for name, (a, b) in (("first", bits[:2]), ("last", bits[count - 2 : count])):
-        if not (a and b):
-            raise FormatError(f"expected the {name} two bits of part 1 to be 11, got {a}{b}")
-    if bits[count:].any():
-        raise FormatError("expected 0s after the closing 11 of part 1, got others")
-    explored = bits[2 : count - 2].astype(np.bool_)
-    known = int(explored.sum())
-    content, got = _from_hex(part2, "part 2")
-    digits = -(-known // 4)
-    whole = 2 * -(-known // 8)
-    if got not in (digits, whole):
-        expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
-        squares = f"the {known} squares that part 1 has explored"
-        got_what = f"{got}: {'more' if got > whole else 'fewer'} than it has"
-        raise FormatError(f"expected {expected} digits in part 2 for {squares}, got {got_what}")
-    if content[known:].any():
-        why = "it is longer than the squares that part 1 has explored"
-        raise FormatError(f"expected 0s after the {known} bits of part 2, got more: {why}")
+    bits, num_digits = _from_hex(part1, "part 1")
+    num_bits = rows * cols + 4
+    expected_digits = 2 * -(-num_bits // 8)
+    if num_digits != expected_digits:
+        raise _wrong_part(
+            "part 1",
+            part1,
+            expected=f"{expected_digits} digits in part 1 for {rows} × {cols} squares",
+            actual=f"{num_digits}",
+        )
+    for name, pair in (("first", bits[:2]), ("last", bits[num_bits - 2 : num_bits])):
+        if not pair.all():
+            raise _wrong_part(
+                "part 1",
+                part1,
+                expected=f"the {name} two bits of part 1 to be 11",
+                actual=f"{pair[0]}{pair[1]}",
+            )
+    if bits[num_bits:].any():
+        raise _wrong_part(
+            "part 1", part1, expected="0s after the closing 11 of part 1", actual="others"
+        )
+    explored = bits[2 : num_bits - 2].astype(np.bool_)
+    num_explored = int(explored.sum())
+    obstacle_bits, num_digits = _from_hex(part2, "part 2")
+    least_digits = -(-num_explored // 4)
+    full_digits = 2 * -(-num_explored // 8)  # up to a full byte
+    if num_digits not in (least_digits, full_digits):
+        digits = f"{full_digits}"
+        if least_digits != full_digits:
+            digits += f" (or {least_digits})"
+        squares = f"the {num_explored} squares that part 1 has explored"
+        comparison = "more" if num_digits > full_digits else "fewer"
+        raise _wrong_part(
+            "part 2",
+            part2,
+            expected=f"{digits} digits in part 2 for {squares}",
+            actual=f"{num_digits}: {comparison} than it has",
+        )
+    if obstacle_bits[num_explored:].any():
+        raise _wrong_part(
+            "part 2",
+            part2,
+            expected=f"0s after the {num_explored} bits of part 2",
+            actual="more: it is longer than the squares that part 1 has explored",
+        )
     obstacles = np.zeros(rows * cols, dtype=np.bool_)
-    obstacles[explored] = content[:known]
+    obstacles[explored] = obstacle_bits[:num_explored]
     return explored.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
 
 
+def _wrong_part(key: str, value: object, *, expected: str, actual: str) -> FormatError:
+    """The error of a part of a descriptor, or of an array of a map."""
+    message = f"expected {expected}, got {actual}"
+    return FormatError(message, key=key, value=value, expected=expected)
+
+
 def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
-    """Draw a map: ``?`` unexplored, ``.`` free, ``#`` obstacle; a line a row, the top one first."""
-    known = _flags(explored, "explored")
-    filled = _flags(obstacles, "obstacles")
-    marks = np.where(known, np.where(filled, OBSTACLE, FREE), UNEXPLORED)
+    """Draw a map as text: ``?`` for unexplored, ``.`` for free, ``#`` for obstacles.
+
+    Args:
+        explored: As of `encode`.
+        obstacles: As of `encode`.
+
+    Returns:
+        A line for each row, the top row first.
+    """
+    is_explored = _as_flags(explored, "explored")
+    is_obstacle = _as_flags(obstacles, "obstacles")
+    marks = np.where(is_explored, np.where(is_obstacle, OBSTACLE, FREE), UNEXPLORED)
     return "\n".join("".join(row) for row in marks)
 
 
-def _flags(values: ArrayLike, name: str) -> Bool:
+def _as_flags(values: ArrayLike, name: str) -> Bool:
+    """Check an array of a map, and convert it to bool; `name` is its name in messages."""
     try:
         flags = np.asarray(values)
     except ValueError:  # rows of several lengths
         flags = np.empty(0)
     if flags.dtype.kind not in "biuf":
-        raise FormatError(f"expected {name} of true and false, got dtype {flags.dtype}")
+        raise _wrong_part(
+            name, values, expected=f"{name} of true and false", actual=f"dtype {flags.dtype}"
+        )
     if flags.ndim != 2 or 0 in flags.shape:
-        raise FormatError(f"expected {name} of shape (rows, cols), got {flags.shape}")
+        raise _wrong_part(
+            name, values, expected=f"{name} of shape (rows, cols)", actual=f"{flags.shape}"
+        )
     return np.asarray(flags != 0)
 
 
 def check_shape(shape: Sequence[int]) -> tuple[int, int]:
-    """Rows and columns of a map; a FormatError if they aren't whole numbers >= 1, or too many."""
+    """Return the rows and columns of a map.
+
+    Raises:
+        FormatError: They are no two whole numbers >= 1, or more than 100,000,000 squares.
+    """
     sizes = list(shape) if np.iterable(shape) else [shape]
     if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
-        raise FormatError(f"expected a shape (rows, cols), each >= 1, got {sizes}")
+        raise _wrong_part(
+            "shape", shape, expected="a shape (rows, cols), each >= 1", actual=f"{sizes}"
+        )
     rows = int(sizes[0])
     cols = int(sizes[1])
-    if rows * cols > MOST:
-        raise FormatError(f"expected at most {MOST} squares, got {rows} × {cols}")
+    if rows * cols > MAX_SQUARES:
+        raise _wrong_part(
+            "shape", shape, expected=f"at most {MAX_SQUARES} squares", actual=f"{rows} × {cols}"
+        )
     return rows, cols
 
 
 def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
-    """The bits, filled up to a full byte, and the number of digits."""
+    """The bits of hexadecimal digits, with 0s up to a full byte, and the number of digits."""
     if not isinstance(text, str):
-        raise FormatError(f"expected {name} as a string of hexadecimal digits, got {text!r}")
+        raise _wrong_part(
+            name,
+            text,
+            expected=f"{name} as a string of hexadecimal digits",
+            actual=f"{text!r}",
+        )
     digits = text.strip()
-    if odd := digits.strip(hexdigits):
-        raise FormatError(f"expected hexadecimal digits in {name}, got {odd[0]!r}")
+    unexpected = digits.strip(hexdigits)
+    if unexpected:
+        raise _wrong_part(
+            name, text, expected=f"hexadecimal digits in {name}", actual=f"{unexpected[0]!r}"
+        )
     data = bytes.fromhex(digits + "0" * (len(digits) % 2))
     return np.unpackbits(np.frombuffer(data, dtype=np.uint8)), len(digits)
 
 
+def _wrong_argument(key: str, value: object, *, expected: str, actual: str) -> QueryError:
+    """The error of an argument of a query."""
+    message = f"expected {expected}, got {actual}"
+    return QueryError(message, key=key, value=value, expected=expected)
+
+
 def check_squares(square: float, corner: ArrayLike) -> Float:
-    """The corner as an array, shape (2,); a QueryError if it or the edge of squares is wrong."""
+    """Check the edge of the squares of an arena, and its lower left corner.
+
+    Args:
+        square: Edge of a square [m], > 0.
+        corner: World x, y of the corner [m].
+
+    Returns:
+        The corner, shape (2,), float64.
+
+    Raises:
+        QueryError: One of them is wrong.
+    """
     if not (np.isfinite(square) and square > 0):
-        raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
-    place = finite_array(corner, (2,))
-    if place is None:
-        raise QueryError(f"expected the arena's lower left corner as x, y [m], got {corner!r}")
-    return place
+        raise _wrong_argument(
+            "square", square, expected="squares with an edge > 0 m", actual=f"{square:g}"
+        )
+    position = finite_array(corner, (2,))
+    if position is None:
+        raise _wrong_argument(
+            "corner",
+            corner,
+            expected="the arena's lower left corner as x, y [m]",
+            actual=f"{corner!r}",
+        )
+    return position
 
 
 def place_squares(
@@ -169,75 +263,113 @@ def place_squares(
     """Lay the squares of an arena over a level; they may reach beyond it.
 
     Args:
-        square: edge of a square [m], > 0.
-        corner: the arena's lower left corner, x and y, world frame [m]; the level's if None.
-        shape: rows and columns, >= 1 each; as many as cover the rest of the level if None.
+        level: The level.
+        square: Edge of a square [m], > 0.
+        corner: World x, y of the arena's lower left corner [m]; None for that of the level.
+        shape: Rows and columns, >= 1 each; None for as many as cover the level from the corner on.
+
+    Returns:
+        The squares as the cells of a lattice.
 
     Raises:
-        QueryError: a number is wrong, or the arena lies outside the level.
+        QueryError: A number is wrong, or the arena lies outside the level.
     """
-    x0, y0, x1, y1 = level.lattice.bounds
-    left, bottom = check_squares(square, (x0, y0) if corner is None else corner).tolist()
+    level_bounds = level.lattice.bounds
+    x_low, y_low, x_high, y_high = level_bounds
+    left_side, bottom = check_squares(square, (x_low, y_low) if corner is None else corner).tolist()
     if shape is None:
-        if not (left < x1 and bottom < y1):
-            text = f"the corner ({left:g}, {bottom:g}) leaves nothing of the level"
-            raise QueryError(f"{text}, which ends at ({x1:g}, {y1:g})")
-        if max(x1 - left, y1 - bottom) > MOST * square:
-            raise QueryError(f"expected larger squares: the level has over {MOST} of {square:g} m")
-        shape = num_cells(y1 - bottom, square), num_cells(x1 - left, square)
+        if not (left_side < x_high and bottom < y_high):
+            raise QueryError(
+                f"the corner ({left_side:g}, {bottom:g}) leaves nothing of the level, which ends "
+                f"at ({x_high:g}, {y_high:g})",
+                key="corner",
+                value=(left_side, bottom),
+            )
+        if max(x_high - left_side, y_high - bottom) > MAX_SQUARES * square:
+            raise QueryError(
+                f"expected larger squares: the level has over {MAX_SQUARES} of {square:g} m",
+                key="square",
+                value=square,
+                expected="larger squares",
+            )
+        shape = (num_cells(y_high - bottom, square), num_cells(x_high - left_side, square))
     rows, cols = shape
     if rows < 1 or cols < 1:
-        raise QueryError(f"expected rows and columns >= 1, got {rows} and {cols}")
-    if rows * cols > MOST:
-        got = f"{rows} × {cols} of {square:g} m: take larger squares, or a part of the level"
-        raise QueryError(f"expected at most {MOST} squares, got {got}")
-    squares = Lattice(left, bottom + rows * square, square, cols, rows)
-    left, bottom, right, top = squares.bounds
-    if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:
-        own = f"x {left:g} to {right:g}, y {bottom:g} to {top:g}"
-        other = f"x {x0:g} to {x1:g}"
-        text = f"the arena, {own} m, lies beside the level"
-        raise QueryError(f"{text}: it spans {other}, y {y0:g} to {y1:g} m")
+        raise _wrong_argument(
+            "shape", shape, expected="rows and columns >= 1", actual=f"{rows} and {cols}"
+        )
+    if rows * cols > MAX_SQUARES:
+        hint = "take larger squares, or a part of the level"
+        raise _wrong_argument(
+            "shape",
+            shape,
+            expected=f"at most {MAX_SQUARES} squares",
+            actual=f"{rows} × {cols} of {square:g} m: {hint}",
+        )
+    squares = Lattice(left_side, bottom + rows * square, square, cols, rows)
+    left_side, bottom, right_side, top = squares.bounds
+    if left_side >= x_high or bottom >= y_high or right_side <= x_low or top <= y_low:
+        raise QueryError(
+            f"the arena, {_shown_bounds(squares.bounds)} m, lies beside the level: it spans "
+            f"{_shown_bounds(level_bounds)} m",
+            key="corner",
+            value=(left_side, bottom),
+        )
     return squares
+
+
+def _shown_bounds(bounds: tuple[float, float, float, float]) -> str:
+    """Write the bounds of a lattice for messages."""
+    x_low, y_low, x_high, y_high = bounds
+    return f"x {x_low:g} to {x_high:g}, y {y_low:g} to {y_high:g}"
 
 
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     """Mark the squares that overlap an obstacle: (rows, cols), bool, row 0 at the top.
 
     Obstacles are occupied cells and the area outside the level. Touching is no overlap.
+
+    Args:
+        level: The level.
+        squares: The squares, as of `place_squares`.
     """
     lattice = level.lattice
-    filled = np.pad(level.occupancy != 0, 1, constant_values=True)  # outside the level, too
+    is_occupied = np.pad(level.occupancy != 0, 1, constant_values=True)  # one cell around the level
     # a summed-area table (Crow 1984): the sum over any rectangle from its four corners
-    sums = np.pad(filled.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = np.pad(is_occupied.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
-    def spans(first: float, count: int, limit: int) -> tuple[Int, Int]:
-        """The first and last cells of each square along an axis, in the padded array."""
-        edges = (first + np.arange(count + 1) * squares.cell_size) / lattice.cell_size
+    def cell_ranges(offset: float, num_squares: int, num_cells: int) -> tuple[Int, Int]:
+        """The first cell and the end of the cells of each square along an axis, when padded."""
+        edges = (offset + np.arange(num_squares + 1) * squares.cell_size) / lattice.cell_size
         start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
         end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
-        start = np.clip(start, 0, limit + 1)
-        return start, np.clip(np.maximum(end, start + 1), 1, limit + 2)
+        start = np.clip(start, 0, num_cells + 1)
+        return start, np.clip(np.maximum(end, start + 1), 1, num_cells + 2)
 
-    row0, row1 = spans(lattice.y_max - squares.y_max, squares.height, lattice.height)
-    col0, col1 = spans(squares.x_min - lattice.x_min, squares.width, lattice.width)
+    row0, row1 = cell_ranges(lattice.y_max - squares.y_max, squares.height, lattice.height)
+    col0, col1 = cell_ranges(squares.x_min - lattice.x_min, squares.width, lattice.width)
     row0 = row0[:, None]
     row1 = row1[:, None]
-    inside: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
-    return inside > 0
+    num_occupied: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
+    return num_occupied > 0
 
 
 class ExploredMap:
     """A map of squares that an agent fills from its sensors.
 
     The arena is surrounded by walls, which are no part of it. The latest observation of a square
-    counts; within one call of `observe`, a square in which some ray ends is an obstacle, even if
+    counts; within one call of `observe`, a square in which a ray ends is an obstacle, even if
     other rays pass through it.
 
     Attributes:
-        lattice: of the squares in the world.
-        explored: shape (rows, cols), bool, row 0 at the top.
-        obstacles: the same; never true in unexplored squares.
+        lattice: The squares in the world.
+        explored: Shape (rows, cols), bool, row 0 at the top.
+        obstacles: The same; never true in unexplored squares.
+
+    Example:
+        >>> explored = navbake.ExploredMap((20, 15), square=0.1)
+        >>> explored.observe(0.75, 1.0, angles=[0.0, 1.57], ranges=[0.4, float("inf")], max_range=2)
+        >>> part1, part2 = explored.descriptor()
     """
 
     def __init__(
@@ -250,31 +382,57 @@ class ExploredMap:
         """Make an unexplored map.
 
         Args:
-            shape: rows and columns, >= 1 each.
-            square: edge of a square [m], > 0.
-            corner: the lower left corner, x and y, world frame [m].
+            shape: Rows and columns, >= 1 each.
+            square: Edge of a square [m], > 0.
+            corner: World x, y of the lower left corner [m].
 
         Raises:
-            FormatError: the shape is invalid.
-            QueryError: a number is wrong.
+            FormatError: The shape is not valid.
+            QueryError: A number is wrong.
         """
         rows, cols = check_shape(shape)
-        left, bottom = check_squares(square, corner).tolist()
-        self.lattice = Lattice(left, bottom + rows * square, square, cols, rows)
+        x_min, y_min = check_squares(square, corner).tolist()
+        self.lattice = Lattice(x_min, y_min + rows * square, square, cols, rows)
         self.explored = np.zeros((rows, cols), dtype=np.bool_)
         self.obstacles = np.zeros((rows, cols), dtype=np.bool_)
 
     @classmethod
     def from_descriptor(
-        cls, part1: str, part2: str, shape: Sequence[int] = ARENA, **squares: Any
+        cls,
+        part1: str,
+        part2: str,
+        shape: Sequence[int] = ARENA,
+        *,
+        square: float = SQUARE,
+        corner: Sequence[float] = (0.0, 0.0),
     ) -> ExploredMap:
-        """Make a map from a map descriptor, see `navbake.arena.map_descriptor.decode`."""
-        own = cls(shape, **squares)
-        own.explored, own.obstacles = decode(part1, part2, shape)
-        return own
+        """Make a map from a map descriptor, see `navbake.arena.map_descriptor.decode`.
+
+        Args:
+            part1: Part 1 of the map descriptor.
+            part2: Part 2 of the map descriptor.
+            shape: Rows and columns, >= 1 each.
+            square: Edge of a square [m], > 0.
+            corner: World x, y of the lower left corner [m].
+
+        Raises:
+            FormatError: The descriptor is broken, or the shape is not valid.
+            QueryError: A number is wrong.
+        """
+        explored_map = cls(shape, square=square, corner=corner)
+        explored_map.explored, explored_map.obstacles = decode(part1, part2, shape)
+        return explored_map
 
     def enter(self, x: float, y: float) -> None:
-        """Mark the agent's square at a world position [m] as explored and free."""
+        """Mark the square that the agent is in as explored and free.
+
+        Args:
+            x: World x of the agent [m].
+            y: World y of the agent [m].
+
+        Raises:
+            QueryError: The position is outside the arena.
+        """
         row, col = self._square_at(x, y)
         self.explored[row, col] = True
         self.obstacles[row, col] = False
@@ -289,35 +447,42 @@ class ExploredMap:
         behind it, and the area outside the arena, don't change.
 
         Args:
-            x, y: the sensors' world position [m].
-            angles: their directions, from the world's x towards its y, shape (n,) [rad].
-            ranges: measured distances, shape (n,) [m], >= 0; infinite, or `max_range` and more,
+            x: World x of the sensors [m].
+            y: World y of the sensors [m].
+            angles: Directions of the sensors, from the world's x towards its y, shape (n,) [rad].
+            ranges: Measured distances, shape (n,) [m], >= 0; infinite, or `max_range` and more,
                 for no obstacle; NaN for no measurement.
-            max_range: of the sensors [m], > 0.
+            max_range: Range of the sensors [m], > 0.
 
         Raises:
-            QueryError: the position is outside the arena, or a number is wrong.
+            QueryError: The position is outside the arena, or a number is wrong.
         """
         self._square_at(x, y)
-        ways = _check_rays(angles, max_range)
-        lengths = _numbers(ranges, "ranges [m]")
-        if ways.shape != lengths.shape:
-            got = f"{len(ways)} and {len(lengths)}"
-            raise QueryError(f"expected as many angles as ranges, got {got}")
+        directions = _check_rays(angles, max_range)
+        lengths = _as_numbers(ranges, "ranges [m]")
+        if directions.shape != lengths.shape:
+            raise _wrong_argument(
+                "ranges",
+                ranges,
+                expected="as many angles as ranges",
+                actual=f"{len(directions)} and {len(lengths)}",
+            )
         if (lengths < 0).any():
-            raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
-        passed = np.zeros_like(self.explored)
-        hit = np.zeros_like(self.explored)
+            raise _wrong_argument(
+                "ranges", ranges, expected="ranges >= 0 m", actual=f"{np.nanmin(lengths):g}"
+            )
+        is_passed = np.zeros_like(self.explored)
+        is_hit = np.zeros_like(self.explored)
         is_measured = ~np.isnan(lengths)
-        for angle, length in zip(ways[is_measured], lengths[is_measured], strict=True):
-            is_hit = length < max_range
-            rows, cols, starts = self._trace(x, y, angle, min(length, max_range), is_hit)
-            ends = is_hit & (starts >= length - HAIR)
-            passed[rows[~ends], cols[~ends]] = True
-            hit[rows[ends], cols[ends]] = True
-        self.explored |= passed | hit
-        self.obstacles[passed] = False
-        self.obstacles[hit] = True
+        for angle, length in zip(directions[is_measured], lengths[is_measured], strict=True):
+            hits = length < max_range
+            rows, cols, distances = self._trace(x, y, angle, min(length, max_range), hits)
+            is_end = hits & (distances >= length - END_SLACK)
+            is_passed[rows[~is_end], cols[~is_end]] = True
+            is_hit[rows[is_end], cols[is_end]] = True
+        self.explored |= is_passed | is_hit
+        self.obstacles[is_passed] = False
+        self.obstacles[is_hit] = True
 
     def look(
         self, truth: ArrayLike, x: float, y: float, angles: ArrayLike, max_range: float
@@ -325,29 +490,38 @@ class ExploredMap:
         """Simulate the sensors at a place of a known arena, and add their measurements.
 
         Args:
-            truth: the obstacles, shape (rows, cols), row 0 at the top.
-            x, y, angles, max_range: see `observe`.
+            truth: Which squares are obstacles, shape (rows, cols), row 0 at the top.
+            x: World x of the sensors [m].
+            y: World y of the sensors [m].
+            angles: Directions of the sensors, from the world's x towards its y, shape (n,) [rad].
+            max_range: Range of the sensors [m], > 0.
 
         Returns:
             The ranges, shape (n,), float64 [m]; infinite for no obstacle.
 
         Raises:
-            QueryError: see `observe`; or the truth has another shape.
+            QueryError: The position is outside the arena, a number is wrong, or the truth has
+                another shape than the map.
         """
-        filled = np.asarray(truth) != 0
-        if filled.shape != self.explored.shape:
-            raise QueryError(f"expected `truth` of shape {self.explored.shape}, got {filled.shape}")
+        is_obstacle = np.asarray(truth) != 0
+        if is_obstacle.shape != self.explored.shape:
+            raise _wrong_argument(
+                "truth",
+                is_obstacle.shape,
+                expected=f"`truth` of shape {self.explored.shape}",
+                actual=f"{is_obstacle.shape}",
+            )
         self._square_at(x, y)
-        ways = _check_rays(angles, max_range)
-        ranges = np.full(len(ways), np.inf)
-        for i, angle in enumerate(ways):
-            rows, cols, starts = self._trace(x, y, angle, max_range, False)
-            ranges[i] = min(starts[filled[rows, cols]], default=np.inf)
-        self.observe(x, y, ways, ranges, max_range)
+        directions = _check_rays(angles, max_range)
+        ranges = np.full(len(directions), np.inf)
+        for i, angle in enumerate(directions):
+            rows, cols, distances = self._trace(x, y, angle, max_range, False)
+            ranges[i] = min(distances[is_obstacle[rows, cols]], default=np.inf)
+        self.observe(x, y, directions, ranges, max_range)
         return ranges
 
     def descriptor(self) -> tuple[str, str]:
-        """Part 1 and part 2 of the map descriptor."""
+        """Return part 1 and part 2 of the map descriptor; see `encode`."""
         return encode(self.explored, self.obstacles)
 
     def __str__(self) -> str:
@@ -355,63 +529,86 @@ class ExploredMap:
         return draw(self.explored, self.obstacles)
 
     def _square_at(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of a world position [m]; raises a QueryError outside the arena."""
         if np.isfinite([x, y]).all():
             row, col = map(int, self.lattice.rows_cols([x, y]))
             if self.lattice.holds(row, col):
                 return row, col
-        x0, y0, x1, y1 = self.lattice.bounds
-        arena = f"the arena, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
-        raise QueryError(f"expected a position within {arena}, got ({x:g}, {y:g})")
+        raise _wrong_argument(
+            "position",
+            (x, y),
+            expected=f"a position within the arena, {_shown_bounds(self.lattice.bounds)}",
+            actual=f"({x:g}, {y:g})",
+        )
 
     def _trace(
-        self, x: float, y: float, angle: float, length: float, beyond: bool
+        self, x: float, y: float, angle: float, length: float, with_end: bool
     ) -> tuple[Int, Int, Float]:
-        """The rows and columns of squares along a ray, nearest first, and their distances [m].
+        """Trace a ray through the squares.
 
-        With `beyond`, the square that contains or follows the ray's end has the ray's length or
-        more, once.
+        Args:
+            x: World x of the ray's start [m].
+            y: World y of the ray's start [m].
+            angle: Direction of the ray [rad].
+            length: Length of the ray [m].
+            with_end: Add the square that contains or follows the ray's end, once, at the ray's
+                length or more.
+
+        Returns:
+            Rows and columns of the squares, nearest first, and the distances where the ray enters
+            them [m].
         """
         size = self.lattice.cell_size
-        counts = (self.lattice.width, self.lattice.height)
-        # in squares from here on, columns and rows; rows run against y
+        num_squares = (self.lattice.width, self.lattice.height)
+        # in squares from here on, along columns and rows; rows run against y
         start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size
-        way = np.array([np.cos(angle), -np.sin(angle)])
-        far = (length + (2 * HAIR if beyond else 0.0)) / size
-        stops = [np.array([0.0, far])]
-        for place, speed, count in zip(start, way, counts, strict=True):
-            if abs(speed) > 1e-12:
-                # the arena's own grid lines only: a ray that leaves it never returns
-                ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
-                lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
-                stops.append((lines - place) / speed)
-        # a piece between two crossings lies in its middle's square
-        t = np.unique(np.concatenate(stops).clip(0.0, far))
-        t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
-        starts = t[:-1] * size
+        direction = np.array([np.cos(angle), -np.sin(angle)])
+        end = (length + (2 * END_SLACK if with_end else 0.0)) / size
+        crossings = [np.array([0.0, end])]  # with the sides of squares, along the ray
+        for coordinate, slope, count in zip(start, direction, num_squares, strict=True):
+            if abs(slope) > PARALLEL:
+                # sides in the arena only: a ray that leaves it never returns
+                low, high = np.sort([coordinate, coordinate + slope * end]).clip(-1.0, count + 1.0)
+                sides = np.arange(np.ceil(low), np.floor(high) + 1)
+                crossings.append((sides - coordinate) / slope)
+        t = np.unique(np.concatenate(crossings).clip(0.0, end))
+        t = t[np.append(True, np.diff(t) > END_SLACK / size / 2)]
+        distances = t[:-1] * size
+        # a piece between two crossings lies in the square of its middle
         middles = (t[:-1] + t[1:]) / 2
-        places = (start[:, None] + way[:, None] * middles).clip(-1.0, 2.0**31)
-        cols, rows = np.floor(places).astype(np.int64)
-        if beyond and len(starts):
-            last = (rows == rows[-1]) & (cols == cols[-1])
-            starts = np.where(last, np.maximum(starts, length), starts)
-        inside = self.lattice.holds(rows, cols)
-        return rows[inside], cols[inside], starts[inside]
+        positions = (start[:, None] + direction[:, None] * middles).clip(-1.0, 2.0**31)
+        cols, rows = np.floor(positions).astype(np.int64)
+        if with_end and len(distances):
+            is_last = (rows == rows[-1]) & (cols == cols[-1])
+            distances = np.where(is_last, np.maximum(distances, length), distances)
+        is_inside = self.lattice.holds(rows, cols)
+        return rows[is_inside], cols[is_inside], distances[is_inside]
 
 
 def _check_rays(angles: ArrayLike, max_range: float) -> Float:
-    ways = _numbers(angles, "angles [rad]")
-    if not np.isfinite(ways).all():
-        raise QueryError("expected finite angles [rad], got others")
+    """Check the directions and the range of sensors; returns the directions, shape (n,)."""
+    directions = _as_numbers(angles, "angles [rad]")
+    if not np.isfinite(directions).all():
+        raise _wrong_argument("angles", angles, expected="finite angles [rad]", actual="others")
     if not (np.isfinite(max_range) and max_range > 0):
-        raise QueryError(f"expected a finite `max_range` > 0 m, got {max_range:g}")
-    return ways
+        raise _wrong_argument(
+            "max_range", max_range, expected="a finite `max_range` > 0 m", actual=f"{max_range:g}"
+        )
+    return directions
 
 
-def _numbers(values: ArrayLike, what: str) -> Float:
+def _as_numbers(values: ArrayLike, name: str) -> Float:
+    """Numbers as an array, shape (n,), float64; raises a QueryError that names them."""
     try:
         numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1:
-        raise QueryError(f"expected {what} of shape (n,), got {values!r}"[:200])
+        expected = f"{name} of shape (n,)"
+        raise QueryError(
+            f"expected {expected}, got {values!r}"[:200],
+            key=name.partition(" ")[0],
+            value=values,
+            expected=expected,
+        )
     return numbers

@@ -1,4 +1,4 @@
-"""Converts voxels to a floor plan over a band of heights, and a level to voxels."""
+"""Converts voxels to a floor plan over a range of heights, and a level to voxels."""
 
 import math
 
@@ -12,7 +12,7 @@ from navbake.voxels.grid import VoxelGrid, check_memory
 
 
 def lattice_of(voxels: VoxelGrid) -> Lattice:
-    """The lattice of a voxel grid's columns."""
+    """Return the lattice of a voxel grid's columns."""
     nx, ny, _ = voxels.shape
     x, y, _ = voxels.origin
     return Lattice(x, y + ny * voxels.res, voxels.res, nx, ny)
@@ -26,26 +26,37 @@ def cut_band(
     *,
     whole: bool = False,
 ) -> NDArray[np.uint8]:
-    """Mark the columns of voxels that are occupied in a band of heights.
+    """Mark the columns of voxels that are occupied in a range of heights.
 
     Args:
-        voxels: of any dtype; all that are not 0 count.
-        low, high: the band [m]: world z, or over the floor if one is given.
-        floor: world z of each cell's floor, shape (ny, nx) [m]; no floor, NaN, is occupied.
-        whole: count only voxels that lie in the band as a whole, not those that overlap it.
+        voxels: Voxels of any dtype; all that are not 0 count.
+        low: Lower end of the range [m]: world z, or the height over the floor if one is given.
+        high: Upper end of the range [m], > low.
+        floor: World z of each cell's floor [m], shape (ny, nx); where it is NaN, there is no floor,
+            and the column is occupied.
+        whole: Count only voxels that lie in the range as a whole, not all that overlap it.
 
     Returns:
-        Occupancy as in navigation grids: ``[row, col]``, shape (ny, nx), uint8, rows
-        against y; of the cells of `lattice_of`.
+        Occupancy as in navigation grids: ``[row, col]``, shape (ny, nx), uint8, rows against y; of
+        the cells of `lattice_of`.
 
     Raises:
-        QueryError: the band is empty, or the floor of another shape.
+        QueryError: The range is empty, or the floor has another shape.
     """
     nx, ny, nz = voxels.shape
     if not low < high:
-        raise QueryError(f"expected a band of heights, low < high, got {low:g} and {high:g}")
+        expected = "a band of heights, low < high"
+        raise QueryError(
+            f"expected {expected}, got {low:g} and {high:g}", value=(low, high), expected=expected
+        )
     if floor is not None and floor.shape != (ny, nx):
-        raise QueryError(f"expected a floor of shape (ny, nx) = {(ny, nx)}, got {floor.shape}")
+        expected = f"a floor of shape (ny, nx) = {(ny, nx)}"
+        raise QueryError(
+            f"expected {expected}, got {floor.shape}",
+            key="floor",
+            value=floor.shape,
+            expected=expected,
+        )
     base = np.zeros((ny, nx)) if floor is None else np.asarray(floor, dtype=np.float64)
     start = (base + low - voxels.origin[2]) / voxels.res
     end = (base + high - voxels.origin[2]) / voxels.res
@@ -70,30 +81,30 @@ def plan_of(
 ) -> SceneGrid2D:
     """Make a navigation grid of a level floor from the voxels above it.
 
-    A cell is blocked if a voxel overlaps the band from `step` to `height` over the floor.
-    Holes in the floor are not detected, as voxels don't show where an agent can stand.
+    A cell is blocked if a voxel overlaps the heights from `step` to `height` over the floor. Holes
+    in the floor are not detected, as voxels don't show where an agent can stand.
 
     Args:
-        voxels: with the obstacles.
-        floor: world z of the floor [m].
-        step: the agent's highest step [m].
-        height: the agent's [m], > step.
+        voxels: The voxels of the obstacles.
+        floor: World z of the floor [m].
+        step: Highest step of the agent [m].
+        height: Height of the agent [m], > step.
 
     Raises:
-        QueryError: the band is empty.
+        QueryError: The height is not above the step.
     """
     occupancy = cut_band(voxels, floor + step, floor + height)
     lattice = lattice_of(voxels)
-    x0, y0, x1, y1 = lattice.bounds
-    written = float(np.float32(floor))
-    bottom = min(float(voxels.bounds[0, 2]), written)
-    top = max(float(voxels.bounds[1, 2]), written)
+    x_low, y_low, x_high, y_high = lattice.bounds
+    stored_floor = float(np.float32(floor))
+    bottom = min(float(voxels.bounds[0, 2]), stored_floor)
+    top = max(float(voxels.bounds[1, 2]), stored_floor)
     return SceneGrid2D(
         width=lattice.width,
         height=lattice.height,
         cell_size=voxels.res,
-        min_yup=(x0, floor, 0.0 - y1),
-        bbox_yup=((x0, bottom, 0.0 - y1), (x1, top, 0.0 - y0)),
+        min_yup=(x_low, floor, 0.0 - y_high),
+        bbox_yup=((x_low, bottom, 0.0 - y_high), (x_high, top, 0.0 - y_low)),
         weights=np.where(occupancy == 0, np.float32(1), np.float32(np.inf)),
         attributes={
             "floorHeight": np.full(lattice.shape, floor, dtype=np.float32),
@@ -106,37 +117,42 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     """Make voxels of a level's occupied cells, from `step` to `height` over their floors.
 
     Cells without a floor are filled from `step` to `height` over the level's ground. Voxels have
-    the cells' edge, and begin `step` over the ground or below; each that overlaps a cell's band by
-    more than float32 rounding is filled. Rooms and weights are left out.
+    the cells' edge, and begin `step` over the ground or below; each that overlaps these heights of
+    its cell by more than float32 rounding is filled. Rooms and weights are left out.
 
     Args:
-        level: with ``occupancy`` and ``floorHeight``.
-        step: the agent's highest step, as in the level's settings [m].
-        height: the agent's, as in the level's settings [m], > step.
+        level: A level with ``occupancy`` and ``floorHeight``.
+        step: Highest step of the agent, as in the level's settings [m].
+        height: Height of the agent, as in the level's settings [m], > step.
 
     Raises:
-        QueryError: the band is empty.
-        ConfigError: the voxels need more memory than there is.
+        QueryError: The height is not above the step.
+        ConfigError: The voxels need more memory than there is.
     """
     if not step < height:
-        raise QueryError(f"expected a band of heights, step < height, got {step:g} and {height:g}")
+        expected = "a band of heights, step < height"
+        raise QueryError(
+            f"expected {expected}, got {step:g} and {height:g}",
+            value=(step, height),
+            expected=expected,
+        )
     lattice = level.lattice
     res = level.lattice.cell_size
     stored = np.where(np.isnan(level.floor_height), np.float32(0), level.floor_height)
     has_floor = ~np.isnan(level.floor_height)
     floor = np.where(has_floor, stored.astype(np.float64) * level.unit, level.ground)
     slack = CELL_SLACK + np.spacing(np.abs(stored)).astype(np.float64) * level.unit / res
-    # begin whole voxels below the ground's band, under the lowest floor's
-    below = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
-    bottom = level.ground + step - below * res
+    # begin whole voxels below the heights over the ground, under those over the lowest floor
+    num_below = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
+    bottom = level.ground + step - num_below * res
     start = np.floor((floor + step - bottom) / res + slack)
     end = np.ceil((floor + height - bottom) / res - slack)
-    shape = lattice.width, lattice.height, max(int(end.max()), 1)
+    shape = (lattice.width, lattice.height, max(int(end.max()), 1))
     check_memory(shape, 1)
     values = np.zeros(shape, dtype=np.bool_)
     columns = values.transpose(1, 0, 2)[::-1]
     filled = level.occupancy != 0
     for k in range(values.shape[2]):
         columns[:, :, k] = filled & (start <= k) & (k < end)
-    x0, y0, _, _ = lattice.bounds
-    return VoxelGrid(values=values, origin=(x0, y0, bottom), res=res)
+    x_low, y_low, _, _ = lattice.bounds
+    return VoxelGrid(values=values, origin=(x_low, y_low, bottom), res=res)

@@ -23,8 +23,8 @@ from navbake.navgrid.lattice import CELL_SLACK, FARTHEST, LEAST_EDGE, num_cells
 from navbake.types import Bool, Float, Int, Vector3
 
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
-MANY = 2**200  # more than any memory, and still a float
-FINEST = 1e-5  # least edge of a voxel, well above the tolerance of touching [m]
+HUGE_COUNT = 2**200  # more than any memory holds, and still a float
+MIN_EDGE = 1e-5  # smallest edge of a voxel, well above the tolerance of touching [m]
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -32,16 +32,22 @@ class VoxelGrid:
     """A box of cubic voxels, parallel to the world's axes.
 
     Voxel (i, j, k) is the cube of edge `res` with the lower corner ``origin + (i, j, k) * res``.
+
+    Attributes:
+        values: Shape (nx, ny, nz): bool, True for occupied; or IDs, 0 for empty, uint8, uint16 or
+            uint32.
+        origin: Lower corner of voxel (0, 0, 0), world x, y, z [m].
+        res: Edge of a voxel [m], > 0.
+        names: Names by ID, without 0; some may be missing.
+        known: Shape (nx, ny, nz), bool, False where the occupancy is unknown; None if all is known.
+        notes: Assumptions and warnings of what made, read or wrote the grid, one line each.
     """
 
-    #: Shape (nx, ny, nz): bool, True for occupied; or uint8, uint16 or uint32 IDs, 0 for empty.
     values: NDArray[Any]
-    origin: Vector3  #: The lower corner of voxel (0, 0, 0), world frame [m].
-    res: float  #: Edge of a voxel [m], > 0.
-    names: dict[int, str] = field(default_factory=dict)  #: Of the IDs, as far as known, without 0.
-    #: Shape (nx, ny, nz), bool, False for unknown occupancy; None if all is known.
+    origin: Vector3
+    res: float
+    names: dict[int, str] = field(default_factory=dict)
     known: Bool | None = None
-    #: Assumptions and warnings of the grid's maker, reader or writer, one line each.
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -49,26 +55,30 @@ class VoxelGrid:
         dtype = self.values.dtype
         known = self.known
         if len(shape) != 3 or 0 in shape:
-            raise FormatError(f"expected voxels of shape (nx, ny, nz), each >= 1, got {shape}")
+            expected = "voxels of shape (nx, ny, nz), each >= 1"
+            raise _wrong_field("values", shape, expected, f"{shape}")
         if dtype.name not in DTYPES:
-            raise FormatError(f"expected voxels of dtype {', '.join(DTYPES)}, got {dtype}")
+            expected = f"voxels of dtype {', '.join(DTYPES)}"
+            raise _wrong_field("values", dtype.name, expected, f"{dtype}")
         if known is not None and known.shape != shape:
-            raise FormatError(f"expected `known` of the voxels' shape {shape}, got {known.shape}")
+            expected = f"`known` of the voxels' shape {shape}"
+            raise _wrong_field("known", known.shape, expected, f"{known.shape}")
         if known is not None and known.dtype != np.bool_:
-            raise FormatError(f"expected `known` of dtype bool, got {known.dtype}")
+            raise _wrong_field("known", known.dtype.name, "`known` of dtype bool", f"{known.dtype}")
         corner = finite_array(self.origin, (3,))
         if corner is None:
-            given = reprlib.repr(self.origin)[:80]  # on one line
-            raise FormatError(f"expected a lower corner x, y, z [m], got {given}")
+            one_line = reprlib.repr(self.origin)[:80]
+            raise _wrong_field("origin", self.origin, "a lower corner x, y, z [m]", one_line)
         self.origin = tuple(corner.tolist())
         self.res = float(self.res)
         if not (np.isfinite(self.res) and self.res > 0):
-            raise FormatError(f"expected a voxel's edge > 0 m, got {self.res:g}")
+            raise _wrong_field("res", self.res, "a voxel's edge > 0 m", f"{self.res:g}")
         with np.errstate(over="ignore"):
             is_near = np.abs(self.bounds).max() <= FARTHEST
         if not is_near or self.res < LEAST_EDGE:
-            why = f"expected voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin"
-            raise FormatError(f"{why}, got {self.res:g} m from {self.origin} on")
+            expected = f"voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin"
+            text = f"{self.res:g} m from {self.origin} on"
+            raise _wrong_field("res", self.res, expected, text)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -83,19 +93,19 @@ class VoxelGrid:
 
     @property
     def occupied(self) -> Bool:
-        """Occupied voxels, shape (nx, ny, nz), bool; `values` itself if it is bool."""
+        """Which voxels are occupied, shape (nx, ny, nz), bool; `values` itself if it is bool."""
         return self.values if not self.is_segmented else self.values != 0
 
     @property
     def bounds(self) -> Float:
         """Lower and upper corner, shape (2, 3), float64, world frame [m]."""
-        low = np.array(self.origin)
-        return np.stack([low, low + np.array(self.shape) * self.res])
+        lower = np.array(self.origin)
+        return np.stack([lower, lower + np.array(self.shape) * self.res])
 
     def centers(self) -> Float:
-        """The centres of the occupied voxels, shape (n, 3), float64, world frame [m]."""
-        middles: Float = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
-        return middles
+        """Return the centres of the occupied voxels, world x, y, z [m], shape (n, 3), float64."""
+        centers: Float = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
+        return centers
 
     def indices(self, xyz: ArrayLike) -> Int:
         """Return the indices of the voxels at positions; they go on beyond the grid.
@@ -106,8 +116,8 @@ class VoxelGrid:
         Returns:
             Indices (i, j, k), shape (..., 3), int64; negative or too large outside of the grid.
         """
-        place = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
-        return np.floor(place).astype(np.int64)
+        in_voxels = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
+        return np.floor(in_voxels).astype(np.int64)
 
     def at(self, xyz: ArrayLike) -> NDArray[Any]:
         """Return the values of the voxels at positions.
@@ -121,37 +131,48 @@ class VoxelGrid:
         Raises:
             QueryError: A position is outside the grid, or not a finite number.
         """
-        places = np.asarray(xyz, dtype=np.float64)
-        if places.shape[-1:] != (3,) or not np.isfinite(places).all():
-            raise QueryError(f"expected finite positions x, y, z [m], got {places.tolist()}"[:200])
-        index = self.indices(places)
-        beside = ((index < 0) | (index >= self.shape)).any(axis=-1)
-        if beside.any():
-            corners = places.reshape(-1, 3)[int(np.argmax(beside.ravel()))], *self.bounds
-            first, low, high = (", ".join(f"{value:.6g}" for value in xyz) for xyz in corners)
-            raise QueryError(f"no voxel at ({first}): the grid is from ({low}) to ({high})")
+        positions = np.asarray(xyz, dtype=np.float64)
+        if positions.shape[-1:] != (3,) or not np.isfinite(positions).all():
+            expected = "finite positions x, y, z [m]"
+            raise QueryError(
+                f"expected {expected}, got {positions.tolist()}"[:200],
+                key="xyz",
+                value=xyz,
+                expected=expected,
+            )
+        index = self.indices(positions)
+        is_outside = ((index < 0) | (index >= self.shape)).any(axis=-1)
+        if is_outside.any():
+            position = positions.reshape(-1, 3)[int(np.argmax(is_outside.ravel()))]
+            lower, upper = self.bounds
+            raise QueryError(
+                f"no voxel at ({_shown(position)}): the grid is from ({_shown(lower)}) to "
+                f"({_shown(upper)})",
+                key="xyz",
+                value=tuple(position.tolist()),
+            )
         return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
 
     def ids(self) -> list[int]:
-        """The IDs that occur, ascending, without 0; [] without IDs."""
-        found: set[int] = set()
+        """Return the IDs that occur, ascending, without 0; [] if voxels hold no IDs."""
+        ids: set[int] = set()
         if self.is_segmented:
-            for part in self.values:  # slice by slice, to limit memory
-                found.update(np.unique(part).tolist())
-        return sorted(found - {0})
+            for plane in self.values:  # plane by plane, to limit memory
+                ids.update(np.unique(plane).tolist())
+        return sorted(ids - {0})
 
     def without_ids(self) -> VoxelGrid:
-        """The same voxels as bool."""
+        """Return the same voxels as bool, without names."""
         return replace(self, values=self.occupied, names={})
 
     def with_ids(self, ids: Mapping[int, int]) -> VoxelGrid:
-        """Replace IDs.
+        """Return the voxels with other IDs.
 
         Args:
-            ids: the new ID of each, >= 0 and < 2**32; missing IDs become 0.
+            ids: The new ID of each ID, >= 0 and < 2**32; IDs that are missing become 0.
 
         Raises:
-            QueryError: the voxels hold no IDs.
+            QueryError: The voxels hold no IDs.
         """
         if not self.is_segmented:
             raise QueryError("these voxels hold no IDs")
@@ -159,14 +180,14 @@ class VoxelGrid:
         present = np.array([0, *self.ids()], dtype=np.int64)
         table = np.array([0, *(ids.get(int(old), 0) for old in present[1:])])
         values = np.empty(self.shape, dtype=dtype_of(max(ids.values(), default=0)))
-        for part, target in zip(self.values, values, strict=True):
-            target[...] = table[np.searchsorted(present, part)]
+        for old_plane, new_plane in zip(self.values, values, strict=True):
+            new_plane[...] = table[np.searchsorted(present, old_plane)]
         names = {new: self.names[old] for old, new in ids.items() if new and old in self.names}
         return replace(self, values=values, names=names)
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.shape))
-        corner = ", ".join(f"{v:g}" for v in self.origin)
+        corner = ", ".join(f"{coordinate:g}" for coordinate in self.origin)
         count = f"{np.count_nonzero(self.values):,} occupied"
         return f"VoxelGrid({shape} voxels of {self.res:g} m from ({corner}) on, {count})"
 
@@ -206,9 +227,20 @@ class VoxelGrid:
         return picture
 
 
-def dtype_of(most: int) -> np.dtype[Any]:
-    """The smallest dtype for IDs up to a number, below 2**32."""
-    return np.min_scalar_type(most)
+def _wrong_field(key: str, value: object, expected: str, text: str) -> FormatError:
+    """The error of a wrong attribute; `text` shows the value."""
+    message = f"expected {expected}, got {text}"
+    return FormatError(message, key=key, value=value, expected=expected)
+
+
+def _shown(position: Float) -> str:
+    """Write a position for messages."""
+    return ", ".join(f"{coordinate:.6g}" for coordinate in position)
+
+
+def dtype_of(max_id: int) -> np.dtype[Any]:
+    """Return the smallest dtype for IDs up to a number, below 2**32."""
+    return np.min_scalar_type(max_id)
 
 
 # --- where a grid is placed -----------------------------------------------------------------------
@@ -216,12 +248,20 @@ def dtype_of(most: int) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a grid of voxels lies."""
+    """Where a grid of voxels lies.
 
-    origin: Float  # its lower corner, (3,) [m]
-    res: float  # the edge of a voxel [m]
-    shape: tuple[int, int, int]  # in voxels
-    moved: float = 0.0  # by aligning it, the most along any axis [m]
+    Attributes:
+        origin: Its lower corner, world x, y, z [m], shape (3,).
+        res: Edge of a voxel [m].
+        shape: Numbers of voxels along x, y and z.
+        moved: How far aligning it with multiples of `res` has moved it, along the axis where that
+            is most [m].
+    """
+
+    origin: Float
+    res: float
+    shape: tuple[int, int, int]
+    moved: float = 0.0
 
 
 def place_grid(
@@ -233,69 +273,118 @@ def place_grid(
     *,
     align: bool = False,
 ) -> Placement:
-    """Place a voxel grid.
+    """Place a voxel grid around a centre, or over a scene.
 
-    The box round the centre `position` (that of the scene's box if None) is ``cells * res``, or the
-    whole voxels that cover `size`. Without both it covers the scene's box `bounds`, (2, 3) [m],
-    None if endless, with corners on multiples of `res`. `align` moves any box onto such multiples,
-    as octrees need it: by half a voxel at most.
+    Args:
+        position: Centre of the grid, world x, y, z [m]; None for the centre of `bounds`.
+        cells: Numbers of voxels along x, y and z.
+        size: Lengths along x, y and z that whole voxels are to cover [m]. Give one of `cells` and
+            `size`, or none to cover `bounds`, with corners on multiples of `res`.
+        res: Edge of a voxel [m], >= 1e-5.
+        bounds: Lower and upper corner of the scene's box, shape (2, 3) [m]; None if it is endless.
+        align: Move the corners onto multiples of `res`, as octrees need it: by half a voxel at
+            most.
 
     Raises:
-        ConfigError: a number is wrong, or both cells and size are given, or a centre alone.
+        ConfigError: A number is wrong, both cells and size are given, or a centre alone is, or the
+            grid needs more memory than there is.
     """
-    given = finite_array(res, ())
-    if given is None or given < FINEST:
-        raise ConfigError(f"expected `res`, the edge of a voxel, to be >= {FINEST:g} m, got {res}")
-    edge = float(given)
+    checked_edge = finite_array(res, ())
+    if checked_edge is None or checked_edge < MIN_EDGE:
+        expected = f"to be >= {MIN_EDGE:g} m"
+        raise ConfigError(
+            f"expected `res`, the edge of a voxel, {expected}, got {res}",
+            key="res",
+            value=res,
+            expected=expected,
+        )
+    edge = float(checked_edge)
     if cells is not None and size is not None:
         raise ConfigError("expected either counts of cells or a size in metres, got both")
-    covers = cells is None and size is None
-    if covers and position is not None:
+    covers_bounds = cells is None and size is None
+    if covers_bounds and position is not None:
         raise ConfigError("expected counts of cells or a size in metres beside the centre")
     if position is not None:
         center = check_three(position, "the centre to be x, y, z [m]")
     elif bounds is None or not np.isfinite(bounds).all():
-        why = "the scene has geoms with a pose that is not finite"
-        why = "only infinite planes count in the scene" if bounds is None else why
-        raise ConfigError(f"{why}, so its box has no end: give a centre, and counts or a size")
+        reason = "the scene has geoms with a pose that is not finite"
+        if bounds is None:
+            reason = "only infinite planes count in the scene"
+        hint = "give a centre, and counts or a size"
+        raise ConfigError(f"{reason}, so its box has no end: {hint}", hint=hint)
     else:
         center = bounds.mean(axis=0)
-    if bounds is not None and covers:
-        first = np.floor(bounds[0] / edge + CELL_SLACK)
-        last = np.maximum(np.ceil(bounds[1] / edge - CELL_SLACK), first + 1)
-        nx, ny, nz = (int(n) for n in last - first)
-        return Placement(first * edge, edge, (nx, ny, nz))
+    if bounds is not None and covers_bounds:
+        lower = np.floor(bounds[0] / edge + CELL_SLACK)  # in voxels
+        upper = np.maximum(np.ceil(bounds[1] / edge - CELL_SLACK), lower + 1)
+        return Placement(lower * edge, edge, _as_shape((upper - lower).tolist()))
     if cells is not None:
         counts = list(cells) if np.iterable(cells) else [cells]
-        whole = [n for n in counts if isinstance(n, int | np.integer) and n is not True and n > 0]
-        if len(counts) != 3 or len(whole) != 3:
-            raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
-        nx, ny, nz = map(int, counts)
+        if len(counts) != 3 or not all(map(_is_count, counts)):
+            expected = "3 counts of cells, whole numbers >= 1"
+            raise ConfigError(
+                f"expected {expected}, got {counts}", key="cells", value=cells, expected=expected
+            )
+        shape = _as_shape(counts)
     else:
         extent = check_three(size, "a size x, y, z in metres")
         if not (extent > 0).all():
-            raise ConfigError(f"expected a size > 0 m along each axis, got {extent.tolist()}")
-        nx, ny, nz = (num_cells(min(float(length), MANY * edge), edge) for length in extent)
-    check_memory((nx, ny, nz), 1)  # before arrays overflow
-    origin = center - np.array((nx, ny, nz)) * edge / 2
+            expected = "a size > 0 m along each axis"
+            raise ConfigError(
+                f"expected {expected}, got {extent.tolist()}",
+                key="size",
+                value=size,
+                expected=expected,
+            )
+        max_length = HUGE_COUNT * edge
+        shape = _as_shape([num_cells(min(float(length), max_length), edge) for length in extent])
+    check_memory(shape, 1)  # before arrays overflow
+    origin = center - np.array(shape) * edge / 2
     aligned = np.round(origin / edge) * edge if align else origin
-    return Placement(aligned, edge, (nx, ny, nz), float(np.abs(aligned - origin).max()))
+    return Placement(aligned, edge, shape, float(np.abs(aligned - origin).max()))
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int | np.integer) and value is not True and bool(value > 0)
+
+
+def _as_shape(counts: Sequence[float]) -> tuple[int, int, int]:
+    nx, ny, nz = counts
+    return int(nx), int(ny), int(nz)
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
-    """Raise a ConfigError for an array larger than free memory."""
-    needed = min(math.prod(shape) * itemsize, MANY)
+    """Raise a ConfigError for an array that is larger than free memory.
+
+    Args:
+        shape: Numbers of voxels along each axis.
+        itemsize: Memory for a voxel [bytes].
+    """
+    needed = min(math.prod(shape) * itemsize, HUGE_COUNT)
     free = _free_memory()
     if needed > free:
-        counts = (str(n) if n < 10**15 else f"{min(n, MANY):.3g}" for n in shape)
+        counts = (
+            str(count) if count < 10**15 else f"{min(count, HUGE_COUNT):.3g}" for count in shape
+        )
+        expected = "fewer or larger voxels"
         raise ConfigError(
             f"a grid of {' × '.join(counts)} voxels takes {needed / 2**30:.3g} GiB, and "
-            f"{free / 2**30:.3g} GiB of memory are free: expected fewer or larger voxels"
+            f"{free / 2**30:.3g} GiB of memory are free: expected {expected}",
+            value=tuple(shape),
+            expected=expected,
         )
 
 
 def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
-    """A value as finite float64 numbers of a shape, else None."""
+    """Convert a value to finite numbers, float64.
+
+    Args:
+        value: A number, or numbers in any form that numpy takes.
+        shape: The shape that they must have.
+
+    Returns:
+        The numbers; None if they have another shape, or are no finite numbers.
+    """
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -304,17 +393,22 @@ def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
 
 
 def check_three(value: ArrayLike | None, expected: str) -> Float:
-    """Three finite numbers; a ConfigError says `expected` otherwise."""
+    """Check three finite numbers, and return them as an array, float64.
+
+    Args:
+        value: The numbers.
+        expected: What the message of a ConfigError says to be expected.
+    """
     numbers = finite_array(value, (3,))
     if numbers is None:
-        raise ConfigError(f"expected {expected}, got {value!r}")
+        raise ConfigError(f"expected {expected}, got {value!r}", value=value, expected=expected)
     return numbers
 
 
 def _free_memory() -> int:
     """Memory available without swapping [bytes]; 2**62 if unknown."""
     free = 2**62
-    # ValueError: a container's limit is "max"; IndexError: a line without a number
+    # ValueError: a container's limit may be "max"; IndexError: a line may have no number
     with suppress(OSError, ValueError):
         free = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
     with suppress(OSError, ValueError, IndexError):
