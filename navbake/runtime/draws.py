@@ -101,17 +101,9 @@ def random_point(
     reachable_from: ArrayLike | None,
     anywhere: bool,
 ) -> Float:
-    """Draw places where an agent can stand, uniformly by area: `PathFinder.random_point`.
+    """Draw places where an agent can stand, uniformly by area.
 
-    Args:
-        search: of the grid.
-        rng: as of `PathFinder.random_point`, as the other arguments.
-        count: see there.
-        level: see there.
-        room: see there.
-        island: see there.
-        reachable_from: see there.
-        anywhere: see there.
+    The arguments after `search` are those of `PathFinder.random_point`, which describes them.
     """
     islands = search.allowed_islands(island, reachable_from)
     cells = np.flatnonzero(search.allowed(level=level, room=room, islands=islands))
@@ -133,19 +125,9 @@ def random_point_near(
     level: int | None,
     anywhere: bool,
 ) -> Float:
-    """Draw places near a position: `PathFinder.random_point_near`.
+    """Draw places near a position, uniformly by area.
 
-    Args:
-        search: of the grid.
-        rng: as of `PathFinder.random_point_near`, as the other arguments.
-        position: see there.
-        max_distance: see there [m].
-        count: see there.
-        min_distance: see there [m].
-        straight: see there.
-        room: see there.
-        level: see there.
-        anywhere: see there.
+    The arguments after `search` are those of `PathFinder.random_point_near`, which describes them.
     """
     cells = _cells_near(search, position, min_distance, max_distance, straight, level)
     if room is not None:
@@ -185,17 +167,9 @@ def random_pose(
     same_room: bool,
     level: int | None,
 ) -> Pose:
-    """Draw a pose, facing a target if there is one: `PathFinder.random_pose`.
+    """Draw a pose, facing a target if there is one.
 
-    Args:
-        search: of the grid.
-        rng: as of `PathFinder.random_pose`, as the other arguments.
-        target: see there.
-        min_distance: see there [m].
-        max_distance: see there [m].
-        in_sight: see there.
-        same_room: see there.
-        level: see there.
+    The arguments after `search` are those of `PathFinder.random_pose`, which describes them.
     """
     rng = as_generator(rng)
     if target is None:
@@ -559,7 +533,7 @@ def _count_hexagons(x: Float, y: Float, layer: Float, width: float) -> int:
     return len(np.unique(numbers))
 
 
-def _mark_taken(flat: FlatGrid, spacing: Spacing, taken: Bool, cell: int) -> None:
+def _mark_taken(flat: FlatGrid, spacing: Spacing, is_taken: Bool, cell: int) -> None:
     """Mark the cells that are too near to an agent's cell as taken."""
     center = flat.positions(cell)
     for level in range(flat.num_levels):
@@ -567,8 +541,8 @@ def _mark_taken(flat: FlatGrid, spacing: Spacing, taken: Bool, cell: int) -> Non
         if flat.num_levels > 1 or spacing.distance > spacing.height:
             rise = np.abs(flat.positions(near)[:, 2] - center[2])
             near = near[rise < spacing.height]
-        taken[near] = True
-    taken[cell] = True
+        is_taken[near] = True
+    is_taken[cell] = True
 
 
 def _draw_crowd(
@@ -577,25 +551,25 @@ def _draw_crowd(
     """Draw a cell for each agent from its part, else from another; stops early if none remains."""
     remaining = list(parts)
     agent_cells = np.empty(len(part_of_agent), dtype=np.int64)
-    taken = np.zeros(flat.num_cells, dtype=np.bool_)
+    is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
     def throw_darts(cells: Int) -> Int:
         """Draw some cells, and return those that are not taken."""
         darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
-        return darts[~taken[darts]]
+        return darts[~is_taken[darts]]
 
     for agent, own_part in enumerate(part_of_agent.tolist()):
         for part in (own_part, *rng.permutation(len(parts)).tolist()):
             free_darts = throw_darts(remaining[part])
             while not len(free_darts) and len(remaining[part]):
-                remaining[part] = remaining[part][~taken[remaining[part]]]
+                remaining[part] = remaining[part][~is_taken[remaining[part]]]
                 free_darts = throw_darts(remaining[part])
             if len(free_darts):
                 break
         else:
             return agent_cells[:agent]
         agent_cells[agent] = free_darts[0]
-        _mark_taken(flat, spacing, taken, int(free_darts[0]))
+        _mark_taken(flat, spacing, is_taken, int(free_darts[0]))
     return agent_cells
 
 
@@ -604,12 +578,12 @@ def _pack_crowd(flat: FlatGrid, cells: Int, spacing: Spacing, n: int, rng: Gener
     axis = rng.integers(2)
     signs = rng.choice([-1.0, 1.0], size=2)
     p = flat.positions(cells)[:, :2] * signs
-    taken = np.zeros(flat.num_cells, dtype=np.bool_)
+    is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
     agent_cells: list[int] = []
     for cell in cells[np.lexsort((p[:, axis], p[:, 1 - axis]))].tolist():
-        if len(agent_cells) < n and not taken[cell]:
+        if len(agent_cells) < n and not is_taken[cell]:
             agent_cells.append(cell)
-            _mark_taken(flat, spacing, taken, cell)
+            _mark_taken(flat, spacing, is_taken, cell)
     return np.array(agent_cells, dtype=np.int64)
 
 

@@ -145,7 +145,12 @@ class FlatGrid:
     def check_one(
         self, position: ArrayLike, level: int | None = None, what: str = "position"
     ) -> Float:
-        """Check one position; arguments as of `locate`.
+        """Check one position.
+
+        Args:
+            position: world x, y, z [m]; x, y are enough with a level, or on a grid of one level.
+            level: its level; None if it has a z.
+            what: the position's name in errors.
 
         Returns:
             The position as float64, shape (2,) or (3,).
@@ -159,7 +164,14 @@ class FlatGrid:
         return p
 
     def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
-        """Check one position, and find its cell, which must be free; as `locate`.
+        """Check one position, and find its cell, which must be free.
+
+        Args:
+            position: world x, y, z [m]; x, y are enough with a level, or on a grid of one level.
+            level: its level; None finds the level by z.
+
+        Returns:
+            The position as float64, shape (2,) or (3,); and the flat id of its cell.
 
         Raises:
             QueryError: the cell isn't free, the position is not valid, or there is no such level.

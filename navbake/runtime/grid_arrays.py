@@ -161,7 +161,12 @@ class Visits(NamedTuple):
 
 @subkernel
 def level_of(start, cell):
-    """Find the level of a flat id; `start` is that of `Layout`."""
+    """Find the level of a cell.
+
+    Args:
+        start: that of `Layout`.
+        cell: flat id.
+    """
     level = 0
     while cell >= start[level + 1]:  # levels are few, so that no search is faster
         level += 1
@@ -170,7 +175,15 @@ def level_of(start, cell):
 
 @subkernel
 def find_link_slot(link_cell, cell):
-    """Find the index of a flat id in ``links.cell`` by binary search; -1 if it isn't there."""
+    """Find a cell among those that links lead from or to, by binary search.
+
+    Args:
+        link_cell: the `cell` of `Links`.
+        cell: flat id.
+
+    Returns:
+        The index in `link_cell`, -1 if it isn't there.
+    """
     low = 0
     high = link_cell.shape[0]
     while low < high:
@@ -184,7 +197,12 @@ def find_link_slot(link_cell, cell):
 
 @subkernel
 def cell_center(layout, cell):
-    """Compute world x, y of the centre of a flat id's cell [m]."""
+    """Compute world x, y of a cell's centre [m].
+
+    Args:
+        layout: `Layout`.
+        cell: flat id.
+    """
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
     size = layout.cell_size[level]
@@ -193,14 +211,30 @@ def cell_center(layout, cell):
 
 @subkernel
 def floor_at(floors, level, cell):
-    """Return world z of a cell's floor, or of the level's ground where it has none [m]."""
+    """Return world z of a cell's floor, or of the level's ground where it has none [m].
+
+    Args:
+        floors: `FloorHeights`.
+        level: the cell's level.
+        cell: flat id.
+    """
     z = floors.z[cell]
     return floors.ground[level] if math.isnan(z) else z
 
 
 @subkernel
 def clamp_to_cell(layout, cell, x, y):
-    """Compute the point of a cell's square nearest to x, y, `EDGE_MARGIN` inside of its edges."""
+    """Compute the point of a cell's square nearest to a point, `EDGE_MARGIN` inside of its edges.
+
+    Args:
+        layout: `Layout`.
+        cell: flat id.
+        x: world x of the point [m].
+        y: world y of the point [m].
+
+    Returns:
+        World x, y [m].
+    """
     center_x, center_y = cell_center(layout, cell)
     half = (0.5 - EDGE_MARGIN) * layout.cell_size[level_of(layout.start, cell)]
     x = min(max(x, center_x - half), center_x + half)
@@ -210,7 +244,14 @@ def clamp_to_cell(layout, cell, x, y):
 
 @subkernel
 def to_cell_units(layout, level, x, y):
-    """Convert world x, y [m] to a level's own units: u in columns, v in rows, from its corner."""
+    """Convert a point to a level's own units: u in columns, v in rows, from the level's corner.
+
+    Args:
+        layout: `Layout`.
+        level: number of the level.
+        x: world x of the point [m].
+        y: world y of the point [m].
+    """
     size = layout.cell_size[level]
     u = (x - layout.x_min[level]) / size
     v = (layout.y_max[level] - y) / size

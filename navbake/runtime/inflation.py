@@ -266,12 +266,12 @@ def check_arguments(
     """Check the arguments of `inflate`.
 
     Args:
-        radius: see `inflate`, as the others.
-        clearance: see there.
-        mode: see there.
-        costs: see there.
-        scaling: see there.
-        ledges: see there.
+        radius: expected to be 0 to 10,000 [m].
+        clearance: expected to be 0 to 10,000 [m], or None.
+        mode: expected to be one of `MODES`.
+        costs: expected to be one of `COSTS`; ``step`` in mode ``minos``.
+        scaling: expected to be > 0 [1/m].
+        ledges: expected to be one of `LEDGES`.
 
     Raises:
         QueryError: an argument is out of its range, or they exclude each other.

@@ -18,7 +18,7 @@ from navbake.lazy import resolve
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
-from navbake.runtime import draws, passage, paths, places
+from navbake.runtime import draws, no_path, passage, paths, places
 from navbake.runtime.draws import Pose, SpawnRules, Spawns
 from navbake.runtime.flat_grid import IslandMap, RoomMap
 from navbake.runtime.passage import Passage
@@ -250,7 +250,7 @@ class PathFinder:
             >>> if finder.find_path(start, goal) is None:
             ...     print(finder.why_not(start, goal))
         """
-        return passage.why_not(self.search, start, goal, level)
+        return no_path.why_not(self.search, start, goal, level)
 
     def distance_field(
         self, goal: Goal, *, level: int | None = None, weighted: bool = True, by: str = "cost"
@@ -1036,12 +1036,12 @@ def plan_path(
 
     Args:
         grid: a grid of one or several levels.
-        start: as of `PathFinder.find_path`, as the other arguments.
-        goal: see there.
-        level: see there.
-        by: see there.
-        smooth: see there.
-        agent: as of `PathFinder`.
+        start: world x, y, z [m], shape (3,).
+        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+        level: the level of positions, for which x, y are then enough; None finds it by z.
+        by: ``cost`` for the cheapest path, ``time`` for the quickest.
+        smooth: whether the path is pulled straight where that stays free.
+        agent: the name of one of the grid's `agents`, or a `navbake.Agent`.
 
     Returns:
         The path, None if there is none.

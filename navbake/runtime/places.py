@@ -163,18 +163,9 @@ def snap(
     in_sight: bool,
     max_distance: float,
 ) -> Float | None:
-    """Find the nearest place where an agent can stand: `PathFinder.snap`.
+    """Find the nearest place where an agent can stand, for one position or each of many.
 
-    Args:
-        search: of the grid.
-        position: as of `PathFinder.snap`, as the other arguments.
-        level: see there.
-        same_level: see there.
-        same_room: see there.
-        room: see there.
-        island: see there.
-        in_sight: see there.
-        max_distance: see there [m].
+    The arguments after `search` are those of `PathFinder.snap`, which describes them.
     """
     flat = search.flat
     check_distance(max_distance)

@@ -1,0 +1,476 @@
+"""Explains why there is no path from a place to a goal, in one sentence."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.known_names import list_first
+from navbake.lazy import lazy
+from navbake.navgrid.cells import place_in
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.flat_grid import STAIRS_RISE, doors_along
+from navbake.runtime.inflation import ledges_setting
+from navbake.runtime.passage import (
+    NARROW_WEIGHT,
+    find_bottleneck,
+    find_closed_connections,
+    find_route_cells,
+    find_widest,
+    similar_search,
+    with_weights,
+    without_inflation,
+)
+from navbake.runtime.paths import Goal, find_target
+from navbake.runtime.search import NO_CELLS, Route, Search
+from navbake.types import Float, Int
+
+spatial = lazy("scipy.spatial")  # saves scipy at start-up
+
+# weight of a cell that a door blocks: a route of 10 km costs as much as 1 m of it
+DOOR_WEIGHT = 10_000.0
+# what a link that isn't allowed costs more [m], and the factor of areas that bar the agent
+PENALTY = 10_000.0
+MAX_NAMES = 4  # of obstacles, listed in a sentence
+RISE_MARGIN = 3  # cells along a route before and after its obstacle, for its rise
+ALL_MOVES = 255  # of a cell all of whose neighbours are free
+
+
+def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> str | None:
+    """Say in one sentence why there is no path: `PathFinder.why_not`.
+
+    Args:
+        search: of the grid, up to date.
+        start: world x, y, z [m].
+        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
+        level: the level of positions; None finds each one's level by its z.
+
+    Returns:
+        None if there is a path.
+
+    Raises:
+        QueryError: an argument is not valid.
+    """
+    flat = search.flat
+    start_position, start_cell = flat.locate(start, level, "start")
+    target = find_target(search, goal, level)
+    if start_cell < 0 or not flat.free[start_cell]:
+        return f"the start {_describe_blocked(search, start_position, start_cell)}"
+    goals = target.free_cells(flat)
+    if not len(goals):
+        if target.positions is not None:
+            first = _describe_blocked(search, target.positions[0], int(target.cells[0]))
+            if len(target.positions) == 1:
+                return f"the goal {first}"
+            return f"none of the {len(target.positions)} goals is free: the first {first}"
+        where = f"no cell of {target.name}"
+        if not target.name.startswith("room"):
+            where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
+        return f"{where} is free for a radius of {search.grid.radius:g} m"
+    if search.route(start_cell, goals) is not None:
+        return None
+    description, nearest_cells = _describe_islands(search, start_cell, goals)
+    reason = None
+    for find_reason in REASONS:
+        reason = find_reason(search, start_cell, goals)
+        if reason:
+            break
+    if not reason and nearest_cells is not None:
+        names = _name_obstacles(search, _cells_between(search, nearest_cells))
+        reason = f"between them: {names}" if names else None
+    return f"{description}; {reason}" if reason else description
+
+
+def _describe_blocked(search: Search, position: Float, cell: int) -> str:
+    """Say why a position isn't free, and where the nearest free cell is."""
+    grid = search.grid
+    flat = search.flat
+    area = None if cell < 0 else _barring_area(search, cell)
+    if cell < 0:
+        boxes = np.array([level.lattice.bounds for level in grid.levels])
+        x0, y0 = boxes[:, :2].min(axis=0)
+        x1, y1 = boxes[:, 2:].max(axis=0)
+        reason = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
+            reason = "has no floor below it"
+    elif area is not None:
+        reason = f"lies in the {area.name}, which {area.verdict}"
+    else:
+        place = place_in(grid, flat.cell(cell))
+        if place.is_blocked:
+            reason = "is blocked for now"
+        elif place.floor is None:
+            reason = "is on no floor"
+        elif place.occupied:
+            names = _name_obstacles(search, np.array([cell]))
+            reason = f"is where something stands{f' ({names})' if names else ''}"
+        else:
+            reason = f"is too near to what stands beside it for a radius of {grid.radius:g} m"
+    description = f"{_format_point(position)} {reason}"
+    free_cells = np.flatnonzero(flat.free)
+    if not len(free_cells):
+        return f"{description}, and no cell is free at all"
+    level = 0 if cell < 0 else int(flat.level_of(cell))
+    z = position[2] if len(position) == 3 else flat.floors.ground[level]
+    places = flat.positions(free_cells)
+    distance = np.linalg.norm(places - [position[0], position[1], z], axis=1)
+    nearest = int(np.argmin(distance))
+    where = f"at {_format_point(places[nearest])}, {distance[nearest]:.2f} m away"
+    return f"{description}; the nearest free cell is {where}"
+
+
+def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str, Int | None]:
+    """Name the islands of start and goal, and find their two nearest cells on one level."""
+    flat = search.flat
+    islands = search.islands
+    start_island = islands.number[start_cell]
+    goal_islands = np.unique(islands.number[goals])
+    is_rim = flat.free & (search.graph.moves != ALL_MOVES)
+    start_rim = np.flatnonzero(is_rim & np.isin(islands.number, start_island))
+    goal_rim = np.flatnonzero(is_rim & np.isin(islands.number, goal_islands))
+    # One tree for all levels: as a third coordinate, each level is farther from the next than any
+    # two cells of one level can be.
+    level_distance = 10.0 * float(flat.layout.start[-1])
+
+    def spread(cells: Int) -> Float:
+        heights = flat.level_of(cells) * level_distance
+        return np.column_stack([flat.positions(cells)[:, :2], heights])
+
+    distance, index = spatial.cKDTree(spread(goal_rim)).query(spread(start_rim))
+    nearest = int(np.argmin(distance))
+    cells = np.array([start_rim[nearest], goal_rim[index[nearest]]])
+    goal_island = int(islands.number[cells[1]])
+    goal_text = f"{goal_island} ({islands.areas[goal_island]:.2f} m²)"
+    start_text = f"{start_island} ({islands.areas[start_island]:.2f} m²)"
+    description = f"the goal is in island {goal_text}, the start in island {start_text}"
+    if distance[nearest] >= level_distance:
+        return f"{description}, which have no level in common", None
+    start_point, goal_point = flat.positions(cells)
+    where = f"at {_format_point(start_point)} and {_format_point(goal_point)}"
+    gap = f"their nearest cells are {distance[nearest]:.2f} m apart, {where}"
+    return f"{description}; {gap}", cells
+
+
+def _cells_between(search: Search, ends: Int) -> Int:
+    """List the cells on the straight line between two cells of a level, by flat id."""
+    flat = search.flat
+    level, row, col = flat.split(ends)
+    count = int(np.abs(np.diff([row, col])).max()) + 1
+    line = np.linspace((row[0], col[0]), (row[1], col[1]), count)
+    line_cells = np.rint(line).astype(np.int64)
+    width = flat.layout.width[level[0]]
+    cells: Int = flat.layout.start[level[0]] + line_cells @ [width, 1]
+    return cells
+
+
+def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the added obstacles on the route that the grid has without them.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if there are no obstacles, or no route without them.
+    """
+    grid = search.grid
+    flat = search.flat
+    clean = grid.without_blocks()
+    if clean is grid:
+        return None
+    route = find_route_cells(clean, search, start_cell, goals)
+    if route is None:
+        return None
+    blocked_places = np.flatnonzero(~flat.free[route])
+    first = max(blocked_places[0] - RISE_MARGIN, 0)
+    last = blocked_places[-1] + RISE_MARGIN
+    blocked_part = route[first : last + 1]
+    is_stairs = np.ptp(flat.positions(blocked_part)[:, 2]) > STAIRS_RISE
+    levels = np.unique(flat.level_of(route)).tolist()
+    between = ""
+    if is_stairs and len(levels) > 1:
+        first_level = _name_level(grid, levels[0])
+        between = f" between {first_level} and {_name_level(grid, levels[-1])}"
+    where = f"{_format_point(flat.positions(route[blocked_places[0]]))}{between}"
+    closed = "".join(f" {steps}," for steps in _closed_steps(search))
+    comma = "," if closed else ""
+    if is_stairs:
+        return f"the stairs at {where}{comma}{closed} are blocked for now"
+    return f"the way at {where}{comma}{closed} is blocked for now"
+
+
+def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the doors on the route through the fewest cells that doors block.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if no door is on it, or there is no such route.
+    """
+    grid = search.grid
+    flat = search.flat
+    if not grid.doors:
+        return None
+    doorless = without_inflation(grid.without_blocks()).with_doors("removed")
+    free = np.concatenate([level.free.ravel() for level in doorless.levels])
+    weights = np.where(free, np.where(flat.free, 1.0, DOOR_WEIGHT), np.inf)
+    doorless = with_weights(doorless, weights)
+    if grid.inflated_radius:
+        ledges = ledges_setting(grid)
+        doorless = doorless.inflate(grid.inflated_radius, ledges=ledges)
+    route = find_route_cells(doorless, search, start_cell, goals)
+    blocked = NO_CELLS if route is None else route[~flat.free[route]]
+    # a door blocks all cells from which the agent's disc reaches it
+    leaf_cells = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
+    reach = grid.radius + 1.5 * float(flat.layout.cell_size.max())
+    tree = spatial.cKDTree(flat.positions(leaf_cells))
+    _, nearest = tree.query(flat.positions(blocked), distance_upper_bound=reach)
+    passed_leaf_cells = leaf_cells[nearest[nearest < len(leaf_cells)]]
+    names = list(dict.fromkeys(doors_along(search.doors, passed_leaf_cells)))
+    if not names:
+        return None
+    states = {door.id: door.state for door in grid.doors}
+    state_words = {
+        name: "as modelled" if state == "modelled" else state for name, state in states.items()
+    }
+    doors = " and ".join(f"{name!r} ({state_words[name]})" for name in names)
+    return f"doors {doors} are in the way" if len(names) > 1 else f"door {doors} is in the way"
+
+
+def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the steps, links and doors that the agent's radius closed, else the gap [m].
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if the grid isn't inflated, or no smaller radius passes.
+    """
+    grid = search.grid
+    flat = search.flat
+    agent_radius = grid.inflated_radius
+    if not agent_radius:
+        return None
+    point_search = similar_search(without_inflation(grid.without_blocks()), search)
+    point_grid = point_search.grid
+    ledges = ledges_setting(grid)
+    widest = find_widest(point_grid, search, start_cell, goals, ledges)
+    if widest is None:
+        return None
+    radius = widest.radius
+    weights = np.where(point_search.flat.free, np.where(flat.free, 1.0, NARROW_WEIGHT), np.inf)
+    weighted_grid = with_weights(point_grid, weights)
+    route = find_route_cells(weighted_grid, search, start_cell, goals)
+    route_cells = NO_CELLS if route is None else route
+    closed = [
+        connection.name
+        for connection in find_closed_connections(point_search, search)
+        if np.isin(connection.cells, route_cells).any()
+    ]
+    if closed:
+        is_singular = len(closed) == 1 and not closed[0].startswith("the stairs")
+        names = f"{' and '.join(closed)} {'is' if is_singular else 'are'}"
+        return f"{names} closed for a radius of {agent_radius:g} m, and {radius:g} m passes"
+    if math.isinf(radius):
+        return None
+    cell = find_bottleneck(point_grid, search, start_cell, goals, widest, cut_corners=False)
+    width = _measure_gap(point_search, cell, radius)
+    where = _format_point(flat.positions(cell))
+    agent_width = f"the agent {2 * agent_radius:.2f} m"
+    return f"the gap between, at {where}, is {width:.2f} m wide, {agent_width}"
+
+
+def _measure_gap(search: Search, cell: int, radius: float) -> float:
+    """Measure the gap between the occupied squares round a bottleneck [m].
+
+    Twice the radius that fits there where no squares are on opposite sides of the cell.
+    """
+    level_number, row, col = search.flat.cell(cell)
+    level = search.grid.levels[level_number]
+    size = search.flat.layout.cell_size[level_number]
+    reach = int(4 * radius / size) + 2
+    first_row = max(row - reach, 0)
+    first_col = max(col - reach, 0)
+    window = level.solid[first_row : row + reach + 1, first_col : col + reach + 1]
+    rows, cols = np.nonzero(window)
+    centers = level.lattice.positions(rows + first_row, cols + first_col)
+    point = level.lattice.positions(row, col)
+    low = centers - size / 2
+    high = centers + size / 2
+    to_squares = np.clip(point, low, high) - point
+    distance = np.linalg.norm(to_squares, axis=1)
+    if not len(distance):
+        return 2 * radius
+    # from the square nearest to the other side, within 60 degrees of the opposite direction
+    nearest = int(np.argmin(distance))
+    is_opposite = to_squares @ -to_squares[nearest] > 0.5 * distance * distance[nearest]
+    if not is_opposite.any():
+        return 2 * radius
+    side = point + to_squares[nearest]
+    across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)
+    return float(across[is_opposite].min())
+
+
+def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the first link or area that the agent can't use on the route with all of them open.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if there is no such link, area or route.
+    """
+    grid = search.grid
+    flat = search.flat
+    if not (grid.links or grid.areas):
+        return None
+    open_search = similar_search(grid, search, radius=0.0, penalty=PENALTY)
+    route = open_search.route(start_cell, goals)
+    if route is None:
+        return None
+    taken_links = dict(open_search.measure(route, flat.split(route.cells), "cost").links)
+    for index, cell in enumerate(route.cells.tolist()):
+        if index in taken_links:
+            sentence = _explain_link(search, route, index, taken_links[index])
+            if sentence:
+                return sentence
+        # a diagonal step also needs the two cells beside it
+        has_step = index > 0 and not route.by_link[index]
+        before = int(route.cells[index - 1]) if has_step else cell
+        across = flat.cell(cell).col - flat.cell(before).col
+        for needed_cell in (before + across, cell - across, cell):
+            area = _barring_area(search, needed_cell)
+            if area is not None:
+                return f"the {area.name} {area.verdict}"
+    return None
+
+
+def _explain_link(search: Search, route: Route, index: int, name: str) -> str | None:
+    """Say why an agent can't use a link that a route takes; None if it can.
+
+    `index` is the place in the route of the cell that the link leads to.
+    """
+    link = next(link for link in search.grid.links if link.name == name)
+    reason = link.refuses(search.agent)
+    if reason is None and not link.fits(search.radius):
+        agent_width = f"the agent's {2.0 * search.radius:g} m"
+        reason = f"is {link.width:g} m wide, narrower than {agent_width}"
+    ends = route.cells[index - 1 : index + 1]
+    if reason is None and not (search.flat.arcs.ends == ends).all(axis=1).any():
+        reason = "leads the other way only"
+    return f"the link {link.name!r} ({link.kind}) {reason}" if reason else None
+
+
+class BarringArea(NamedTuple):
+    """An area that bars the agent.
+
+    Attributes:
+        name: as "area 'lab'".
+        verdict: whom it bars, as "bars all agents".
+    """
+
+    name: str
+    verdict: str
+
+
+def _barring_area(search: Search, cell: int) -> BarringArea | None:
+    """Find the area of a cell that bars the agent; None for none."""
+    area_factor = search.flat.area_factor
+    agent = search.agent
+    if len(area_factor) == 1 or math.isfinite(area_factor[cell]):
+        return None
+    level, row, col = search.flat.cell(cell)
+    area = search.grid.areas[search.grid.levels[level].area_index[row, col] - 1]
+    barred = repr(agent.name) if agent and math.isfinite(area.cost) else "all agents"
+    return BarringArea(f"area {area.name!r}", f"bars {barred}")
+
+
+def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
+    """Name the levels that no step joins, or only steps that are blocked.
+
+    Args:
+        search: of the grid, up to date.
+        start_cell: flat id of a free cell.
+        goals: flat ids of free cells.
+
+    Returns:
+        None if a goal is on the start's level, or steps between levels are free.
+    """
+    flat = search.flat
+    start_level = int(flat.level_of(start_cell))
+    if start_level in flat.level_of(goals):
+        return None
+    closed = _closed_steps(search)
+    if closed:
+        leads = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
+        return f"{', '.join(closed)} {leads} to cells that aren't free"
+    if not len(flat.steps.cell):
+        return f"no steps lead from {_name_level(search.grid, start_level)} to another level"
+    return None
+
+
+def _closed_steps(search: Search) -> list[str]:
+    """Describe each pair of levels whose steps are all blocked."""
+    flat = search.flat
+    closed = []
+    sources, targets = flat.step_ends()
+    source_levels = flat.level_of(sources)
+    target_levels = flat.level_of(targets)
+    is_open = flat.free[sources] & flat.free[targets]
+    is_upwards = source_levels < target_levels
+    level_pairs = np.stack([source_levels, target_levels], axis=1)[is_upwards]
+    for lower, upper in np.unique(level_pairs, axis=0).tolist():
+        is_between = (source_levels == lower) & (target_levels == upper)
+        if not is_open[is_between].any():
+            num_steps = is_between.sum()
+            steps = "the step" if num_steps == 1 else f"all {num_steps} steps"
+            lower_name = _name_level(search.grid, lower)
+            closed.append(f"{steps} from {lower_name} to {_name_level(search.grid, upper)}")
+    return closed
+
+
+REASONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
+    explain_by_obstacles,
+    explain_by_doors,
+    explain_by_links_and_areas,
+    explain_by_gap,
+    explain_by_steps,
+)
+"""The functions that explain why there is no path, in the order in which they are called."""
+
+
+# ---------------------------------------------------------------- words of sentences
+
+
+def _name_obstacles(search: Search, cells: Int) -> str:
+    """List the names of the things that block cells, if the file has them."""
+    grid = search.grid
+    flat = search.flat
+    blocked = cells[~flat.free[cells]]
+    levels = flat.level_of(blocked)
+    positions = flat.positions(blocked)
+    names: list[str] = []
+    for (x, y, _), level in zip(positions.tolist(), levels.tolist(), strict=True):
+        names += grid.blockers(x, y, level)
+    return list_first(list(dict.fromkeys(names)), MAX_NAMES)
+
+
+def _name_level(grid: NavGrid, number: int) -> str:
+    """Name a level in a sentence, by its number and the name that the file has for it."""
+    name = grid.level_names[number]
+    return name if name == f"level {number}" else f"level {number} ({name})"
+
+
+def _format_point(position: ArrayLike) -> str:
+    """Format a position for a sentence, to the centimetre and in parentheses."""
+    return f"({', '.join(f'{v:.2f}' for v in np.asarray(position))})"
