@@ -64,7 +64,12 @@ def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk
 
 
 def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
-    """Return the numbers of the tiles on some rows of cells, which are entire rows of tiles."""
+    """Return the numbers of the tiles on some rows of cells.
+
+    Args:
+        lattice: the cells.
+        rows: the rows, entire rows of tiles.
+    """
     tiles_x = -(-lattice.width // TILE)
     return range(rows.first // TILE * tiles_x, -(-rows.end // TILE) * tiles_x)
 
@@ -417,7 +422,15 @@ def _remove_dropped(
 
 
 def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
-    """Return the columns of some cells; column i of the result is that of ``cells[i]``."""
+    """Select the columns of some cells.
+
+    Args:
+        hits: the columns of all cells.
+        cells: ids of cells, (n,).
+
+    Returns:
+        n columns; column i is that of ``cells[i]``.
+    """
     first = hits.start[cells]
     return gather_hits(hits.entries, first, hits.start[cells + 1] - first)
 

@@ -62,7 +62,12 @@ def make_hits(count):
 
 @subkernel
 def view_hits(column_hits, first, end):
-    """Return the hits ``[first:end]`` of a `ColumnHits` as `LineHits` that write into it."""
+    """View some hits of columns as `LineHits`, which write into them.
+
+    Args:
+        column_hits: the columns, as `ColumnHits`.
+        first, end: range of hits.
+    """
     z = column_hits.z[first:end]
     normal = column_hits.normal[first:end]
     geom = column_hits.geom
@@ -73,7 +78,14 @@ def view_hits(column_hits, first, end):
 
 @subkernel(forceinline=True)
 def copy_hit(hits, source, target_hits, target):
-    """Copy hit number `source` to number `target` of the same or of another `LineHits`."""
+    """Copy a hit to another place.
+
+    Args:
+        hits: `LineHits` to copy from.
+        source: number of the hit.
+        target_hits: `LineHits` to copy to, the same or another one.
+        target: number of the copy.
+    """
     target_hits.z[target] = hits.z[source]
     for axis in range(3):
         target_hits.normal[target, axis] = hits.normal[source, axis]

@@ -29,7 +29,13 @@ MIN_COLUMNS_FOR_SPANS = 4
 
 @subkernel(inline="always")
 def is_beside(boxes, i, x, y):
-    """Return whether a vertical line is beside box i by more than RIM."""
+    """Return whether a vertical line is beside a box by more than RIM.
+
+    Args:
+        boxes: (n, 6) float64, lower corner, upper corner [m].
+        i: index of the box.
+        x, y: the line [m].
+    """
     return (
         x < boxes[i, 0] - RIM
         or x > boxes[i, 3] + RIM

@@ -190,7 +190,7 @@ def _pose_leaf(
     # seen from above, most doors are too small to walk on, which is quickly found
     tops = dict[str, Shapes]()
     for state, extents in extents_by_state.items():
-        area = np.nansum((extents.thin * extents.long)[candidate.geoms])
+        area = np.nansum((extents.short_side * extents.long_side)[candidate.geoms])
         if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
             tops[state] = leaf_shapes[state]
     travel = ""
@@ -223,20 +223,20 @@ def _draw_lines(extents: Extents, geoms: Int, lattice: Lattice, reach: float) ->
     center = extents.center[panel]
     if not np.isfinite(center).all():
         return None
-    across = extents.across[panel]
+    across = extents.short_axis[panel]
     along = np.array([-across[1], across[0]])
     step = lattice.cell_size / 2
     both_sides = np.array([-1.0, 1.0])
 
     # lines of sight away from both sides: points of shape (sides, lines, steps, 2) [m]
     length = max(SIGHT_LENGTH, reach + SIGHT_CELLS * lattice.cell_size)
-    distance = extents.thin[panel] / 2 + np.arange(0.0, length, step)
-    start = center + along * np.array(SIGHT_OFFSETS)[:, None] * extents.long[panel]
+    distance = extents.short_side[panel] / 2 + np.arange(0.0, length, step)
+    start = center + along * np.array(SIGHT_OFFSETS)[:, None] * extents.long_side[panel]
     direction = across * both_sides[:, None, None, None]
     sight = start[:, None] + direction * distance[:, None]
 
     # lines on from both ends: points of shape (ends, steps, 2) [m]
-    distance = extents.long[panel] / 2 + np.arange(0.0, FRAME_LENGTH + step, step)
+    distance = extents.long_side[panel] / 2 + np.arange(0.0, FRAME_LENGTH + step, step)
     direction = along * both_sides[:, None, None]
     ends = center + direction * distance[:, None]
     return LeafLines(_cells_at(sight, lattice), _cells_at(ends, lattice))

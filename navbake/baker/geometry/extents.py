@@ -1,4 +1,4 @@
-"""Upright boxes round geoms, turned as the geoms lie."""
+"""Upright boxes around geoms, aligned with the sides of each geom."""
 
 from typing import NamedTuple
 
@@ -6,116 +6,175 @@ import numpy as np
 
 from navbake.baker.core.arrays import Solids
 from navbake.baker.geometry.shapes import Shapes, support_distances
-from navbake.baker.geometry.triangle_kernels import RIGHT, find_facing_directions, measure_spans
+from navbake.baker.geometry.triangle_kernels import (
+    QUARTER_TURN,
+    find_facing_directions,
+    measure_spans,
+)
 from navbake.threads import run_in_chunks
 from navbake.types import Float, Int, Int32
 
-# How many directions of upright faces are distinguished, over a right angle
+# How many directions of vertical faces are distinguished, over a quarter turn
 DIRECTIONS = 180
-CHUNK = 1 << 16  # triangles that are looked at together
+TRIANGLES_PER_CALL = 1 << 16  # whose directions are found at a time
 
 
 class Extents(NamedTuple):
-    """Upright boxes round geoms, by geom id; NaN for infinite planes and what isn't counted."""
+    """Upright boxes around geoms, by geom id; NaN for infinite planes and geoms that don't count.
 
-    center: Float  # (n, 2) [m]
-    across: Float  # unit vectors along the shorter sides, (n, 2)
-    thin: Float  # the shorter sides [m]
-    long: Float
-    low: Float  # heights of bottom and top [m]
-    high: Float
+    Attributes:
+        center: x and y of the boxes' middles, (n, 2) [m].
+        short_axis: horizontal unit vectors along the shorter sides, (n, 2).
+        short_side: lengths of the shorter horizontal sides, (n,) [m].
+        long_side: lengths of the longer horizontal sides, (n,) [m].
+        bottom: heights of the bottoms, (n,) [m].
+        top: heights of the tops, (n,) [m].
+    """
+
+    center: Float
+    short_axis: Float
+    short_side: Float
+    long_side: Float
+    bottom: Float
+    top: Float
 
     @property
-    def along(self) -> Float:
-        """Unit vectors along the longer sides, shape (n, 2), float64."""
-        return np.stack([-self.across[:, 1], self.across[:, 0]], axis=1)
+    def long_axis(self) -> Float:
+        """Horizontal unit vectors along the longer sides, shape (n, 2), float64."""
+        return np.stack([-self.short_axis[:, 1], self.short_axis[:, 0]], axis=1)
 
-    def half_widths(self, geoms: Int, way: Float) -> Float:
-        """How far geoms, ids (k,), reach from their middles along a way, (2,) or (k, 2), in [m]."""
-        on_thin = np.abs((self.across[geoms] * way).sum(axis=-1))
-        on_long = np.abs((self.along[geoms] * way).sum(axis=-1))
-        return np.asarray((on_thin * self.thin[geoms] + on_long * self.long[geoms]) / 2)
+    def half_widths(self, geoms: Int, direction: Float) -> Float:
+        """Return how far the boxes of geoms reach from their middles in a horizontal direction.
+
+        Args:
+            geoms: geom ids, (k,).
+            direction: unit vectors, (2,) or (k, 2).
+
+        Returns:
+            shape (k,) [m].
+        """
+        on_short = np.abs((self.short_axis[geoms] * direction).sum(axis=-1))
+        on_long = np.abs((self.long_axis[geoms] * direction).sum(axis=-1))
+        widths = on_short * self.short_side[geoms] + on_long * self.long_side[geoms]
+        return np.asarray(widths / 2)
 
 
 def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
-    """Measure the counted geoms.
+    """Measure the geoms that count.
 
-    A solid's box follows whichever of its own axes makes it smallest, that of triangles the
-    direction that most of their upright faces look in.
+    A solid's box is aligned with whichever of the solid's own axes makes it smallest, that of
+    triangles with the direction that most of their vertical faces look in.
+
+    Args:
+        shapes: the geometry.
+        num_geoms: number of geoms in the scene.
     """
-    pairs = (np.full((num_geoms, 2), np.nan) for _ in range(2))
-    extents = Extents(*pairs, *(np.full(num_geoms, np.nan) for _ in range(4)))
+    extents = Extents(
+        center=np.full((num_geoms, 2), np.nan),
+        short_axis=np.full((num_geoms, 2), np.nan),
+        short_side=np.full(num_geoms, np.nan),
+        long_side=np.full(num_geoms, np.nan),
+        bottom=np.full(num_geoms, np.nan),
+        top=np.full(num_geoms, np.nan),
+    )
     _measure_solids(shapes.solids, extents)
-    for triangles in shapes.triangles_of_some():
-        if len(triangles.geom):
-            _measure_triangles(triangles.geom, triangles.corners, extents)
+    for facets in shapes.facets_in_batches():
+        if len(facets.geom):
+            _measure_triangles(facets.geom, facets.corners, extents)
     return extents
 
 
 def _measure_solids(solids: Solids, out: Extents) -> None:
+    """Write the extents of solids."""
     axes = solids.mat.reshape(-1, 3, 3)
-    best = np.full(len(solids.geom), np.inf)
-    for number in range(3):
-        way = axes[:, :2, number]
-        length = np.hypot(way[:, 0], way[:, 1])
-        way = np.where(length[:, None] > 1e-6, way / np.maximum(length, 1e-6)[:, None], [1.0, 0.0])
-        turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-        ways = (np.einsum("nij,ni->nj", axes[:, :2], along) for along in (way, turned))
-        one, other = (support_distances(solids.kind, along, solids.size) for along in ways)
-        area = one * other
-        smaller = area < best * (1 - 1e-9)  # rounding alone never picks another axis
-        best[smaller] = area[smaller]
-        is_thin = (one <= other)[:, None]
-        geom = solids.geom[smaller]
-        out.across[geom] = np.where(is_thin, way, turned)[smaller]
-        out.thin[geom] = 2 * np.minimum(one, other)[smaller]
-        out.long[geom] = 2 * np.maximum(one, other)[smaller]
+    least_area = np.full(len(solids.geom), np.inf)
+    for axis in range(3):
+        direction = axes[:, :2, axis]
+        length = np.hypot(direction[:, 0], direction[:, 1])[:, None]
+        direction = np.where(length > 1e-6, direction / np.maximum(length, 1e-6), [1.0, 0.0])
+        normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        half_along = _horizontal_reach(solids, axes, direction)
+        half_across = _horizontal_reach(solids, axes, normal)
+        area = half_along * half_across
+        is_smaller = area < least_area * (1 - 1e-9)  # rounding alone never picks another axis
+        least_area[is_smaller] = area[is_smaller]
+        is_short = (half_along <= half_across)[:, None]
+        geom = solids.geom[is_smaller]
+        out.short_axis[geom] = np.where(is_short, direction, normal)[is_smaller]
+        out.short_side[geom] = 2 * np.minimum(half_along, half_across)[is_smaller]
+        out.long_side[geom] = 2 * np.maximum(half_along, half_across)[is_smaller]
     out.center[solids.geom] = solids.pos[:, :2]
-    out.low[solids.geom] = solids.bounds[:, 2]
-    out.high[solids.geom] = solids.bounds[:, 5]
+    out.bottom[solids.geom] = solids.bounds[:, 2]
+    out.top[solids.geom] = solids.bounds[:, 5]
+
+
+def _horizontal_reach(solids: Solids, axes: Float, direction: Float) -> Float:
+    """Return how far solids reach from their centres in horizontal directions, (n, 2); (n,) [m]."""
+    local_direction = np.einsum("nij,ni->nj", axes[:, :2], direction)
+    return support_distances(solids.kind, local_direction, solids.size)
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
+    """Write the extents of geoms made of triangles; `geom` is ascending."""
     first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
-    which = geom[first]
-    group = np.repeat(np.arange(len(first), dtype=np.int32), np.diff(first, append=len(geom)))
+    geom_ids = geom[first]
+    num_triangles = np.diff(first, append=len(geom))
+    group = np.repeat(np.arange(len(first), dtype=np.int32), num_triangles)
     angle = facing_angles(corners, group, len(first))
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     low = np.full((len(first), 3), np.inf)
     high = np.full((len(first), 3), -np.inf)
-    measure_spans(corners, group, way, low, high)
-    one, other, _ = (high - low).T
+    measure_spans(corners, group, direction, low, high)
+    along, across, _ = (high - low).T
     middle = (low + high) / 2
-    out.across[which] = np.where((one <= other)[:, None], way, turned)
-    out.thin[which] = np.minimum(one, other)
-    out.long[which] = np.maximum(one, other)
-    out.center[which] = way * middle[:, :1] + turned * middle[:, 1:2]
-    out.low[which] = low[:, 2]
-    out.high[which] = high[:, 2]
+    is_short = (along <= across)[:, None]
+    out.short_axis[geom_ids] = np.where(is_short, direction, normal)
+    out.short_side[geom_ids] = np.minimum(along, across)
+    out.long_side[geom_ids] = np.maximum(along, across)
+    out.center[geom_ids] = direction * middle[:, :1] + normal * middle[:, 1:2]
+    out.bottom[geom_ids] = low[:, 2]
+    out.top[geom_ids] = high[:, 2]
 
 
-def facing_angles(corners: Float, group: Int32, num: int) -> Float:
-    """The angle, modulo a right one, that most upright faces of each group look at, (num,) [rad].
+def facing_angles(corners: Float, group: Int32, num_groups: int) -> Float:
+    """Find the horizontal direction in which most vertical faces of each group look.
 
-    Takes corners of triangles, (m, 3, 3) [m], and the group of each, below `num`, (m,).
+    Args:
+        corners: of triangles, shape (m, 3, 3) [m].
+        group: of each triangle, below `num_groups`, (m,).
+        num_groups: number of groups.
+
+    Returns:
+        The angle from x, modulo a quarter turn, (num_groups,) [rad].
     """
-    votes, sums = np.zeros((2, num * DIRECTIONS))
-    way = np.empty(CHUNK, np.int32)
-    weight = np.empty(CHUNK)
-    off = np.empty(CHUNK)
-    for first in range(0, len(group), CHUNK):
-        some = corners[first : first + CHUNK]
+    # by group and direction: the area of faces as seen from the side, and the same times the angle
+    # to the direction
+    area = np.zeros(num_groups * DIRECTIONS)
+    area_times_angle = np.zeros(num_groups * DIRECTIONS)
+    direction = np.empty(TRIANGLES_PER_CALL, np.int32)
+    weight = np.empty(TRIANGLES_PER_CALL)
+    weighted_angle = np.empty(TRIANGLES_PER_CALL)
+    for first in range(0, len(group), TRIANGLES_PER_CALL):
+        batch = corners[first : first + TRIANGLES_PER_CALL]
         run_in_chunks(
-            find_facing_directions, len(some), some, DIRECTIONS, way, weight, off, least=4096
+            find_facing_directions,
+            len(batch),
+            batch,
+            DIRECTIONS,
+            direction,
+            weight,
+            weighted_angle,
+            least=4096,
         )
-        at = group[first : first + CHUNK] * np.int64(DIRECTIONS) + way[: len(some)]
-        np.add.at(votes, at, weight[: len(some)])
-        np.add.at(sums, at, off[: len(some)])
-    votes = votes.reshape(num, DIRECTIONS)
-    sums = sums.reshape(num, DIRECTIONS)
-    most = votes.argmax(axis=1)
-    total = votes[np.arange(num), most]
-    rest = sums[np.arange(num), most]
-    angle: Float = most * (RIGHT / DIRECTIONS) + rest / np.where(total > 0.0, total, 1.0)
+        first_entry = group[first : first + TRIANGLES_PER_CALL] * np.int64(DIRECTIONS)
+        entry = first_entry + direction[: len(batch)]
+        np.add.at(area, entry, weight[: len(batch)])
+        np.add.at(area_times_angle, entry, weighted_angle[: len(batch)])
+    best = area.reshape(num_groups, DIRECTIONS).argmax(axis=1)
+    best_entry = np.arange(num_groups) * DIRECTIONS + best
+    best_area = area[best_entry]
+    best_sum = area_times_angle[best_entry]
+    offset = best_sum / np.where(best_area > 0.0, best_area, 1.0)
+    angle: Float = best * (QUARTER_TURN / DIRECTIONS) + offset
     return angle

@@ -1,8 +1,8 @@
-"""Does a convex solid meet an upright prism? Proved one way or the other by iteration.
+"""Decides by iteration whether a convex solid meets an upright prism, with a proof.
 
 Gilbert, Johnson and Keerthi, A fast procedure for computing the distance between complex objects
 in three-dimensional space, 1988. Two convex sets meet where their Minkowski difference, all
-points a - b, holds the origin. A simplex of at most four points of the difference creeps towards
+points a - b, holds the origin. A simplex of at most four points of the difference moves towards
 the origin: each step adds the support, the point of the difference that lies farthest in the
 origin's direction, then keeps only the corners that the simplex' nearest point to the origin
 needs. That point is found by the Voronoi regions of corners, edges and faces (Ericson, Real-Time
@@ -31,18 +31,22 @@ from navbake.baker.core.constants import (
 from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float
 
-MOST_STEPS = 128
-ROUNDING = 1e-3  # by how much of itself a distance may seem to grow while it shrinks
-NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
+MAX_STEPS = 128
+# How much a distance may grow from step to step by rounding alone, as a share of itself
+ROUNDING = 1e-3
+# The two meet if they are proved to be this near to each other, which is less than TOUCH_DEPTH [m]
+NEAR = 1e-7
 
 
 class Simplex(NamedTuple):
-    """The points of the Minkowski difference that are kept, and room to reduce them in.
+    """A simplex of points of the Minkowski difference, and scratch to reduce it in.
 
     Attributes:
-        points: (4, 3) float64 [m].
-        keep, best_keep: (4,) bool, which of them a nearest point needs.
-        v, trial: (3,) float64, nearest points to the origin [m].
+        points: the corners, (4, 3) float64 [m]; the first ones are valid.
+        keep: which corners the nearest point of a face needs, (4,) bool.
+        best_keep: the same of the nearest face so far, (4,) bool.
+        v: the nearest point to the origin, (3,) float64 [m].
+        trial: the nearest point of a face, (3,) float64 [m].
     """
 
     points: Float
@@ -54,15 +58,16 @@ class Simplex(NamedTuple):
 
 @subkernel
 def make_simplex():
-    """An empty simplex."""
-    return Simplex(
-        np.empty((4, 3)), np.zeros(4, np.bool_), np.zeros(4, np.bool_), np.empty(3), np.empty(3)
-    )
+    """Allocate a simplex without points."""
+    points = np.empty((4, 3))
+    keep = np.zeros(4, np.bool_)
+    best_keep = np.zeros(4, np.bool_)
+    return Simplex(points, keep, best_keep, np.empty(3), np.empty(3))
 
 
 @subkernel(inline="always")
 def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
-    """The farthest point of a solid along a direction, into out."""
+    """Write the farthest point of a solid along a direction (dx, dy, dz) to `out`, (3,)."""
     # direction in the solid's own frame: transpose of the row-major matrix
     lx = mat[0] * dx + mat[3] * dy + mat[6] * dz
     ly = mat[1] * dx + mat[4] * dy + mat[7] * dz
@@ -104,7 +109,7 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
 
 @subkernel(inline="always")
 def _subtract_prism(prism, dx, dy, dz, out):
-    """Take the prism's farthest point along a direction off a point, in place."""
+    """Subtract the prism's farthest point along a direction (dx, dy, dz) from `out`, (3,)."""
     if prism.is_round:
         across = math.sqrt(dx * dx + dy * dy)
         if across > 0.0:
@@ -127,7 +132,7 @@ def _dot(a, b):
 
 @subkernel(inline="always")
 def _nearest_on_segment(a, b, keep, v):
-    """Nearest point of a segment to the origin into v; keep says which ends it needs."""
+    """Write a segment's nearest point to the origin to `v`, and which ends it needs to `keep`."""
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
@@ -156,7 +161,10 @@ def _nearest_on_segment(a, b, keep, v):
 
 @subkernel(**NO_REFCOUNT)
 def _nearest_on_triangle(a, b, c, keep, v):
-    """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
+    """Write a triangle's nearest point to the origin to `v`, and the corners it needs to `keep`.
+
+    The Voronoi regions of the corners, the edges and the face are tested in turn.
+    """
     keep[0] = False
     keep[1] = False
     keep[2] = False
@@ -191,7 +199,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
         v[2] = c[2]
         keep[2] = True
         return
-    # beyond an edge: vc, vb, va are the areas that the origin's foot makes with each edge
+    # beyond an edge: vc, vb, va are the areas that the foot of the origin spans with each edge
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         t = d1 / (d1 - d3)
@@ -219,7 +227,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
         keep[1] = True
         keep[2] = True
         return
-    # inside: the foot of the origin on the plane, straight from its normal
+    # inside: the foot of the origin on the plane, by the plane's normal
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
@@ -234,7 +242,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
 
 @subkernel(inline="always")
 def _origin_outside(a, b, c, d):
-    """Whether the origin lies beyond the face a, b, c of a tetrahedron, or d in its plane."""
+    """Return whether the origin is beyond face a, b, c of a tetrahedron, or d in its plane."""
     abx = b[0] - a[0]
     aby = b[1] - a[1]
     abz = b[2] - a[2]
@@ -251,13 +259,16 @@ def _origin_outside(a, b, c, d):
     return to_d * to_origin <= 0.0
 
 
-# A tetrahedron's faces, each with the corner across from it
+# The corners of a tetrahedron's faces, each followed by the opposite corner
 FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 
 @subkernel(inline="always")
 def _nearest_on_faces(simplex, num):
-    """Nearest point to the origin into v, on 1 face or the 4 of a tetrahedron; False if inside."""
+    """Write the nearest point of a triangle or a tetrahedron to the origin to `simplex.v`.
+
+    `num` is 3 or 4. Returns False if the origin is inside of the tetrahedron.
+    """
     points = simplex.points
     best = math.inf
     outside = False
@@ -287,7 +298,10 @@ def _nearest_on_faces(simplex, num):
 
 @subkernel(inline="always")
 def _reduce(simplex, num):
-    """Nearest point to the origin into v; keeps the points it needs, all 4 if it is inside."""
+    """Write the simplex' nearest point to the origin to `simplex.v`; drop unneeded corners.
+
+    Returns how many of the `num` corners remain; 4 if the origin is inside of the tetrahedron.
+    """
     points = simplex.points
     keep = simplex.keep
     v = simplex.v
@@ -297,41 +311,52 @@ def _reduce(simplex, num):
         v[2] = points[0, 2]
         return 1
     if num == 2:
-        keep[2] = keep[3] = False
+        keep[2] = False
+        keep[3] = False
         _nearest_on_segment(points[0], points[1], keep, v)
     else:
         if not _nearest_on_faces(simplex, num):
             return 4
         for i in range(4):
             keep[i] = simplex.best_keep[i]
-    kept = 0
+    num_remaining = 0
     for i in range(num):
         if keep[i]:
-            points[kept, 0] = points[i, 0]
-            points[kept, 1] = points[i, 1]
-            points[kept, 2] = points[i, 2]
-            kept += 1
-    return kept
+            points[num_remaining, 0] = points[i, 0]
+            points[num_remaining, 1] = points[i, 1]
+            points[num_remaining, 2] = points[i, 2]
+            num_remaining += 1
+    return num_remaining
 
 
 @subkernel(**NO_REFCOUNT)
 def gjk_meets_prism(solids, s, prism, simplex):
-    """Does a solid meet a prism? UNDECIDED without a proof."""
+    """Decide by iteration whether a solid meets a prism.
+
+    Args:
+        solids: the solids, as `Solids`.
+        s: index of the solid.
+        prism: the prism, as `Prism`.
+        simplex: scratch, see `make_simplex`.
+
+    Returns:
+        APART or MEETS, which are proved, or UNDECIDED.
+    """
     kind = solids.kind[s]
     pos = solids.pos[s]
     mat = solids.mat[s]
     size = solids.size[s]
     points = simplex.points
     v = simplex.v
-    # any point of the difference does to begin with: here that of the two centres
+    # the iteration may begin at any point of the difference: here the difference of the centres
     v[0] = pos[0] - prism.x
     v[1] = pos[1] - prism.y
     v[2] = pos[2] - (prism.low + prism.high) / 2.0
     if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
         return MEETS  # both centres are inside
     num = 0
-    last = math.inf
-    for _ in range(MOST_STEPS):
+    last_distance = math.inf
+    for _ in range(MAX_STEPS):
         w = points[num]
         _support_solid(kind, pos, mat, size, -v[0], -v[1], -v[2], w)
         _subtract_prism(prism, v[0], v[1], v[2], w)
@@ -340,14 +365,14 @@ def gjk_meets_prism(solids, s, prism, simplex):
             return APART
         for i in range(num):
             if points[i, 0] == w[0] and points[i, 1] == w[1] and points[i, 2] == w[2]:
-                return UNDECIDED  # no way to come nearer
+                return UNDECIDED  # the simplex cannot come nearer
         num = _reduce(simplex, num + 1)
         if num == 4:
             return MEETS
         distance = _dot(v, v)
         if distance < NEAR * NEAR:
             return MEETS  # v is a point of the difference
-        if distance > last * (1.0 + ROUNDING):
+        if distance > last_distance * (1.0 + ROUNDING):
             return UNDECIDED
-        last = distance
+        last_distance = distance
     return UNDECIDED

@@ -1,180 +1,237 @@
-"""What the triangles of a mesh enclose, connected part by connected part."""
+"""Splits meshes into connected parts, and decides what each part encloses."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
-from navbake.baker.geometry.mesh_part_kernels import COPY, find_parts
-from navbake.baker.geometry.shapes import LEAST, GeomTriangles, count_shares, triangle_areas
-from navbake.baker.geometry.shell_kernels import NOT_SHELL, chain_edges, find_shells, weld_points
+from navbake.baker.geometry.mesh_part_kernels import DUPLICATE, find_parts
+from navbake.baker.geometry.shapes import (
+    MIN_SHARE,
+    GeomTriangles,
+    choose_num_shares,
+    triangle_areas,
+)
+from navbake.baker.geometry.shell_kernels import (
+    NOT_SHELL,
+    chain_edges,
+    label_shells,
+    pair_half_edges,
+    weld_points,
+)
 from navbake.baker.geometry.triangle_kernels import bound_parts, measure_part_volumes
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# A part that encloses less than this times its area is a sheet with two sides [m]
-THICKNESS = 1e-6
-MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
+# A part that encloses less than this times its area is a surface with two sides [m]
+MIN_THICKNESS = 1e-6
+MAX_PAIRS = 1 << 20  # of a triangle and a point that are tested at a time
 
 
 def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
-    """Separate the parts of a mesh that enclose a volume from the sheets in it.
+    """Separate the parts of a mesh that enclose a volume from its open surfaces.
 
-    Parts are connected over edges; vertices at one place count as one. A part encloses a volume
-    when each of its edges is met as often in one direction as in the other, and it faces out. One
-    that faces in is a cavity, and counts, inside of one that faces out; by itself it is a room
-    drawn from inside. Stray triangles at a closed part do not open it, nor do membranes across its
+    Parts are connected over edges; vertices at one place count as one. A part encloses a volume if
+    each of its edges is met as often in one direction as in the other, and it faces out. One that
+    faces in is a cavity, and counts, inside of one that faces out; by itself it is a room drawn
+    from inside. Stray triangles at a closed part do not open it, nor do membranes across its
     inside.
 
-    Triangles that face to the other side than most of their patch, see
-    `mesh_part_kernels`, are turned in closed parts. Copies of triangles are left out, and
-    those with two corners at one place.
+    Triangles that face to the other side than most of their patch, see `mesh_part_kernels`, are
+    flipped in closed parts. Duplicates of triangles are left out, and triangles with two corners at
+    one place.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: vertices of each triangle, shape (m, 3), counter-clockwise from the front.
     """
     triangles, point, part = _find_shells(vertices, np.ascontiguousarray(faces, dtype=np.int32))
-    turned = np.zeros(len(triangles), dtype=np.bool_)
-    is_open = part == NOT_SHELL
-    if is_open.any():
-        rest = np.flatnonzero(is_open)  # these hang together with no shell
-        found, turned[rest] = find_parts(
-            point[rest], triangle_areas(vertices, triangles[rest]), len(vertices)
+    is_flipped = np.zeros(len(triangles), dtype=np.bool_)
+    is_no_shell = part == NOT_SHELL
+    if is_no_shell.any():
+        candidates = np.flatnonzero(is_no_shell)  # they are connected to no shell
+        candidate_part, candidate_is_flipped = find_parts(
+            point[candidates], triangle_areas(vertices, triangles[candidates]), len(vertices)
         )
-        part[rest] = np.where(found >= 0, rest[found], found)
-    del point, is_open
-    kept = part != COPY
-    # closed parts are numbered from 1 by their lowest triangles; sheets are 0
+        is_flipped[candidates] = candidate_is_flipped
+        # the lowest triangle of each part, by its index among all
+        is_closed = candidate_part >= 0
+        part[candidates] = np.where(is_closed, candidates[candidate_part], candidate_part)
+    del point, is_no_shell
+    is_unique = part != DUPLICATE
+    # closed parts are numbered from 1 by their lowest triangles; open surfaces are 0
     lowest = np.flatnonzero(part == np.arange(len(part), dtype=np.int32))
-    num = len(lowest)
+    num_parts = len(lowest)
     number = np.empty(len(part), dtype=np.int32)
-    number[lowest] = np.arange(1, num + 1)
+    number[lowest] = np.arange(1, num_parts + 1)
 
-    def count(first: int, end: int) -> None:
-        some = part[first:end]
-        part[first:end] = np.where(some < 0, 0, number[some])
+    def number_parts(first: int, end: int) -> None:
+        lowest_of_part = part[first:end]
+        part[first:end] = np.where(lowest_of_part < 0, 0, number[lowest_of_part])
 
-    run_in_chunks(count, len(part), least=LEAST)
-    if not kept.all():
-        triangles = triangles[kept]
-        part = part[kept]
-        turned = turned[kept]
-    encloses = _find_enclosing(vertices, triangles, turned, part, num)
-    number = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)
+    run_in_chunks(number_parts, len(part), least=MIN_SHARE)
+    if not is_unique.all():
+        triangles = triangles[is_unique]
+        part = part[is_unique]
+        is_flipped = is_flipped[is_unique]
+    encloses = _find_enclosing(vertices, triangles, is_flipped, part, num_parts)
+    new_number = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)
     closed = np.empty(len(triangles), dtype=np.uint8)
-    codes = np.where(encloses, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
+    code_of_part = np.where(encloses, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
 
-    def settle(first: int, end: int) -> None:
-        np.take(codes, part[first:end], out=closed[first:end], mode="clip")
-        np.take(number, part[first:end], out=part[first:end], mode="clip")
+    def renumber_parts(first: int, end: int) -> None:
+        np.take(code_of_part, part[first:end], out=closed[first:end], mode="clip")
+        np.take(new_number, part[first:end], out=part[first:end], mode="clip")
 
-    run_in_chunks(settle, len(triangles), least=LEAST)
-    turned &= part > 0
-    if turned.any():
-        triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
+    run_in_chunks(renumber_parts, len(triangles), least=MIN_SHARE)
+    is_flipped &= part > 0
+    if is_flipped.any():
+        triangles = np.where(is_flipped[:, None], triangles[:, ::-1], triangles)
     num_closed = np.count_nonzero(part)
-    num_turned = np.count_nonzero(turned)
+    num_flipped = np.count_nonzero(is_flipped)
     kind = "closed surface" if num_closed == len(part) else "partly closed"
-    kind += f", {num_turned} turned" if num_turned else ""
+    kind += f", {num_flipped} turned" if num_flipped else ""
     return GeomTriangles(vertices, triangles, part, closed, kind if num_closed else "surface")
 
 
 def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
-    """The triangles with three different points, these, and each one's shell or NOT_SHELL.
+    """Find the shells of a mesh.
 
-    Points are numbered by the first one at their place, shells by their lowest triangle.
+    Returns:
+        The triangles with three different points; these points, numbered by the first vertex at
+        their place; and the lowest triangle of each one's shell, or NOT_SHELL.
     """
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
     number = np.empty(len(bits), dtype=np.int32)
-    shares = count_shares(len(bits))
-    run_in_chunks(weld_points, shares, bits, shares, number)
+    num_shares = choose_num_shares(len(bits))
+    run_in_chunks(weld_points, num_shares, bits, num_shares, number)
     while True:
         point = np.empty_like(faces)
-        kept = np.empty(len(faces), dtype=np.bool_)
+        is_proper = np.empty(len(faces), dtype=np.bool_)
         mate = np.empty(3 * len(faces), dtype=np.int32)
-        shares = count_shares(len(faces))
-        last = np.full((shares, len(bits)), -1, dtype=np.int32)
-        run_in_chunks(chain_edges, shares, number, faces, point, kept, last, mate)
-        if kept.all():
+        num_shares = choose_num_shares(len(faces))
+        last = np.full((num_shares, len(bits)), -1, dtype=np.int32)
+        run_in_chunks(chain_edges, num_shares, number, faces, point, is_proper, last, mate)
+        if is_proper.all():
             break
-        faces = faces[kept]
+        faces = faces[is_proper]
+    run_in_chunks(pair_half_edges, len(bits), point.reshape(-1), last, mate, least=MIN_SHARE)
     shell = np.empty(len(faces), dtype=np.int32)
-    corners = point.reshape(-1)
-    run_in_chunks(find_shells, len(bits), corners, last, mate, shell, least=LEAST)
-    find_shells(corners, last, mate, shell, len(bits), len(bits) + 1)
+    label_shells(mate, shell)
     return faces, point, shell
 
 
-def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, num: int) -> Bool:
-    """Mark the closed parts, numbered from 1, that enclose a volume; index 0 stands for sheets."""
-    encloses = np.zeros(num + 1, dtype=np.bool_)
-    if num == 0:
+def _find_enclosing(
+    vertices: Float, faces: Int32, is_flipped: Bool, part: Int32, num_parts: int
+) -> Bool:
+    """Mark the closed parts, numbered from 1, that enclose a volume; entry 0 is False."""
+    encloses = np.zeros(num_parts + 1, dtype=np.bool_)
+    if num_parts == 0:
         return encloses
-    mesh = vertices, faces, turned, part
-    volume, area = np.zeros((2, num + 1))
-    share = -(-num // count_shares(len(faces)))  # each looks at all triangles
-    run_in_chunks(measure_part_volumes, num, *mesh, volume, area, least=share, begin=1)
-    encloses[1:] = volume[1:] > THICKNESS * area[1:]
-    inner = np.flatnonzero(volume < -THICKNESS * area)
-    if not len(inner) or not encloses.any():
+    volume = np.zeros(num_parts + 1)
+    area = np.zeros(num_parts + 1)
+    least_parts = -(-num_parts // choose_num_shares(len(faces)))  # a call visits all triangles
+    run_in_chunks(
+        measure_part_volumes,
+        num_parts,
+        vertices,
+        faces,
+        is_flipped,
+        part,
+        volume,
+        area,
+        least=least_parts,
+        begin=1,
+    )
+    encloses[1:] = volume[1:] > MIN_THICKNESS * area[1:]
+    inward_parts = np.flatnonzero(volume < -MIN_THICKNESS * area)
+    if not len(inward_parts) or not encloses.any():
         return encloses
-    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
-    best = np.full(num + 1, -1.0)
-    largest = np.zeros(num + 1, dtype=np.int64)
-    bound_parts(*mesh, box, best, largest)
-    some = np.flatnonzero(encloses[part])
-    of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
+
+    # inward parts that lie inside of outward ones are cavities
+    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num_parts + 1, axis=0)
+    largest_area = np.full(num_parts + 1, -1.0)
+    largest_triangle = np.zeros(num_parts + 1, dtype=np.int64)
+    bound_parts(vertices, faces, is_flipped, part, box, largest_area, largest_triangle)
+    outward = np.flatnonzero(encloses[part])
+    outward_faces = faces[outward]
+    outward_faces = np.where(is_flipped[outward, None], outward_faces[:, ::-1], outward_faces)
     origin = vertices[faces[0, 0]]
-    point = (vertices[faces[largest[inner]]] - origin).mean(axis=1)
-    outer, k = _find_around(vertices[of_part] - origin, part[some], point)
-    holds = (box[outer, :3] <= box[inner[k], :3]) & (box[outer, 3:] >= box[inner[k], 3:])
-    encloses[inner[k[holds.all(axis=1)]]] = True
+    point = (vertices[faces[largest_triangle[inward_parts]]] - origin).mean(axis=1)
+    outer_part, k = _find_surrounding(vertices[outward_faces] - origin, part[outward], point)
+    inner_part = inward_parts[k]
+    is_inside = (box[outer_part, :3] <= box[inner_part, :3]).all(axis=1)
+    is_inside &= (box[outer_part, 3:] >= box[inner_part, 3:]).all(axis=1)
+    encloses[inner_part[is_inside]] = True
     return encloses
 
 
-def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
-    """Pairs of a part and the number of a point inside of it, by the winding number over the point.
+def _find_surrounding(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
+    """Find the parts that surround points, by the winding number above each point.
 
-    Triangles count as they wind round the vertical line (Sunday, Inclusion of a point, 2001).
+    Triangles count as they wind around the vertical line (Sunday, Inclusion of a point, 2001).
+
+    Args:
+        corners: of triangles, shape (m, 3, 3) [m].
+        part: of each triangle, (m,).
+        point: points, shape (n, 3) [m].
+
+    Returns:
+        Pairs: parts, and the numbers of points inside of them.
     """
     order = np.argsort(point[:, 0])
-    west = corners[:, :, 0].min(axis=1)
-    east = corners[:, :, 0].max(axis=1)
-    first = np.searchsorted(point[order, 0], west)
-    count = np.searchsorted(point[order, 0], east, side="right") - first
-    ends = np.cumsum(count)
-    key = [np.empty(0, np.int64)]
-    turns = [np.empty(0, np.int64)]
-    cuts = np.searchsorted(ends, np.arange(MOST_PAIRS, count.sum(), MOST_PAIRS))
-    for chosen in np.split(np.arange(len(count)), cuts):
-        num = count[chosen]
-        triangle = np.repeat(chosen, num)
-        k = order[np.arange(len(triangle)) - np.repeat(np.cumsum(num) - num - first[chosen], num)]
-        wound = _winding_above(corners[triangle], point[k])
-        key.append((part[triangle].astype(np.int64) * len(point) + k)[wound != 0])
-        turns.append(wound[wound != 0])
-    pairs, pair = np.unique(np.concatenate(key), return_inverse=True)
-    total = np.bincount(pair, np.concatenate(turns), len(pairs))
-    outer, k = np.divmod(pairs[total > 0], len(point))
-    return outer, k
+    x_min = corners[:, :, 0].min(axis=1)
+    x_max = corners[:, :, 0].max(axis=1)
+    first = np.searchsorted(point[order, 0], x_min)
+    count = np.searchsorted(point[order, 0], x_max, side="right") - first
+    pair_ends = np.cumsum(count)
+    pair_ids = [np.empty(0, np.int64)]
+    windings = [np.empty(0, np.int64)]
+    cuts = np.searchsorted(pair_ends, np.arange(MAX_PAIRS, count.sum(), MAX_PAIRS))
+    for batch in np.split(np.arange(len(count)), cuts):
+        num_points = count[batch]
+        triangle = np.repeat(batch, num_points)
+        offset = np.cumsum(num_points) - num_points - first[batch]
+        k = order[np.arange(len(triangle)) - np.repeat(offset, num_points)]
+        winding = _winding_above(corners[triangle], point[k])
+        pair_id = part[triangle].astype(np.int64) * len(point) + k
+        pair_ids.append(pair_id[winding != 0])
+        windings.append(winding[winding != 0])
+    unique_ids, pair = np.unique(np.concatenate(pair_ids), return_inverse=True)
+    total = np.bincount(pair, np.concatenate(windings), len(unique_ids))
+    surrounding_part, k = np.divmod(unique_ids[total > 0], len(point))
+    return surrounding_part, k
 
 
 def _winding_above(corners: Float, point: Float) -> Int:
-    """How triangles above points wind round them, seen from there: 1, 0, or -1 (down), (n,)."""
+    """Return how triangles above points wind around them, seen from above.
+
+    Args:
+        corners: of a triangle for each point, shape (n, 3, 3) [m].
+        point: shape (n, 3) [m].
+
+    Returns:
+        1 for counter-clockwise, -1 for clockwise, 0 for no triangle above the point; shape (n,).
+    """
     x = point[:, :1]
     y = point[:, 1:2]
     ax = corners[:, :, 0]
     ay = corners[:, :, 1]
     bx = np.roll(ax, -1, axis=1)
     by = np.roll(ay, -1, axis=1)
-    # left of the edge from its lower end to its upper one, so that both ways give one answer
-    is_back = ~((ax < bx) | ((ax == bx) & (ay < by)))
-    ux = np.where(is_back, ax - bx, bx - ax)
-    uy = np.where(is_back, ay - by, by - ay)
-    vx = x - np.where(is_back, bx, ax)
-    vy = y - np.where(is_back, by, ay)
-    is_left = (ux * vy - uy * vx > 0) ^ is_back
+    # left of the edge from its lower end to its upper one, so that both triangles at an edge give
+    # one answer
+    is_reversed = ~((ax < bx) | ((ax == bx) & (ay < by)))
+    ux = np.where(is_reversed, ax - bx, bx - ax)
+    uy = np.where(is_reversed, ay - by, by - ay)
+    vx = x - np.where(is_reversed, bx, ax)
+    vy = y - np.where(is_reversed, by, ay)
+    is_left = (ux * vy - uy * vx > 0) ^ is_reversed
     rises = (ay <= y) & (by > y) & is_left
     falls = (ay > y) & (by <= y) & ~is_left
-    turns = rises.sum(axis=1) - falls.sum(axis=1)
+    winding = rises.sum(axis=1) - falls.sum(axis=1)
     a, b, c = np.moveaxis(corners, 1, 0)
     normal = np.cross(b - a, c - a)
     height = (normal * (a - point)).sum(axis=1)
-    return np.where(np.where(normal[:, 2] > 0, height > 0, height < 0), turns, 0)
+    is_above = np.where(normal[:, 2] > 0, height > 0, height < 0)
+    return np.where(is_above, winding, 0)

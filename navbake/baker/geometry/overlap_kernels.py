@@ -1,4 +1,4 @@
-"""Triangles, half-spaces and a cell's own line against an upright prism: no iteration needed.
+"""Decides in closed form whether triangles, half-spaces and lines meet an upright prism.
 
 Triangles are clipped to the prism, plane by plane (Sutherland and Hodgman, Reentrant polygon
 clipping, 1974); half-spaces are tested by the prism's deepest point (the separating axis is their
@@ -17,37 +17,47 @@ from navbake.baker.core.tolerances import TOUCH_DEPTH
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float
 
-# A triangle has at most nine corners when six planes have clipped it
-MOST_CORNERS = 12
-# Axes; plain integers would compile what takes them once for each
+# Room for a polygon's corners: a triangle has at most nine when six planes have clipped it
+MAX_CORNERS = 12
+# Axes; for plain ints, numba would compile functions once for each
 X = np.int64(0)
 Y = np.int64(1)
 Z = np.int64(2)
-ANY_GEOM = np.int32(-1)
+ANY_GEOM = np.int32(-1)  # in place of a geom's id
 
 
 class Polygons(NamedTuple):
-    """Room for two polygons, which clipping works to and fro between."""
+    """Scratch for clipping: from one polygon to the other and back.
 
-    one: Float
-    other: Float
+    Attributes:
+        first, second: corners, (MAX_CORNERS, 3) float64 [m].
+    """
+
+    first: Float
+    second: Float
 
 
 @subkernel
 def make_polygons():
-    """Empty room for two polygons, (12, 3) float64 each."""
-    return Polygons(np.empty((MOST_CORNERS, 3)), np.empty((MOST_CORNERS, 3)))
+    """Allocate room for two polygons."""
+    return Polygons(np.empty((MAX_CORNERS, 3)), np.empty((MAX_CORNERS, 3)))
 
 
 @subkernel(inline="always")
 def is_beside_prism(boxes, i, prism):
-    """Whether a box is beside a prism; touching is beside it."""
-    reach = prism.half
+    """Return whether a box is beside a prism; a box that only touches it is.
+
+    Args:
+        boxes: (n, 6) float64, lower corner, upper corner [m].
+        i: index of the box.
+        prism: the prism, as `Prism`; a round one counts as its square.
+    """
+    half = prism.half
     return (
-        boxes[i, 0] >= prism.x + reach
-        or boxes[i, 3] <= prism.x - reach
-        or boxes[i, 1] >= prism.y + reach
-        or boxes[i, 4] <= prism.y - reach
+        boxes[i, 0] >= prism.x + half
+        or boxes[i, 3] <= prism.x - half
+        or boxes[i, 1] >= prism.y + half
+        or boxes[i, 4] <= prism.y - half
         or boxes[i, 2] >= prism.high
         or boxes[i, 5] <= prism.low
     )
@@ -55,55 +65,83 @@ def is_beside_prism(boxes, i, prism):
 
 @subkernel(inline="always")
 def facet_meets_prism(facets, t, prism, polygons):
-    """Does a triangle meet a prism; or, if it encloses nothing, the prism with closed sides?
+    """Return whether a triangle meets a prism.
 
-    Prisms are narrowed by TOUCH_DEPTH; closed sides are widened by it.
+    The sides of the prism are open for triangles that enclose something, else closed.
+
+    Args:
+        facets: the triangles, as `Facets`.
+        t: index of the triangle.
+        prism: the prism, as `Prism`, already narrowed by TOUCH_DEPTH. Closed sides are moved out to
+            TOUCH_DEPTH beyond the full prism.
+        polygons: scratch, see `make_polygons`.
     """
-    edge = 2.0 * TOUCH_DEPTH if facets.closed[t] == OPEN_SURFACE else 0.0
-    asked = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + edge, prism.is_round)
-    if is_beside_prism(facets.bounds, t, asked):  # most are
+    margin = 2.0 * TOUCH_DEPTH if facets.closed[t] == OPEN_SURFACE else 0.0
+    widened = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + margin, prism.is_round)
+    if is_beside_prism(facets.bounds, t, widened):  # true for most triangles
         return False
-    return triangle_meets_prism(facets.corners[t], asked, polygons)
+    return triangle_meets_prism(facets.corners[t], widened, polygons)
 
 
 @subkernel(**NO_REFCOUNT)
 def clip(points, num, out, axis, limit, sign):
-    """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
+    """Clip a polygon to where ``sign * (coordinate - limit) >= 0``.
 
-    `points` and `out` are (>= num, 3) float64. Returns how many corners the part has; 0 for none.
+    Args:
+        points: corners, (>= num, 3) float64 [m].
+        num: number of corners.
+        out: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64.
+        axis: which coordinate: X, Y or Z.
+        limit: the limit [m].
+        sign: 1 or -1.
+
+    Returns:
+        The number of corners of the clipped polygon; 0 if nothing is left.
     """
-    kept = 0
+    num_out = 0
     for i in range(num):
         j = i + 1 if i + 1 < num else 0
         di = sign * (points[i, axis] - limit)
         dj = sign * (points[j, axis] - limit)
         if di >= 0.0:
-            out[kept, 0] = points[i, 0]
-            out[kept, 1] = points[i, 1]
-            out[kept, 2] = points[i, 2]
-            kept += 1
-        # an edge that ends on the limit crosses nothing: that corner is kept by itself
+            out[num_out, 0] = points[i, 0]
+            out[num_out, 1] = points[i, 1]
+            out[num_out, 2] = points[i, 2]
+            num_out += 1
+        # an edge that ends on the limit does not cross it: its end is a corner already
         if (di > 0.0 and dj < 0.0) or (di < 0.0 and dj > 0.0):
             t = di / (di - dj)
             for k in range(3):
-                out[kept, k] = points[i, k] + t * (points[j, k] - points[i, k])
-            out[kept, axis] = limit  # exactly, so that the next clip sees no rounding
-            kept += 1
-    return kept
+                out[num_out, k] = points[i, k] + t * (points[j, k] - points[i, k])
+            out[num_out, axis] = limit  # exactly, so that the next clip sees no rounding
+            num_out += 1
+    return num_out
 
 
 @subkernel(**NO_REFCOUNT)
-def clip_between(points, num, spare, axis, band, out):
-    """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
-    num = clip(points, num, spare, axis, band[0], 1.0)
-    return clip(spare, num, out, axis, band[1], -1.0)
+def clip_between(points, num, spare, axis, limits, out):
+    """Clip a polygon to a range of a coordinate.
+
+    Args:
+        points: corners, (>= num, 3) float64 [m].
+        num: number of corners.
+        spare: scratch, (MAX_CORNERS, 3) float64.
+        axis: which coordinate: X, Y or Z.
+        limits: the least and the greatest coordinate [m].
+        out: receives the corners of the clipped polygon, (MAX_CORNERS, 3) float64; may be `points`.
+
+    Returns:
+        The number of corners of the clipped polygon; 0 if nothing is left.
+    """
+    num = clip(points, num, spare, axis, limits[0], 1.0)
+    return clip(spare, num, out, axis, limits[1], -1.0)
 
 
 @subkernel(inline="always")
 def _disc_meets_polygon(points, num, prism):
-    """Whether a polygon, seen from above, comes nearer to the disc's middle than its radius."""
-    left = False
-    right = False
+    """Return whether a polygon, seen from above, overlaps a round prism's disc."""
+    is_left_of_any = False
+    is_right_of_any = False
     for i in range(num):
         j = i + 1 if i + 1 < num else 0
         ax = points[i, 0] - prism.x
@@ -119,32 +157,45 @@ def _disc_meets_polygon(points, num, prism):
         if dx * dx + dy * dy < prism.half * prism.half:
             return True
         side = ex * ay - ey * ax
-        left = left or side > 0.0
-        right = right or side < 0.0
-    # on one side of all edges: the middle is inside (the polygon is convex)
-    return (left or right) and not (left and right)
+        is_left_of_any = is_left_of_any or side > 0.0
+        is_right_of_any = is_right_of_any or side < 0.0
+    # the middle is on one side of all edges: it is inside of the polygon, which is convex
+    return is_left_of_any != is_right_of_any
 
 
 @subkernel(**NO_REFCOUNT)
 def triangle_meets_prism(corners, prism, polygons):
-    """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
-    one = polygons.one
-    other = polygons.other
-    num = clip_between(corners, corners.shape[0], other, Z, (prism.low, prism.high), one)
+    """Return whether a triangle meets a prism.
+
+    Args:
+        corners: (3, 3) float64 [m].
+        prism: the prism, as `Prism`.
+        polygons: scratch, see `make_polygons`.
+    """
+    polygon = polygons.first
+    spare = polygons.second
+    heights = (prism.low, prism.high)
+    num = clip_between(corners, corners.shape[0], spare, Z, heights, polygon)
     if num == 0:
         return False
     if prism.is_round:
-        return _disc_meets_polygon(one, num, prism)
+        return _disc_meets_polygon(polygon, num, prism)
     x = prism.x
     y = prism.y
     half = prism.half
-    num = clip_between(one, num, other, X, (x - half, x + half), one)
-    return clip_between(one, num, other, Y, (y - half, y + half), one) > 0
+    num = clip_between(polygon, num, spare, X, (x - half, x + half), polygon)
+    return clip_between(polygon, num, spare, Y, (y - half, y + half), polygon) > 0
 
 
 @subkernel(**NO_REFCOUNT)
 def plane_meets_prism(planes, p, prism):
-    """Does the half-space behind an infinite plane meet a prism?"""
+    """Return whether the half-space behind an infinite plane meets a prism.
+
+    Args:
+        planes: the planes, as `Planes`.
+        p: index of the plane.
+        prism: the prism, as `Prism`.
+    """
     pos = planes.pos[p]
     mat = planes.mat[p]
     nx = mat[2]
@@ -160,19 +211,24 @@ def plane_meets_prism(planes, p, prism):
 
 
 @subkernel(**NO_REFCOUNT)
-def is_line_blocked(hits, cell, band, only):
-    """Whether a cell's line crosses a geom in a `HeightRange`, or runs inside of one there.
+def is_line_blocked(hits, cell, heights, geom):
+    """Return whether a column's line crosses a geom in a range of heights, or runs inside of one.
 
-    It runs inside where the winding number of its ray up is positive. `only` is the geom, or
-    ANY_GEOM.
+    It runs inside of one if the winding number of the ray up from there is positive.
+
+    Args:
+        hits: the columns, as `ColumnHits`.
+        cell: the column.
+        heights: the range, as `HeightRange`.
+        geom: MuJoCo's id of the geom, or ANY_GEOM.
     """
     inside = 0
     for i in range(hits.start[cell + 1] - 1, hits.start[cell] - 1, -1):
-        if hits.z[i] <= band.low:
+        if hits.z[i] <= heights.low:
             break
-        if only != ANY_GEOM and hits.geom[i] != only:
+        if geom != ANY_GEOM and hits.geom[i] != geom:
             continue
-        if hits.z[i] < band.high:
+        if hits.z[i] < heights.high:
             return True
         if hits.closed[i]:
             inside += 1 if hits.normal[i, 2] > 0.0 else -1
@@ -180,7 +236,15 @@ def is_line_blocked(hits, cell, band, only):
 
 
 @kernel(nogil=True)
-def find_blocked_lines(cells, low, high, hits, out, first, end):
-    """Whether each cell's line alone proves that something is between two heights [m], into out."""
+def find_blocked_lines(cells, low, high, hits, blocked, first, end):
+    """Find the cells whose lines cross something between two heights, or run inside of it.
+
+    Args:
+        cells: the columns, (n,) int64.
+        low, high: the heights of each, (n,) float64 [m].
+        hits: the columns' hits, as `ColumnHits`.
+        blocked: receives the answer for each, (n,) bool.
+        first, end: range of entries of `cells`.
+    """
     for n in range(first, end):
-        out[n] = is_line_blocked(hits, cells[n], HeightRange(low[n], high[n]), ANY_GEOM)
+        blocked[n] = is_line_blocked(hits, cells[n], HeightRange(low[n], high[n]), ANY_GEOM)

@@ -1,4 +1,4 @@
-"""The counted geoms' geometry as arrays, in the world frame: what rays and overlaps work on."""
+"""The geometry of the geoms that count, as arrays in the world frame, for rays and overlaps."""
 
 from __future__ import annotations
 
@@ -21,21 +21,29 @@ from navbake.types import Bool, Float, Int, Int32
 
 spatial = lazy("scipy.spatial")
 
-# Half-size in place of the infinite side of a plane with a finite one; heights on a tilted one are
-# off by about 1e-16 ENDLESS_HALF_SIZE^2 [m]
+# Half-size that stands for the infinite side of a plane whose other side is finite; heights on a
+# tilted one are off by about 1e-16 ENDLESS_HALF_SIZE^2 [m]
 ENDLESS_HALF_SIZE = 1e4
-# points or triangles of a share; shares, each with arrays of its own
-LEAST = 4096
-MOST_SHARES = 8
-SIDES = 32  # of a round solid that is drawn by triangles
+# A share of the points or triangles of a mesh has at least this many
+MIN_SHARE = 4096
+# A mesh is divided into at most this many shares: each has arrays of its own
+MAX_SHARES = 8
+NUM_SIDES = 32  # of round solids that are made of triangles
+# Triangles of about this many are expanded at a time
+TRIANGLES_PER_BATCH = 1 << 20
 
 
 class GeomTriangles(NamedTuple):
-    """The triangles of one geom, counter-clockwise from the front, and its `GeomReport.shape`.
+    """The triangles of one geom: of a mesh, a hull, a height field or a finite plane.
 
-    It is made of a mesh, a hull, a height field or a finite plane. `part` is 0 for what encloses
-    nothing, and for all that is no mesh; `closed` is OPEN_SURFACE, CLOSED_SURFACE, SOLID (height
-    fields) or CONVEX_SOLID (hulls): inside of all but the first counts as occupied.
+    Attributes:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, counter-clockwise from the front, (m, 3) int32.
+        part: the closed part of the mesh that each triangle belongs to, from 1, (m,) int32; 0 for
+            those that enclose nothing, and for all geoms but meshes.
+        closed: OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls), (m,)
+            uint8. The inside of all but the first counts as occupied.
+        kind: `GeomReport.shape` of the geom.
     """
 
     vertices: Float
@@ -46,7 +54,12 @@ class GeomTriangles(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """Triangles that several pieces may have in common, counter-clockwise from outside."""
+    """Triangles that several pieces of a scene may share.
+
+    Attributes:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, counter-clockwise from outside, (m, 3) int32.
+    """
 
     vertices: Float
     faces: Int32
@@ -54,10 +67,14 @@ class Mesh(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Meshes:
-    """The geoms that are made of triangles, ascending, shape (n,), and the triangles of each.
+    """The geoms that are made of triangles.
 
-    Geoms of one mesh share all arrays but the vertices, which are in the world frame [m]. `boxes`
-    are exact, (n, 6): lower corner, upper corner [m].
+    Geoms of one mesh share all arrays but the vertices.
+
+    Attributes:
+        geom: MuJoCo's geom ids, ascending, (n,) int32.
+        triangles: the triangles of each geom, in the world frame.
+        boxes: exact boxes around the geoms, (n, 6) float64: lower corner, upper corner [m].
     """
 
     geom: Int32
@@ -67,80 +84,92 @@ class Meshes:
     @property
     def counts(self) -> Int:
         """How many triangles each geom has, shape (n,)."""
-        return np.array([len(one.faces) for one in self.triangles], dtype=np.int64)
+        return np.array([len(mesh.faces) for mesh in self.triangles], dtype=np.int64)
 
     @cached_property
     def expanded(self) -> Facets:
-        """All triangles, which are kept."""
+        """All triangles, expanded once and kept."""
         return self.expand()
 
-    def only(self, kept: Bool) -> Meshes:
-        """Those that are kept, shape (n,)."""
-        if kept.all():
+    def only(self, mask: Bool) -> Meshes:
+        """Return the geoms that are marked, shape (n,)."""
+        if mask.all():
             return self
-        pairs = zip(self.triangles, kept.tolist(), strict=True)
-        chosen = [one for one, is_kept in pairs if is_kept]
-        return Meshes(self.geom[kept], chosen, self.boxes[kept])
+        triangles = [self.triangles[n] for n in np.flatnonzero(mask).tolist()]
+        return Meshes(self.geom[mask], triangles, self.boxes[mask])
 
     def expand(self) -> Facets:
-        """All triangles, by geom."""
-        ends = np.cumsum([0, *self.counts])
-        corners = np.empty((ends[-1], 3, 3))
-        bounds = np.empty((ends[-1], 6))
-        facing = np.empty(ends[-1], dtype=np.int8)
+        """Return all triangles, ordered by geom, with their corners and boxes."""
+        start = np.cumsum([0, *self.counts])  # of each geom
+        num_triangles = int(start[-1])
+        corners = np.empty((num_triangles, 3, 3))
+        bounds = np.empty((num_triangles, 6))
+        facing = np.empty(num_triangles, dtype=np.int8)
 
-        def write(first: int, end: int) -> None:
-            geom = int(np.searchsorted(ends, first, side="right")) - 1
+        def expand_range(first: int, end: int) -> None:
+            n = int(np.searchsorted(start, first, side="right")) - 1
             while first < end:
-                begin, last = ends[geom : geom + 2].tolist()
-                arrays = (array[begin:last] for array in (corners, bounds, facing))
-                mesh = self.triangles[geom]
-                last = min(last, end)
-                expand_mesh(mesh.vertices, mesh.faces, *arrays, first - begin, last - begin)
+                begin, stop = start[n : n + 2].tolist()
+                last = min(stop, end)
+                mesh = self.triangles[n]
+                expand_mesh(
+                    mesh.vertices,
+                    mesh.faces,
+                    corners[begin:stop],
+                    bounds[begin:stop],
+                    facing[begin:stop],
+                    first - begin,
+                    last - begin,
+                )
                 first = last
-                geom = geom + 1
+                n = n + 1
 
-        run_in_chunks(write, int(ends[-1]), least=4096)
-        parts: list[list[NDArray[Any]]] = [[one.part, one.closed] for one in self.triangles]
-        parts = parts or [[np.empty(0, np.int32), np.empty(0, np.uint8)]]
-        part, closed = join_arrays(parts)
+        run_in_chunks(expand_range, num_triangles, least=MIN_SHARE)
+        arrays: list[list[NDArray[Any]]] = [[mesh.part, mesh.closed] for mesh in self.triangles]
+        if not arrays:
+            arrays.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
+        part, closed = join_arrays(arrays)
         return Facets(np.repeat(self.geom, self.counts), part, closed, corners, bounds, facing)
 
 
 Primitives = TypeVar("Primitives", Solids, Planes)
-# So many triangles are expanded together
-TOGETHER = 1 << 20
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """All counted geometry."""
+    """The geometry of all geoms that count.
+
+    Attributes:
+        solids: the primitives.
+        planes: the planes that are infinite along both sides.
+        meshes: the geoms that are made of triangles.
+        endless: mask by geom id of planes with one infinite side: their triangles reach
+            ENDLESS_HALF_SIZE, and do not count for `bounds`.
+    """
 
     solids: Solids
     planes: Planes
     meshes: Meshes
-    # By geom id, planes with one infinite side: their triangles reach ENDLESS_HALF_SIZE, and do not
-    # count for the box
     endless: Bool
 
     @cached_property
     def bounds(self) -> Float | None:
-        """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
-        ends = self.meshes.boxes[~self.endless[self.meshes.geom]]
-        boxes = np.concatenate([self.solids.bounds, ends])
+        """The box around all finite geoms, shape (2, 3), float64 [m]; None if there are none."""
+        finite_boxes = self.meshes.boxes[~self.endless[self.meshes.geom]]
+        boxes = np.concatenate([self.solids.bounds, finite_boxes])
         low = boxes[:, :3]
         high = boxes[:, 3:]
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
     @cached_property
     def boxes(self) -> Float:
-        """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
+        """Boxes around the geoms, shape (n, 6), infinite for planes: lower, upper corner [m]."""
         planes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
         return np.concatenate([self.solids.bounds, self.meshes.boxes, planes])
 
     @cached_property
     def boxed_geoms(self) -> Int32:
-        """The geom of each of `boxes`."""
+        """The geom id of each of `boxes`, shape (n,)."""
         return np.concatenate([self.solids.geom, self.meshes.geom, self.planes.geom])
 
     @property
@@ -149,111 +178,155 @@ class Shapes:
         return self.meshes.expanded
 
     def forget_triangles(self) -> None:
-        """Give back the memory of the triangles; they are expanded again when asked for."""
+        """Free the memory of the expanded triangles; `triangles` expands them again."""
         self.meshes.__dict__.pop("expanded", None)
 
-    def triangles_of_some(self) -> Iterator[Facets]:
-        """All triangles, but of few geoms at a time unless they are all expanded."""
+    def facets_in_batches(self) -> Iterator[Facets]:
+        """Yield all triangles, those of few geoms at a time unless all are expanded already."""
         if "expanded" in self.meshes.__dict__:
             yield self.triangles
             return
-        group = np.cumsum(self.meshes.counts) // TOGETHER
-        for number in np.unique(group).tolist():
-            yield self.meshes.only(group == number).expand()
+        batch_of_geom = np.cumsum(self.meshes.counts) // TRIANGLES_PER_BATCH
+        for batch in np.unique(batch_of_geom).tolist():
+            yield self.meshes.only(batch_of_geom == batch).expand()
 
     def only(self, geoms: Bool) -> Shapes:
-        """The geometry of the geoms that are marked, shape (ngeom,), bool."""
+        """Return the geometry of the geoms that are marked.
+
+        Args:
+            geoms: mask by geom id, shape (ngeom,).
+        """
         if geoms.all():
             return self
 
-        def marked(items: Primitives) -> Primitives:
-            kept = geoms[items.geom]
-            return items if kept.all() else type(items)._make(array[kept] for array in items)
+        def select(primitives: Primitives) -> Primitives:
+            mask = geoms[primitives.geom]
+            if mask.all():
+                return primitives
+            return type(primitives)._make(array[mask] for array in primitives)
 
         meshes = self.meshes.only(geoms[self.meshes.geom])
-        return Shapes(marked(self.solids), marked(self.planes), meshes, self.endless & geoms)
+        return Shapes(select(self.solids), select(self.planes), meshes, self.endless & geoms)
 
-    def replaced(self, new: Shapes, geoms: Bool) -> Shapes:
-        """The shapes with new ones, of the same kinds, in place of those of the marked geoms."""
+    def with_replaced(self, new: Shapes, geoms: Bool) -> Shapes:
+        """Return the shapes with new ones in place of those of the marked geoms.
 
-        def put(old: Primitives, now: Primitives) -> Primitives:
-            at = np.flatnonzero(geoms[old.geom])
-            if not len(at):
+        Args:
+            new: the geometry of the marked geoms, of the same kinds.
+            geoms: mask by geom id, shape (ngeom,).
+        """
+
+        def replace_in(old: Primitives, new_primitives: Primitives) -> Primitives:
+            indices = np.flatnonzero(geoms[old.geom])
+            if not len(indices):
                 return old
             arrays: list[NDArray[Any]] = [array.copy() for array in old]
-            for array, values in zip(arrays, now, strict=True):
-                array[at] = values
+            for array, values in zip(arrays, new_primitives, strict=True):
+                array[indices] = values
             return type(old)._make(arrays)
 
         triangles = list(self.meshes.triangles)
         boxes = self.meshes.boxes.copy()
-        at = np.flatnonzero(geoms[self.meshes.geom])
-        boxes[at] = new.meshes.boxes
-        for n, one in zip(at.tolist(), new.meshes.triangles, strict=True):
-            triangles[n] = one
+        indices = np.flatnonzero(geoms[self.meshes.geom])
+        boxes[indices] = new.meshes.boxes
+        for n, new_triangles in zip(indices.tolist(), new.meshes.triangles, strict=True):
+            triangles[n] = new_triangles
         meshes = Meshes(self.meshes.geom, triangles, boxes)
-        solids = put(self.solids, new.solids)
-        planes = put(self.planes, new.planes)
+        solids = replace_in(self.solids, new.solids)
+        planes = replace_in(self.planes, new.planes)
         return Shapes(solids, planes, meshes, self.endless)
 
-    def turned(self, axes: Float) -> Shapes:
-        """The solids in a frame with these axes, its rows, shape (3, 3)."""
+    def solids_in_frame(self, axes: Float) -> Shapes:
+        """Return the solids alone, in a rotated frame.
+
+        Args:
+            axes: axes of the frame, as its rows, shape (3, 3).
+        """
         solids = self.solids
-        mats = axes @ self.solids.mat.reshape(-1, 3, 3)
-        pose = solids.pos @ axes.T, np.ascontiguousarray(mats.reshape(-1, 9)), solids.size
-        bounds = solid_bounds(solids.kind, *pose)
-        planes = Planes._make(array[:0] for array in self.planes)
-        turned = Solids(solids.geom, solids.kind, *pose, bounds)
-        none = np.zeros(len(self.meshes.geom), dtype=np.bool_)
-        return Shapes(turned, planes, self.meshes.only(none), self.endless)
+        pos = solids.pos @ axes.T
+        mat = np.ascontiguousarray((axes @ solids.mat.reshape(-1, 3, 3)).reshape(-1, 9))
+        rotated = solids._replace(
+            pos=pos, mat=mat, bounds=solid_bounds(solids.kind, pos, mat, solids.size)
+        )
+        no_planes = Planes._make(array[:0] for array in self.planes)
+        no_meshes = self.meshes.only(np.zeros(len(self.meshes.geom), dtype=np.bool_))
+        return Shapes(rotated, no_planes, no_meshes, self.endless)
 
 
 def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
-    """The meshes of some geoms, by ascending ids, without those of no triangle."""
-    some = {geom: one for geom, one in triangles.items() if len(one.faces)}
-    boxes = np.empty((len(some), 6))
-    known = dict[int, Bool]()
-    for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
-        if id(faces) not in known:  # geoms of one mesh share it
-            known[id(faces)] = mark_used_vertices(len(vertices), faces)
-        is_used = known[id(faces)]
-        box[:] = bounding_box(vertices if is_used.all() else vertices[is_used])
-    return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
+    """Gather the triangles of geoms, without those of geoms that have none.
+
+    Args:
+        triangles: by geom id, ascending.
+    """
+    non_empty = {geom: mesh for geom, mesh in triangles.items() if len(mesh.faces)}
+    boxes = np.empty((len(non_empty), 6))
+    is_used_by_id = dict[int, Bool]()  # by the id of the faces, which geoms of one mesh share
+    for box, mesh in zip(boxes, non_empty.values(), strict=True):
+        if id(mesh.faces) not in is_used_by_id:
+            is_used_by_id[id(mesh.faces)] = mark_used_vertices(len(mesh.vertices), mesh.faces)
+        is_used = is_used_by_id[id(mesh.faces)]
+        box[:] = bounding_box(mesh.vertices if is_used.all() else mesh.vertices[is_used])
+    return Meshes(np.array(list(non_empty), dtype=np.int32), list(non_empty.values()), boxes)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
-    """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""
+    """Compute exact boxes around solids.
+
+    Args:
+        kind, pos, mat, size: fields of `Solids`.
+
+    Returns:
+        Lower corner, upper corner, shape (n, 6) [m].
+    """
     axes = mat.reshape(-1, 3, 3)
     half = np.stack([support_distances(kind, axes[:, k], size) for k in range(3)], axis=1)
     return np.concatenate([pos - half, pos + half], axis=1)
 
 
-def support_distances(kind: Int32, way: Float, size: Float) -> Float:
-    """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
-    along = np.abs(way)
-    reach = np.empty(len(kind))
+def support_distances(kind: Int32, direction: Float, size: Float) -> Float:
+    """Compute how far solids reach from their centres in a direction: their support functions.
+
+    Args:
+        kind, size: fields of `Solids`.
+        direction: a unit vector in the frame of each solid, shape (n, 3).
+
+    Returns:
+        shape (n,) [m].
+    """
+    components = np.abs(direction)
+    distances = np.empty(len(kind))
     kinds = set(kind.tolist())
-    for number in kinds:
-        own = kind == number if len(kinds) > 1 else slice(None)
-        up = along[own, 2]
-        sizes = size[own]
-        if number == BOX:
-            reach[own] = (along[own] * sizes).sum(axis=1)
-        elif number == ELLIPSOID:
-            reach[own] = np.sqrt(np.square(along[own] * sizes).sum(axis=1))
-        elif number == CYLINDER:
-            flat = np.sqrt(np.clip(1.0 - np.square(up), 0.0, None))
-            reach[own] = up * sizes[:, 1] + sizes[:, 0] * flat
+    for solid_kind in kinds:
+        mask = kind == solid_kind if len(kinds) > 1 else slice(None)
+        up = components[mask, 2]
+        sizes = size[mask]
+        if solid_kind == BOX:
+            distances[mask] = (components[mask] * sizes).sum(axis=1)
+        elif solid_kind == ELLIPSOID:
+            distances[mask] = np.sqrt(np.square(components[mask] * sizes).sum(axis=1))
+        elif solid_kind == CYLINDER:
+            horizontal = np.sqrt(np.clip(1.0 - np.square(up), 0.0, None))
+            distances[mask] = up * sizes[:, 1] + sizes[:, 0] * horizontal
+        elif solid_kind == CAPSULE:
+            distances[mask] = sizes[:, 0] + up * sizes[:, 1]
         else:
-            reach[own] = sizes[:, 0] + (up * sizes[:, 1] if number == CAPSULE else 0.0)
-    return reach
+            distances[mask] = sizes[:, 0]
+    return distances
 
 
 def height_field_triangles(heights: Float, size: Float) -> Float:
-    """A height field as a closed mesh in its geom's frame: top, four sides and bottom.
+    """Make a closed mesh of a height field: top, four sides and bottom.
 
     Its cells are split from their lower corner to their upper one, as MuJoCo's rays and collisions
-    split them. Heights are 0 to 1, row 0 at the smallest y; the size is MuJoCo's.
+    split them.
+
+    Args:
+        heights: 0 to 1, shape (rows, cols), row 0 at the smallest y.
+        size: MuJoCo's size of the height field, shape (4,) [m].
+
+    Returns:
+        Corners of triangles in the geom's frame, shape (m, 3, 3) [m].
     """
     rows, cols = heights.shape
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
@@ -266,17 +339,26 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     parts = [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]
     upper = np.concatenate([top[0, :-1], top[:-1, -1], top[-1, :0:-1], top[:0:-1, 0]])
     lower = np.concatenate([base[0, :-1], base[:-1, -1], base[-1, :0:-1], base[:0:-1, 0]])
-    beside = np.roll(upper, -1, axis=0)
-    under = np.roll(lower, -1, axis=0)
+    next_upper = np.roll(upper, -1, axis=0)
+    next_lower = np.roll(lower, -1, axis=0)
     # the bottom is fanned over the same border points, so that every edge is met from both sides
     middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, lower.shape)
-    for corners in ((lower, under, beside), (lower, beside, upper), (middle, under, lower)):
-        parts.append(np.stack(corners, axis=-2))
+    parts.append(np.stack([lower, next_lower, next_upper], axis=-2))
+    parts.append(np.stack([lower, next_upper, upper], axis=-2))
+    parts.append(np.stack([middle, next_lower, lower], axis=-2))
     return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
 
 
 def hull_faces(vertices: Float) -> Int32 | None:
-    """Corners of the convex hull's faces, counter-clockwise from outside; None for a flat one."""
+    """Find the faces of the convex hull of points.
+
+    Args:
+        vertices: shape (n, 3) [m].
+
+    Returns:
+        Vertices of each triangle, counter-clockwise from outside, shape (m, 3); None if the points
+        are fewer than four or in a plane.
+    """
     try:
         hull = spatial.ConvexHull(vertices)
     except (spatial.QhullError, ValueError):  # flat, or fewer than four
@@ -293,20 +375,35 @@ def hull_faces(vertices: Float) -> Int32 | None:
 # ---------------------------------------------------------------- meshes as arrays
 
 
-def count_shares(count: int) -> int:
-    """Into how many shares so many points or triangles are divided, each worth a thread."""
-    return max(1, min(num_threads(), MOST_SHARES, count // LEAST))
+def choose_num_shares(count: int) -> int:
+    """Return into how many shares `count` points or triangles are divided, each for a thread."""
+    return max(1, min(num_threads(), MAX_SHARES, count // MIN_SHARE))
 
 
 def triangle_areas(vertices: Float, faces: Int32) -> Float:
-    """The areas of triangles, (m,) float64 [m²]."""
+    """Compute the areas of triangles.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: vertices of each triangle, shape (m, 3).
+
+    Returns:
+        shape (m,) [m²].
+    """
     area = np.empty(len(faces))
-    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=4096)
+    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_SHARE)
     return area
 
 
 def bounding_box(points: Float) -> Float:
-    """The box round points, (n, 3): lower and upper corner, (6,) [m]; NaN if one has a NaN."""
+    """Return the box around points; coordinates where a point has a NaN are NaN.
+
+    Args:
+        points: shape (n, 3) [m].
+
+    Returns:
+        Lower corner, upper corner, shape (6,) [m].
+    """
     box = np.empty(6)
 
     def measure(first: int, end: int) -> None:
@@ -314,13 +411,21 @@ def bounding_box(points: Float) -> Float:
             box[k] = points[:, k].min()
             box[3 + k] = points[:, k].max()
 
-    run_in_chunks(measure, 3, least=1 if len(points) > LEAST else 3)
+    run_in_chunks(measure, 3, least=1 if len(points) > MIN_SHARE else 3)
     return box
 
 
-def mark_used_vertices(num: int, faces: Int32) -> Bool:
-    """Mark which of so many vertices some faces use, shape (num,)."""
-    marks = np.zeros((count_shares(len(faces)), num), dtype=np.bool_)
+def mark_used_vertices(num_vertices: int, faces: Int32) -> Bool:
+    """Mark the vertices that faces use.
+
+    Args:
+        num_vertices: number of vertices.
+        faces: vertices of each triangle, shape (m, 3).
+
+    Returns:
+        shape (num_vertices,).
+    """
+    marks = np.zeros((choose_num_shares(len(faces)), num_vertices), dtype=np.bool_)
 
     def mark(first: int, end: int) -> None:
         for share in range(first, end):
@@ -333,7 +438,15 @@ def mark_used_vertices(num: int, faces: Int32) -> Bool:
 
 
 def drop_unused_vertices(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
-    """The vertices that faces use, and the faces counted in them."""
+    """Drop the vertices that no face uses.
+
+    Args:
+        vertices: shape (n, 3).
+        faces: vertices of each triangle, shape (m, 3).
+
+    Returns:
+        The used vertices, and the faces as indices into these.
+    """
     is_used = mark_used_vertices(len(vertices), faces)
     if is_used.all():
         return vertices, faces
@@ -344,9 +457,12 @@ def drop_unused_vertices(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
 
 
 def tessellate(kind: str, size: Sequence[float]) -> Mesh:
-    """A solid as triangles; round ones, and cones, with `SIDES` sides.
+    """Make a solid of triangles; round ones, and cones, have `NUM_SIDES` sides.
 
-    Sizes are MuJoCo's; a cone's are the radius of its base and half its height, its tip is up.
+    Args:
+        kind: "plane", "box", "sphere", "capsule", "ellipsoid", "cylinder" or "cone".
+        size: MuJoCo's sizes [m]; a cone's are the radius of its base and half its height. Its tip
+            points up.
     """
     if kind == "plane":
         corners = np.array([[x, y, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
@@ -359,7 +475,7 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
         return Mesh(corners, hull)
     radius = size[0]
     half = size[1] if len(size) > 1 else 0.0
-    arc = np.linspace(-math.pi / 2, 0.0, SIDES // 4 + 1)
+    arc = np.linspace(-math.pi / 2, 0.0, NUM_SIDES // 4 + 1)
     if kind == "cylinder":
         profile = [(0.0, -half), (radius, -half), (radius, half), (0.0, half)]
     elif kind == "cone":
@@ -367,56 +483,69 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
     else:
         lift = half if kind == "capsule" else 0.0
         lower = [(radius * math.cos(a), radius * math.sin(a) - lift) for a in arc.tolist()]
-        profile = lower + [(r, -z) for r, z in lower[::-1][lift == 0 :]]
-    ends = (profile[0], profile[-1])
+        upper = [(r, -z) for r, z in lower[::-1]]
+        # the two halves of a sphere share their ring in the middle
+        profile = lower + (upper[1:] if lift == 0 else upper)
+    _, bottom = profile[0]
+    _, top = profile[-1]
     rings = profile[1:-1]
-    turn = np.arange(SIDES) * (2 * math.pi / SIDES)
-    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    layers = [np.column_stack([r * around, np.full(SIDES, z)]) for r, z in rings]
-    vertices = np.concatenate([*layers, [[0.0, 0.0, ends[0][1]], [0.0, 0.0, ends[1][1]]]])
-    here = np.arange(SIDES)
-    beside = (np.arange(SIDES) + 1) % SIDES
-    low = len(vertices) - 2
-    high = len(vertices) - 1
-    top = (len(rings) - 1) * SIDES
-    faces = [np.column_stack([np.full(SIDES, low), beside, here])]
-    for start in range(0, top, SIDES):
-        a = start + here
-        b = start + beside
-        faces += [np.column_stack([a, b, b + SIDES]), np.column_stack([a, b + SIDES, a + SIDES])]
-    faces.append(np.column_stack([top + here, top + beside, np.full(SIDES, high)]))
+    angle = np.arange(NUM_SIDES) * (2 * math.pi / NUM_SIDES)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    layers = [np.column_stack([r * circle, np.full(NUM_SIDES, z)]) for r, z in rings]
+    vertices = np.concatenate([*layers, [[0.0, 0.0, bottom], [0.0, 0.0, top]]])
+    side = np.arange(NUM_SIDES)
+    next_side = (side + 1) % NUM_SIDES
+    bottom_vertex = np.full(NUM_SIDES, len(vertices) - 2)
+    top_vertex = np.full(NUM_SIDES, len(vertices) - 1)
+    last_ring = (len(rings) - 1) * NUM_SIDES
+    faces = [np.column_stack([bottom_vertex, next_side, side])]
+    for ring in range(0, last_ring, NUM_SIDES):
+        a = ring + side
+        b = ring + next_side
+        faces.append(np.column_stack([a, b, b + NUM_SIDES]))
+        faces.append(np.column_stack([a, b + NUM_SIDES, a + NUM_SIDES]))
+    faces.append(np.column_stack([last_ring + side, last_ring + next_side, top_vertex]))
     if kind == "ellipsoid":
         vertices = vertices / radius * np.asarray(size)
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
 def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32:
-    """Triangles of polygons in space, which wind as these do, (n, 3).
+    """Divide polygons in space into triangles, which wind as the polygons do.
 
-    Convex ones are fans; of others ears are cut off (Meisters, Polygons have ears, 1975). Takes
-    vertices, (m, 3), how many corners each polygon has, and the vertices of all corners, polygon by
-    polygon. Those with fewer than three, and those numbered in `holes`, are left out.
+    Convex polygons become fans; of others ears are cut off (Meisters, Polygons have ears, 1975).
+    Polygons with fewer than three corners are left out.
+
+    Args:
+        vertices: shape (m, 3).
+        counts: number of corners of each polygon, (polygons,).
+        indices: vertices of all corners, polygon by polygon, (sum of counts,).
+        holes: numbers of polygons that are left out; those out of range are ignored.
+
+    Returns:
+        Vertices of each triangle, shape (n, 3).
     """
     if not len(holes) and (counts == 3).all():
         return np.asarray(indices.reshape(-1, 3).astype(np.int32))
     start = np.cumsum(counts) - counts
-    found = [np.empty((0, 3), dtype=np.int32)]
-    kept = counts >= 3
-    kept[holes[(holes >= 0) & (holes < len(counts))]] = False
-    for size in np.unique(counts[kept]).tolist():
-        first = start[kept & (counts == size)]
-        corners = indices[first[:, None] + np.arange(size)].astype(np.int32)
-        if size > 3:
+    triangles = [np.empty((0, 3), dtype=np.int32)]
+    is_polygon = counts >= 3
+    is_polygon[holes[(holes >= 0) & (holes < len(counts))]] = False
+    for num_corners in np.unique(counts[is_polygon]).tolist():
+        first = start[is_polygon & (counts == num_corners)]
+        corners = indices[first[:, None] + np.arange(num_corners)].astype(np.int32)
+        if num_corners > 3:
             is_convex = _are_convex(vertices[corners])
-            found += [_cut_ears(vertices[one], one) for one in corners[~is_convex]]
+            for polygon in corners[~is_convex]:
+                triangles.append(_cut_ears(vertices[polygon], polygon))
             corners = corners[is_convex]
-        for k in range(1, size - 1):
-            found.append(corners[:, [0, k, k + 1]])
-    return np.concatenate(found)
+        for k in range(1, num_corners - 1):
+            triangles.append(corners[:, [0, k, k + 1]])
+    return np.concatenate(triangles)
 
 
 def _are_convex(points: Float) -> Bool:
-    """Mark the polygons that turn to one side at all corners, shape of points (n, k, 3)."""
+    """Mark the polygons that turn to one side at all corners; points have shape (n, k, 3)."""
     points = points - points[:, :1]
     edge = np.roll(points, -1, axis=1) - points
     turn = np.cross(edge, np.roll(edge, -1, axis=1))
@@ -426,36 +555,50 @@ def _are_convex(points: Float) -> Bool:
 
 
 def _cut_ears(points: Float, corners: Int32) -> Int32:
-    """The triangles of one simple polygon."""
+    """Cut a simple polygon into triangles, ear by ear.
+
+    Args:
+        points: shape (k, 3).
+        corners: ids of the points, (k,).
+
+    Returns:
+        Ids of the corners of each triangle, shape (k - 2, 3).
+    """
     points = points - points[0]
     normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
-    drop = int(np.abs(normal).argmax())  # the plane in which the polygon is widest
-    flat = np.delete(points, drop, axis=1)
-    way = 1.0 if (normal[drop] > 0) == (drop != 1) else -1.0
-    left = list(range(len(points)))
-    found = list[list[int]]()
+    # projected along the axis along which the polygon's area is largest
+    dropped_axis = int(np.abs(normal).argmax())
+    flat = np.delete(points, dropped_axis, axis=1)
+    sign = 1.0 if (normal[dropped_axis] > 0) == (dropped_axis != 1) else -1.0
+    remaining = list(range(len(points)))
+    triangles = list[list[int]]()
 
     def area(a: Float, b: Float, c: Float) -> Float:
-        """Twice the area of triangles, positive where they wind as the polygon."""
+        """Compute twice the area of triangles, positive where they wind as the polygon does."""
         ab = b - a
         ac = c - a
-        return np.asarray(way * (ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]))
+        return np.asarray(sign * (ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]))
 
-    while len(left) > 3:
-        for k in range(len(left)):
-            ear = left[k - 1], left[k], left[(k + 1) % len(left)]
-            a, b, c = flat[list(ear)]
-            size = area(a, b, c)
-            others = flat[[p for p in left if p not in ear]]
+    def ear_at(k: int) -> list[int]:
+        """Return the k-th remaining corner between its neighbors."""
+        return [remaining[k - 1], remaining[k], remaining[(k + 1) % len(remaining)]]
+
+    while len(remaining) > 3:
+        for k in range(len(remaining)):
+            ear = ear_at(k)
+            a, b, c = flat[ear]
+            remaining_corners = flat[[p for p in remaining if p not in ear]]
             # corners at the place of one of the ear's belong to a slit
-            others = others[~(others[:, None] == [a, b, c]).all(axis=2).any(axis=1)]
-            sides = area(a, b, others), area(b, c, others), area(c, a, others)
-            if size > 0 and not (np.min(sides, axis=0) >= 0).any():
+            is_slit = (remaining_corners[:, None] == [a, b, c]).all(axis=2).any(axis=1)
+            corner = remaining_corners[~is_slit]
+            side_areas = [area(a, b, corner), area(b, c, corner), area(c, a, corner)]
+            holds_corner = (np.min(side_areas, axis=0) >= 0).any()
+            if area(a, b, c) > 0 and not holds_corner:
                 break
-        else:  # corners on a line, or lines that cross: the flattest is cut off
-            ears = [[left[k - 1], left[k], left[(k + 1) % len(left)]] for k in range(len(left))]
+        else:  # corners on a line, or lines that cross: the flattest ear is cut off
+            ears = [ear_at(k) for k in range(len(remaining))]
             k = int(np.argmin([abs(area(*flat[ear])) for ear in ears]))
-            ear = left[k - 1], left[k], left[(k + 1) % len(left)]
-        found.append([*ear])
-        left.pop(k)
-    return np.asarray(corners[np.array([*found, left])])
+            ear = ears[k]
+        triangles.append(ear)
+        remaining.pop(k)
+    return np.asarray(corners[np.array([*triangles, remaining])])

@@ -1,10 +1,11 @@
-"""Which triangles of a mesh belong to a shell: a part whose edges are met by two triangles each.
+"""Shells of meshes: parts at each of whose edges two triangles meet, in opposite directions.
 
 Points at one place are welded by a hash table; a filter with one hash (Bloom, 1970) first finds the
-few that may have an equal. Half-edges are chained by their lower point, and those of a point
-compared by the upper one. Triangles are united (union-find) over the edges where two meet, in
-opposite directions. A part with any other edge is no shell; `mesh_part_kernels` decides
-what it encloses.
+few that may have an equal. Half-edges are chained by their lower point, and those of a point are
+compared by the upper one. Triangles are united (union-find) over the edges where two meet. A part
+with any other edge is no shell; `mesh_part_kernels` decides what it encloses.
+
+Half-edge ``3 f + k`` runs from corner k of triangle f to the next corner.
 """
 
 import numpy as np
@@ -12,16 +13,17 @@ import numpy as np
 from navbake.baker.core.union_find import find_root, unite
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
-MINUS_ZERO = np.uint64(1 << 63)  # its bits
-NOT_SHELL = np.int32(-1)  # in place of the number of a shell
-# Edges at a point that are compared, each with all; the triangles of others are no part of a shell
-# here, and `find_parts` decides about them, as it does about those
+MINUS_ZERO = np.uint64(1 << 63)  # the bits of -0.0
+# In place of the number of a shell, or of a half-edge's mate
+NOT_SHELL = np.int32(-1)
+# At most this many edges at a point are compared, each with all. Triangles at further edges are in
+# no shell; `find_parts` decides what they enclose
 MAX_EDGES = 256
 
 
 @subkernel(inline="always")
 def _bits(points, i, k):
-    """A coordinate's bits; -0.0 is 0.0."""
+    """Return a coordinate's bits; those of 0.0 for -0.0."""
     return np.uint64(0) if points[i, k] == MINUS_ZERO else points[i, k]
 
 
@@ -43,138 +45,161 @@ def _hash(points, i):
 
 
 @subkernel(inline="always")
-def _place_of(key, filter_size):
-    """The byte of a filter, and the bit in it, that stand for a hash."""
+def _filter_bit(key, filter_size):
+    """Return the byte of a filter, and the bit in it, that stand for a hash."""
     bit = key & np.uint64(8 * filter_size - 1)
     return np.int64(bit >> np.uint64(3)), np.uint8(1 << np.int64(bit & np.uint64(7)))
 
 
 @kernel(nogil=True)
 def weld_points(points, num_shares, number, first, end):
-    """Number points, (n, 3) uint64, the coordinates' bits, by the first one that equals each.
+    """Number points by the first one at the same place, for shares ``range(first, end)``.
 
-    Points are divided into shares by their hashes, each with a filter and a hash table with open
-    addressing. Writes the numbers, (n,) int32, of the shares ``range(first, end)``.
+    Points are divided into shares by their hashes, each share with a filter and a hash table with
+    open addressing.
+
+    Args:
+        points: bits of the coordinates, (n, 3) uint64.
+        num_shares: number of shares.
+        number: receives the number of the first equal point of each, (n,) int32.
+        first, end: range of shares.
     """
-    num = points.shape[0]
+    num_points = points.shape[0]
     shares = np.uint64(num_shares)
     for share in range(first, end):
-        own = np.empty(num + 1, np.int32)
+        share_points = np.empty(num_points + 1, np.int32)
         count = 0
-        for i in range(num):
-            own[count] = i  # without a branch, which nobody could predict
+        for i in range(num_points):
+            share_points[count] = i  # without a branch, which the CPU could not predict
             count += (
                 1 if (_hash(points, i) >> np.uint64(40)) * shares >> np.uint64(24) == share else 0
             )
-        size = 16
-        while size < count:  # 8 bits a point
-            size *= 2
-        once = np.zeros(size, np.uint8)
-        twice = np.zeros(size, np.uint8)
-        for i in own[:count]:
-            place, bit = _place_of(_hash(points, i), size)
-            twice[place] |= once[place] & bit
-            once[place] |= bit
-        chosen = 0
-        for i in own[:count]:
+        filter_size = 16
+        while filter_size < count:  # 8 bits a point
+            filter_size *= 2
+        seen_once = np.zeros(filter_size, np.uint8)
+        seen_twice = np.zeros(filter_size, np.uint8)
+        for i in share_points[:count]:
+            byte, bit = _filter_bit(_hash(points, i), filter_size)
+            seen_twice[byte] |= seen_once[byte] & bit
+            seen_once[byte] |= bit
+        num_candidates = 0
+        for i in share_points[:count]:
             number[i] = i
-            place, bit = _place_of(_hash(points, i), size)
-            if twice[place] & bit:
-                own[chosen] = i
-                chosen += 1
-        room = 16
-        while room < 2 * chosen:  # at most half full, so that probing stays short
-            room *= 2
-        table = np.full(room, np.int32(-1), np.int32)
-        for i in own[:chosen]:
-            place = np.int64(_hash(points, i) & np.uint64(room - 1))
-            while table[place] >= 0 and not _are_equal(points, table[place], i):
-                place = (place + 1) & (room - 1)
-            if table[place] < 0:
-                table[place] = i
-            number[i] = table[place]
+            byte, bit = _filter_bit(_hash(points, i), filter_size)
+            if seen_twice[byte] & bit:
+                share_points[num_candidates] = i
+                num_candidates += 1
+        table_size = 16
+        while table_size < 2 * num_candidates:  # at most half full, so that probing stays short
+            table_size *= 2
+        table = np.full(table_size, np.int32(-1), np.int32)
+        for i in share_points[:num_candidates]:
+            slot = np.int64(_hash(points, i) & np.uint64(table_size - 1))
+            while table[slot] >= 0 and not _are_equal(points, table[slot], i):
+                slot = (slot + 1) & (table_size - 1)
+            if table[slot] < 0:
+                table[slot] = i
+            number[i] = table[slot]
 
 
 @subkernel(inline="always")
-def _next(half):
-    """The next half-edge of a triangle."""
-    return half - 2 if half % 3 == 2 else half + 1
+def _next(half_edge):
+    """Return the next half-edge of the same triangle."""
+    return half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def chain_edges(number, faces, point, kept, last, before, first, end):
-    """Chain the half-edges 3 f + k, from corner k of triangle f to the next, by their lower point.
+def chain_edges(number, faces, point, is_proper, last, previous, first, end):
+    """Chain the half-edges by their lower point, for shares ``range(first, end)`` of the triangles.
 
-    Each share of the triangles, of ``range(first, end)``, has its own chains: ``last[share, low]``
-    is the last half-edge of a chain, (shares, points) int32 of -1, and `before` the one before
-    each, -1 if none, (3 m,) int32. Writes also the points of each triangle by their numbers,
-    (m, 3) int32, and whether it has three, (m,) bool; those with fewer are in no chain.
+    Each share has its own chains.
+
+    Args:
+        number: number of each vertex's point, see `weld_points`, (n,) int32.
+        faces: vertices of each triangle, (m, 3) int32.
+        point: receives the points of each triangle, (m, 3) int32.
+        is_proper: receives whether a triangle has three different points, (m,) bool; others are in
+            no chain.
+        last: ``last[share, low]`` receives the last half-edge of the chain of point `low`, (shares,
+            n) int32 of -1.
+        previous: receives the half-edge before each in its chain, -1 if none, (3 m,) int32.
+        first, end: range of shares.
     """
-    num = faces.shape[0]
-    shares = last.shape[0]
+    num_faces = faces.shape[0]
+    num_shares = last.shape[0]
     for share in range(first, end):
-        for f in range(num * share // shares, num * (share + 1) // shares):
+        for f in range(num_faces * share // num_shares, num_faces * (share + 1) // num_shares):
             a = number[faces[f, 0]]
             b = number[faces[f, 1]]
             c = number[faces[f, 2]]
             point[f, 0] = a
             point[f, 1] = b
             point[f, 2] = c
-            kept[f] = a != b and b != c and c != a
-            for k in range(3 if kept[f] else 0):
+            is_proper[f] = a != b and b != c and c != a
+            for k in range(3 if is_proper[f] else 0):
                 low = min(point[f, k], point[f, (k + 1) % 3])
-                before[3 * f + k] = last[share, low]
+                previous[3 * f + k] = last[share, low]
                 last[share, low] = 3 * f + k
 
 
 @kernel(nogil=True)
-def find_shells(corners, last, mate, shell, first, end):
-    """Find the half-edge that each one is alone with at its edge, and then the shells.
+def pair_half_edges(corners, last, mate, first, end):
+    """Find each half-edge's mate: the only other one at its edge, in the opposite direction.
 
-    The first are of the points ``range(first, end)``: `mate`, the `before` of `chain_edges`,
-    becomes the other half-edge; NOT_SHELL if there is none or several, if the two run in one
-    direction or belong to triangles back to back, or for edges beyond `MAX_EDGES` of a point. The
-    shells are found for the point behind the last one.
+    A half-edge gets NOT_SHELL if there is none or there are several, if both run in one direction
+    or belong to triangles back to back, and beyond `MAX_EDGES` edges of a point.
 
     Args:
         corners: points of the triangles, (3 m,) int32.
         last: the chains of `chain_edges`.
-        shell: (m,) int32; receives the lowest triangle of each one's shell, or NOT_SHELL.
+        mate: `previous` of `chain_edges`; receives the mates, (3 m,) int32.
+        first, end: range of points; half-edges with their lower point in it are paired.
     """
-    upper = np.empty(MAX_EDGES, np.int32)
-    half = np.empty(MAX_EDGES, np.int64)
-    num = np.empty(MAX_EDGES, np.int64)
-    for low in range(first, min(end, last.shape[1])):
-        edges = 0
+    # of each edge at the point: its upper point, its first half-edge, its number of half-edges
+    upper_point = np.empty(MAX_EDGES, np.int32)
+    first_half_edge = np.empty(MAX_EDGES, np.int64)
+    num_half_edges = np.empty(MAX_EDGES, np.int64)
+    for low in range(first, end):
+        num_edges = 0
         for share in range(last.shape[0]):
-            following = np.int64(last[share, low])
-            while following >= 0:
-                h = following
-                following = np.int64(mate[h])
+            next_half_edge = np.int64(last[share, low])
+            while next_half_edge >= 0:
+                h = next_half_edge
+                next_half_edge = np.int64(mate[h])
                 mate[h] = NOT_SHELL
                 high = max(corners[h], corners[_next(h)])
                 e = 0
-                while e < edges and upper[e] != high:
+                while e < num_edges and upper_point[e] != high:
                     e += 1
                 if e == MAX_EDGES:
                     continue
-                if e == edges:
-                    upper[e] = high
-                    half[e] = h
-                    num[e] = 0
-                    edges += 1
-                one = half[e]
-                num[e] = num[e] + 1
-                if num[e] == 2:
-                    is_opposite = corners[one] != corners[h]
-                    if is_opposite and corners[_next(_next(one))] != corners[_next(_next(h))]:
-                        mate[one] = h
-                        mate[h] = one
-                elif num[e] == 3 and mate[one] != NOT_SHELL:
-                    mate[mate[one]] = NOT_SHELL
-                    mate[one] = NOT_SHELL
-    if end <= last.shape[1]:
-        return
+                if e == num_edges:
+                    upper_point[e] = high
+                    first_half_edge[e] = h
+                    num_half_edges[e] = 0
+                    num_edges += 1
+                partner = first_half_edge[e]
+                num_half_edges[e] = num_half_edges[e] + 1
+                if num_half_edges[e] == 2:
+                    is_opposite = corners[partner] != corners[h]
+                    third_corner = corners[_next(_next(h))]
+                    if is_opposite and corners[_next(_next(partner))] != third_corner:
+                        mate[partner] = h
+                        mate[h] = partner
+                elif num_half_edges[e] == 3 and mate[partner] != NOT_SHELL:
+                    mate[mate[partner]] = NOT_SHELL
+                    mate[partner] = NOT_SHELL
+
+
+@kernel
+def label_shells(mate, shell):
+    """Find the shells: triangles connected over mates, all of whose half-edges have one.
+
+    Args:
+        mate: see `pair_half_edges`, (3 m,) int32.
+        shell: receives the lowest triangle of each one's shell, or NOT_SHELL, (m,) int32.
+    """
     is_shell = np.ones(shell.shape[0], np.bool_)
     for f in range(shell.shape[0]):
         shell[f] = f

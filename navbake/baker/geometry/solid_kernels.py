@@ -1,9 +1,9 @@
-"""Does a solid meet an upright prism? By its shape where that is plain, else by iteration.
+"""Decides whether a solid meets an upright prism: in closed form if there is one, else by GJK.
 
 For spheres, upright boxes and cylinders the distance to a prism has a closed form: that of a point
 or a rectangle to a rectangle or a disc in the plane, and of two intervals in height. For leaning
-capsules and cylinders there is a bound. `gjk` decides what these leave open within rounding, and
-all other leaning solids.
+capsules and cylinders there is a bound. `gjk_kernels` decides what these leave open within
+rounding, and all other leaning solids.
 """
 
 import math
@@ -13,22 +13,28 @@ from navbake.baker.core.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, S
 from navbake.baker.geometry.gjk_kernels import gjk_meets_prism
 from navbake.compiled import NO_REFCOUNT, subkernel
 
-SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
+MIN_PROVED_GAP = 1e-9  # a gap or an overlap larger than this is not due to rounding [m]
 
 
 @subkernel(inline="always")
 def _point_gap(dx, dy, half, is_round):
-    """How far a point is from a square or a disc round the origin of the plane, >= 0."""
+    """Return how far a point is from a square or a disc around the plane's origin, >= 0 [m]."""
     if is_round:
         return max(math.hypot(dx, dy) - half, 0.0)
     return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
 
 
 @subkernel(inline="always")
-def _plan_gap(solids, s, upright, dx, dy, half, is_round):
-    """How far a box or cylinder is from a column at (dx, dy), seen from above; < 0 for an overlap.
+def _plan_gap(solids, s, upright_axis, dx, dy, half, is_round):
+    """Return how far an upright box or cylinder is from a prism seen from above [m]; < 0: overlap.
 
-    Its own axis number `upright` points up or down.
+    Args:
+        solids: the solids.
+        s: index of the solid.
+        upright_axis: number of the solid's own axis that points up or down.
+        dx, dy: the prism's axis, from the solid's centre [m].
+        half: half of the prism's edge, or its radius [m].
+        is_round: whether the prism is round.
     """
     mat = solids.mat[s]
     size = solids.size[s]
@@ -36,8 +42,8 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
         if is_round:
             return math.hypot(dx, dy) - size[0] - half
         return _point_gap(dx, dy, half, NOT_ROUND) - size[0]
-    a = (upright + 1) % 3
-    b = (upright + 2) % 3
+    a = (upright_axis + 1) % 3
+    b = (upright_axis + 2) % 3
     ax = mat[a]
     ay = mat[3 + a]
     bx = mat[b]
@@ -54,25 +60,28 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
 
 @subkernel(inline="always")
 def _axis_gap(solids, s, prism, half, is_round):
-    """A lower bound for leaning capsules and cylinders; negative only where they do overlap."""
+    """Return a lower bound of the distance of a leaning capsule or cylinder to a prism [m].
+
+    It is negative only if they overlap.
+    """
     pos = solids.pos[s]
     mat = solids.mat[s]
     radius = solids.size[s, 0]
-    length = solids.size[s, 1]
+    half_length = solids.size[s, 1]
     dx = prism.x - pos[0]
     dy = prism.y - pos[1]
-    ax = mat[2] * length
-    ay = mat[5] * length
-    az = mat[8] * length
-    square = ax * ax + ay * ay
-    # the point of the axis that is nearest to the prism's middle, seen from above
-    t = min(max((dx * ax + dy * ay) / square, -1.0), 1.0) if square > 0.0 else 0.0
+    ax = mat[2] * half_length
+    ay = mat[5] * half_length
+    az = mat[8] * half_length
+    plan_square = ax * ax + ay * ay  # of the axis seen from above
+    # the point of the axis that is nearest to the prism's axis, seen from above
+    t = min(max((dx * ax + dy * ay) / plan_square, -1.0), 1.0) if plan_square > 0.0 else 0.0
     px = dx - t * ax
     py = dy - t * ay
     pz = pos[2] + t * az
-    if solids.kind[s] == CAPSULE:  # the ball round it proves most overlaps
-        over = max(prism.low - pz, pz - prism.high, 0.0)
-        gap = math.hypot(_point_gap(px, py, half, is_round), over) - radius
+    if solids.kind[s] == CAPSULE:  # the ball around that point proves most overlaps
+        height_gap = max(prism.low - pz, pz - prism.high, 0.0)
+        gap = math.hypot(_point_gap(px, py, half, is_round), height_gap) - radius
         if gap < 0.0:
             return gap
     reach = radius + (half if is_round else half * math.sqrt(2.0))
@@ -81,19 +90,19 @@ def _axis_gap(solids, s, prism, half, is_round):
 
 @subkernel(inline="always")
 def _gap(solids, s, prism, half, is_round):
-    """A lower bound of a solid's distance to a prism; < 0 for an overlap, 0 for unknown."""
+    """Return a lower bound of a solid's distance to a prism [m]; < 0: overlap, 0: unknown."""
     kind = solids.kind[s]
     pos = solids.pos[s]
     dx = prism.x - pos[0]
     dy = prism.y - pos[1]
     if kind == SPHERE:
-        over = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
-        return math.hypot(_point_gap(dx, dy, half, is_round), over) - solids.size[s, 0]
+        height_gap = max(prism.low - pos[2], pos[2] - prism.high, 0.0)
+        return math.hypot(_point_gap(dx, dy, half, is_round), height_gap) - solids.size[s, 0]
     for axis in range(3):
-        upright = abs(solids.mat[s, 6 + axis]) >= 1.0 - 1e-12
-        if upright and (kind == BOX or (kind == CYLINDER and axis == 2)):
-            over = max(solids.bounds[s, 2] - prism.high, prism.low - solids.bounds[s, 5])
-            return max(_plan_gap(solids, s, axis, dx, dy, half, is_round), over)
+        is_upright = abs(solids.mat[s, 6 + axis]) >= 1.0 - 1e-12
+        if is_upright and (kind == BOX or (kind == CYLINDER and axis == 2)):
+            height_gap = max(solids.bounds[s, 2] - prism.high, prism.low - solids.bounds[s, 5])
+            return max(_plan_gap(solids, s, axis, dx, dy, half, is_round), height_gap)
     if kind in (CAPSULE, CYLINDER):
         return _axis_gap(solids, s, prism, half, is_round)
     return 0.0
@@ -101,8 +110,18 @@ def _gap(solids, s, prism, half, is_round):
 
 @subkernel(**NO_REFCOUNT)
 def solid_meets_prism(solids, s, prism, simplex):
-    """Whether a solid meets a prism: APART, MEETS or UNDECIDED."""
+    """Decide whether a solid meets a prism.
+
+    Args:
+        solids: the solids, as `Solids`.
+        s: index of the solid.
+        prism: the prism, as `Prism`.
+        simplex: scratch, see `make_simplex`.
+
+    Returns:
+        APART, MEETS or UNDECIDED.
+    """
     gap = _gap(solids, s, prism, prism.half, prism.is_round)
-    if abs(gap) > SURE:
+    if abs(gap) > MIN_PROVED_GAP:
         return APART if gap > 0.0 else MEETS
     return gjk_meets_prism(solids, s, prism, simplex)

@@ -1,6 +1,6 @@
-"""Normals, areas and spans of many triangles in one pass, without arrays between.
+"""Normals, areas and spans of many triangles in one pass, without temporary arrays.
 
-Each number is computed in the order in which numpy's cross product and norm do it.
+Each number is computed in the order of operations of numpy's cross product and norm.
 """
 
 import math
@@ -9,13 +9,14 @@ import numpy as np
 
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
-RIGHT = math.pi / 2
-UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
+QUARTER_TURN = math.pi / 2  # [rad]
+# A triangle counts as vertical if its unit normal's z is below this
+MAX_VERTICAL_UP = 1e-9
 
 
 @subkernel(inline="always")
 def _cross(a, b, c):
-    """The normal of a triangle, as long as twice its area."""
+    """Return the normal of a triangle, as long as twice its area."""
     ux = b[0] - a[0]
     uy = b[1] - a[1]
     uz = b[2] - a[2]
@@ -32,20 +33,33 @@ def _length(x, y, z):
 
 @subkernel(**NO_REFCOUNT)
 def unit_normal(corners, t):
-    """The unit normal of a triangle: x, y and z; z is 0 for an upright one, or one without area."""
+    """Return x, y and z of a triangle's unit normal.
+
+    z is 0 for vertical triangles; all are 0 for triangles without area.
+
+    Args:
+        corners: (…, 3, 3) float64 [m].
+        t: index of the triangle.
+    """
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
     length = _length(x, y, z)
     if not length > 0.0:
         return 0.0, 0.0, 0.0
     up = z / length
-    return x / length, y / length, 0.0 if abs(up) < UPRIGHT else up
+    return x / length, y / length, 0.0 if abs(up) < MAX_VERTICAL_UP else up
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
-    """Write triangles ``range(first, end)``, the boxes round them, and their facing, see `Facets`.
+    """Write triangles ``range(first, end)`` of a mesh as fields of `Facets`.
 
-    Those are upright for which `unit_normal` has a z of 0.
+    `facing` is 0 only for triangles for which `unit_normal` has a z of 0.
+
+    Args:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
+        corners, bounds, facing: receive the fields of `Facets`.
+        first, end: range of triangles.
     """
     for t in range(first, end):
         for i in range(3):
@@ -61,13 +75,20 @@ def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
         length = _length(x, y, z)
         up = z / length if length > 0.0 else 0.0
         facing[t] = np.rint(100.0 * up)
-        if facing[t] == 0 and abs(up) >= UPRIGHT:
+        if facing[t] == 0 and abs(up) >= MAX_VERTICAL_UP:
             facing[t] = 1 if up > 0.0 else -1
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def measure_areas(vertices, faces, area, first, end):
-    """Write the areas of triangles ``range(first, end)``, (m,) float64 [m²]."""
+    """Compute the areas of triangles ``range(first, end)``.
+
+    Args:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
+        area: receives the areas, (m,) float64 [m²].
+        first, end: range of triangles.
+    """
     for f in range(first, end):
         x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
         area[f] = _length(x, y, z) / 2.0
@@ -75,7 +96,15 @@ def measure_areas(vertices, faces, area, first, end):
 
 @kernel
 def describe_triangles(vertices, faces):
-    """The centres, (m, 3), unit normals, (m, 3), and areas of triangles, (m,) [m, m²]."""
+    """Compute the centres, unit normals and areas of triangles.
+
+    Args:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
+
+    Returns:
+        Centres, (m, 3) [m]; unit normals, (m, 3); and areas, (m,) [m²]; float64.
+    """
     center = np.empty((faces.shape[0], 3))
     normal = np.empty((faces.shape[0], 3))
     area = np.empty(faces.shape[0])
@@ -83,69 +112,83 @@ def describe_triangles(vertices, faces):
         a = vertices[faces[f, 0]]
         b = vertices[faces[f, 1]]
         c = vertices[faces[f, 2]]
-        across = _cross(a, b, c)
-        size = _length(across[0], across[1], across[2])
-        area[f] = size / 2
+        cross = _cross(a, b, c)
+        length = _length(cross[0], cross[1], cross[2])
+        area[f] = length / 2
         for k in range(3):
             center[f, k] = (a[k] + b[k] + c[k]) / 3
-            normal[f, k] = across[k] / max(size, 1e-300)
+            normal[f, k] = cross[k] / max(length, 1e-300)
     return center, normal, area
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_part_volumes(vertices, faces, turned, part, volume, area, first, end):
-    """Add up the volume, positive where it faces out, and the area of parts ``range(first, end)``.
+def measure_part_volumes(vertices, faces, is_flipped, part, volume, area, first, end):
+    """Sum up the volumes and areas of parts ``range(first, end)`` of a mesh.
 
-    `part` and `turned` are by triangle; the sums (num,) of 0. Triangles are added in their order.
+    Triangles are added in their order.
+
+    Args:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
+        is_flipped: which triangles count as facing the other way, (m,) bool.
+        part: of each triangle, (m,) int32.
+        volume: by part, zeros; receives the volume, positive for parts that face out [m³].
+        area: by part, zeros; receives the area [m²].
+        first, end: range of parts.
     """
     origin = vertices[faces[0, 0]]
-    current = np.int64(first)
-    cubes = 0.0
-    squares = 0.0
+    current_part = np.int64(first)
+    volume_sum = 0.0
+    area_sum = 0.0
     for f in range(faces.shape[0]):
         p = np.int64(part[f])
         if not first <= p < end:
             continue
-        if p != current:  # most triangles follow others of their part: its sums are at hand
-            volume[current] = cubes
-            area[current] = squares
-            current = p
-            cubes = volume[p]
-            squares = area[p]
-        one, other = (2, 0) if turned[f] else (0, 2)
-        a = vertices[faces[f, one]]
+        if p != current_part:  # most triangles follow others of their part: sums stay in registers
+            volume[current_part] = volume_sum
+            area[current_part] = area_sum
+            current_part = p
+            volume_sum = volume[p]
+            area_sum = area[p]
+        first_corner = 2 if is_flipped[f] else 0
+        a = vertices[faces[f, first_corner]]
         b = vertices[faces[f, 1]]
-        c = vertices[faces[f, other]]
+        c = vertices[faces[f, 2 - first_corner]]
         x, y, z = _cross(a, b, c)
         # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
         ox = a[0] - origin[0]
         oy = a[1] - origin[1]
         oz = a[2] - origin[2]
-        cubes += (ox * x + oy * y + oz * z) / 6.0
-        squares += _length(x, y, z) / 2.0
-    volume[current] = cubes
-    area[current] = squares
+        volume_sum += (ox * x + oy * y + oz * z) / 6.0
+        area_sum += _length(x, y, z) / 2.0
+    volume[current_part] = volume_sum
+    area[current_part] = area_sum
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def bound_parts(vertices, faces, turned, part, box, best, largest):
-    """Find the box and the largest triangle, the last one of several, of each part of a mesh.
+def bound_parts(vertices, faces, is_flipped, part, box, largest_area, largest_triangle):
+    """Find the box and the largest triangle of each part of a mesh.
 
-    `part` and `turned` are by triangle. Writes into `box` lower and upper corner, (num, 6) of inf
-    and -inf; into `best` twice the area of the largest triangle, (num,) below 0; into `largest`
-    that triangle.
+    Args:
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
+        is_flipped: which triangles count as facing the other way, (m,) bool.
+        part: of each triangle, (m,) int32.
+        box: (parts, 6) of inf and -inf; receives lower and upper corners [m].
+        largest_area: (parts,) of negative numbers; receives twice the largest area [m²].
+        largest_triangle: (parts,) int64; receives the largest triangle, the last one of several.
     """
     for f in range(faces.shape[0]):
         p = part[f]
-        one, other = (2, 0) if turned[f] else (0, 2)
-        a = vertices[faces[f, one]]
+        first_corner = 2 if is_flipped[f] else 0
+        a = vertices[faces[f, first_corner]]
         b = vertices[faces[f, 1]]
-        c = vertices[faces[f, other]]
+        c = vertices[faces[f, 2 - first_corner]]
         x, y, z = _cross(a, b, c)
-        size = _length(x, y, z)
-        if size >= best[p]:
-            best[p] = size
-            largest[p] = f
+        double_area = _length(x, y, z)
+        if double_area >= largest_area[p]:
+            largest_area[p] = double_area
+            largest_triangle[p] = f
         for k in range(3):
             box[p, k] = min(box[p, k], a[k], b[k], c[k])
             box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
@@ -153,52 +196,74 @@ def bound_parts(vertices, faces, turned, part, box, best, largest):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def find_nearest_axes(normal, axes, reach, nearest, first, end):
-    """Find which of some axes, of unit length and ascending z, each unit normal is nearest to.
+    """Find the axis that each unit normal is nearest to, for normals ``range(first, end)``.
 
-    An axis counts both ways. No normal is farther than `reach` from the nearest one. Writes the
-    axes of normals ``range(first, end)``, int64.
+    An axis counts in both directions.
+
+    Args:
+        normal: unit normals, (n, 3) float64.
+        axes: unit vectors with ascending z, (k, 3) float64.
+        reach: a distance that no normal exceeds to its nearest axis.
+        nearest: receives the index of the nearest axis, (n,) int64.
+        first, end: range of normals.
     """
     for n in range(first, end):
         x = normal[n, 0]
         y = normal[n, 1]
         z = normal[n, 2]
-        begin = np.searchsorted(axes[:, 2], abs(z) - reach)
-        best = -1.0
-        for k in range(begin, axes.shape[0]):
+        first_axis = np.searchsorted(axes[:, 2], abs(z) - reach)
+        largest_cosine = -1.0
+        for k in range(first_axis, axes.shape[0]):
             if axes[k, 2] > abs(z) + reach:
                 break
-            along = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
-            if along > best:
-                best = along
+            cosine = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
+            if cosine > largest_cosine:
+                largest_cosine = cosine
                 nearest[n] = k
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def find_facing_directions(corners, directions, way, weight, off, first, end):
-    """Find the horizontal direction that triangles face, modulo a right angle.
+def find_facing_directions(corners, num_directions, direction, weight, weighted_angle, first, end):
+    """Find the horizontal direction that triangles ``range(first, end)`` face.
 
-    Writes the nearest of `directions`, (m,) int32; twice the area as seen from the side [m²], 0 for
-    level triangles; and that times the angle to the nearest direction [rad], (m,) float64.
+    Directions are modulo a quarter turn.
+
+    Args:
+        corners: (m, 3, 3) float64 [m].
+        num_directions: how many directions a quarter turn is divided into.
+        direction: receives the nearest direction, (m,) int32.
+        weight: receives twice the area as seen from the side, 0 for level triangles, (m,) float64
+            [m²].
+        weighted_angle: receives the weight times the angle from the nearest direction [m² rad],
+            (m,) float64.
+        first, end: range of triangles.
     """
-    step = RIGHT / directions
+    step = QUARTER_TURN / num_directions
     for t in range(first, end):
         x, y, _ = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
-        way[t] = 0
+        direction[t] = 0
         weight[t] = math.sqrt(x * x + y * y)
-        off[t] = 0.0
+        weighted_angle[t] = 0.0
         if weight[t] > 0.0:
-            angle = math.atan2(y, x) % RIGHT
-            direction = np.int64(math.floor(angle / step + 0.5)) % directions
-            # from the direction, also over the end of the range
-            off[t] = weight[t] * ((angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2)
-            way[t] = direction
+            angle = math.atan2(y, x) % QUARTER_TURN
+            nearest = np.int64(math.floor(angle / step + 0.5)) % num_directions
+            # wrapped, as the nearest direction may lie across the end of the quarter turn
+            offset = (angle - nearest * step + QUARTER_TURN / 2) % QUARTER_TURN - QUARTER_TURN / 2
+            weighted_angle[t] = weight[t] * offset
+            direction[t] = nearest
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_spans(corners, group, way, low, high):
-    """How far groups of triangles reach along the group's `way`, left of it, and up.
+def measure_spans(corners, group, direction, low, high):
+    """Measure the spans of groups of triangles in the group's direction, across it, and in height.
 
-    Takes unit vectors, (num, 2); writes into `low` and `high`, (num, 3) of inf and -inf [m].
+    Args:
+        corners: (m, 3, 3) float64 [m].
+        group: of each triangle, (m,) int32.
+        direction: horizontal unit vector of each group, (groups, 2) float64.
+        low: (groups, 3) of inf; receives the least coordinate along the direction, along its left
+            normal, and along z [m].
+        high: (groups, 3) of -inf; receives the greatest ones [m].
     """
     for t in range(corners.shape[0]):
         g = group[t]
@@ -206,11 +271,11 @@ def measure_spans(corners, group, way, low, high):
             x = corners[t, corner, 0]
             y = corners[t, corner, 1]
             z = corners[t, corner, 2]
-            along = x * way[g, 0] + y * way[g, 1]
-            left = y * way[g, 0] - x * way[g, 1]
+            along = x * direction[g, 0] + y * direction[g, 1]
+            across = y * direction[g, 0] - x * direction[g, 1]
             low[g, 0] = min(low[g, 0], along)
             high[g, 0] = max(high[g, 0], along)
-            low[g, 1] = min(low[g, 1], left)
-            high[g, 1] = max(high[g, 1], left)
+            low[g, 1] = min(low[g, 1], across)
+            high[g, 1] = max(high[g, 1], across)
             low[g, 2] = min(low[g, 2], z)
             high[g, 2] = max(high[g, 2], z)

@@ -238,7 +238,7 @@ def _mark_geoms(
         window_mask = np.zeros(len(floor), dtype=np.bool_)
         window_mask[cells[is_inside]] = True
         mask[window] = window_mask.reshape(mask[window].shape)
-    thin = measure_extents(shapes, len(names)).thin[geoms]
+    thin = measure_extents(shapes, len(names)).short_side[geoms]
     return MarkedArea(masks, float(np.nanmin(thin, initial=np.inf)), warnings)
 
 

@@ -242,7 +242,7 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
             height=car_floor.height,
             min_height=min(end_heights),
             max_height=max(end_heights),
-            width=float(measure_extents(shapes, model.ngeom).thin[car_floor.carrier]),
+            width=float(measure_extents(shapes, model.ngeom).short_side[car_floor.carrier]),
             pose=_car_pose(search, car_floor, bounds),
         )
 
@@ -297,7 +297,7 @@ def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeomet
     )
     footprint = search.geometry.footprint
     tiled = tile_shapes(
-        shapes.replaced(car_shapes, car.geoms),
+        shapes.with_replaced(car_shapes, car.geoms),
         search.lattice.cut(*car.window),
         footprint.reach,
     )

@@ -165,7 +165,7 @@ class TrackedScene:
                     only=np.flatnonzero(geoms).tolist(),
                     meshes=was.meshes,
                 )
-                shapes = shapes.replaced(after, geoms)
+                shapes = shapes.with_replaced(after, geoms)
             scene = replace(was, shapes=shapes, digest="", data=data)
             scene = self._follow_leaves(scene, moved, compared)
         structure = self._find_other_structure(scene, geoms, moved, compared)

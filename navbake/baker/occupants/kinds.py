@@ -213,14 +213,14 @@ def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
     Returns:
         The mark of each geom, by id, shape (ngeom,), bool.
     """
-    is_tall = extents.high - extents.low >= MIN_WALL_HEIGHT
+    is_tall = extents.top - extents.bottom >= MIN_WALL_HEIGHT
     is_slender = _is_slender(extents, *THIN_WALLS, THICK_WALL)
     return is_tall & is_slender | _may_hold_building(scene, extents)
 
 
 def mark_buildings(scene: Scene, extents: Extents, sizes: OccupantSizes) -> Bool:
     """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
-    box_area = extents.thin * extents.long
+    box_area = extents.short_side * extents.long_side
     is_hollow = sizes.area_at_wall_height < MAX_FILLED_SHARE * box_area
     return _may_hold_building(scene, extents) & is_hollow
 
@@ -228,8 +228,8 @@ def mark_buildings(scene: Scene, extents: Extents, sizes: OccupantSizes) -> Bool
 def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms of triangles, other than hulls, that are as tall and wide as a building."""
     is_surface = [report.shape in TRIANGLE_SHAPES for report in scene.geoms]
-    is_tall = extents.high - extents.low >= MIN_WALL_HEIGHT
-    is_wide = extents.thin >= BUILDING_WIDTH
+    is_tall = extents.top - extents.bottom >= MIN_WALL_HEIGHT
+    is_wide = extents.short_side >= BUILDING_WIDTH
     return np.array(is_surface, dtype=np.bool_) & is_tall & is_wide
 
 
@@ -301,12 +301,14 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
     sides at walls or other panes of the opening.
     """
     is_pane = _is_slender(extents, THIN_WALLS[0])
-    is_pane &= extents.high - extents.low >= MIN_WALL_HEIGHT
+    is_pane &= extents.top - extents.bottom >= MIN_WALL_HEIGHT
     is_pane &= (sizes.base <= NEAR_FLOOR) & ~is_wall
     # without a pane that ends nowhere, its neighbor may end nowhere, too
     while is_pane.any():
         panes = np.flatnonzero(is_pane)
-        neighbors = np.flatnonzero(is_pane | is_wall & (extents.thin <= THICK_WALL.max_thickness))
+        neighbors = np.flatnonzero(
+            is_pane | is_wall & (extents.short_side <= THICK_WALL.max_thickness)
+        )
         is_held = np.zeros((2, len(is_pane)), dtype=np.bool_)
         for pane, neighbor in _near_pairs(panes, neighbors, extents):
             for side, half in enumerate((-0.5, 0.5)):
@@ -322,10 +324,12 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
 
 def _is_slender(extents: Extents, *limits: WallLimits) -> Bool:
     """Mark what is thin and long by any of several limits."""
-    is_slender = np.zeros(len(extents.thin), dtype=np.bool_)
+    is_slender = np.zeros(len(extents.short_side), dtype=np.bool_)
     for limit in limits:
-        min_length = np.maximum(limit.min_length, limit.min_ratio * extents.thin)
-        is_slender |= (extents.thin <= limit.max_thickness) & (extents.long >= min_length)
+        min_length = np.maximum(limit.min_length, limit.min_ratio * extents.short_side)
+        is_slender |= (extents.short_side <= limit.max_thickness) & (
+            extents.long_side >= min_length
+        )
     return is_slender
 
 
@@ -337,8 +341,8 @@ def _meets_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
     thick_geoms = np.flatnonzero(is_thick)
     neighbors = np.flatnonzero(is_thick | is_wall)
     for geom, neighbor in _near_pairs(thick_geoms, neighbors, extents):
-        cosine = np.abs((extents.along[geom] * extents.along[neighbor]).sum(axis=1))
-        is_as_high = np.abs(extents.high[geom] - extents.high[neighbor]) <= SAME_TOP
+        cosine = np.abs((extents.long_axis[geom] * extents.long_axis[neighbor]).sum(axis=1))
+        is_as_high = np.abs(extents.top[geom] - extents.top[neighbor]) <= SAME_TOP
         is_corner = (cosine <= MAX_CORNER_COSINE) & is_as_high
         is_corner &= _ends_at(geom, neighbor, extents) | _ends_at(neighbor, geom, extents)
         meets[geom[is_corner]] = True
@@ -347,7 +351,9 @@ def _meets_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
 
 def _end_of(geoms: Int, half: float, extents: Extents) -> Float:
     """Return the middle of one end of each geom, seen from above, (n, 2) [m]; `half`: +-0.5."""
-    end: Float = extents.center[geoms] + half * extents.long[geoms, None] * extents.along[geoms]
+    end: Float = (
+        extents.center[geoms] + half * extents.long_side[geoms, None] * extents.long_axis[geoms]
+    )
     return end
 
 
@@ -362,29 +368,33 @@ def _ends_at(geoms: Int, neighbors: Int, extents: Extents) -> Bool:
 def _is_on(points: Float, geoms: Int, extents: Extents) -> Bool:
     """Mark the points, (n, 2) [m], that are on their geom, seen from above."""
     offset = points - extents.center[geoms]
-    beyond_side = np.abs((offset * extents.across[geoms]).sum(axis=1)) - extents.thin[geoms] / 2
-    beyond_end = np.abs((offset * extents.along[geoms]).sum(axis=1)) - extents.long[geoms] / 2
+    beyond_side = (
+        np.abs((offset * extents.short_axis[geoms]).sum(axis=1)) - extents.short_side[geoms] / 2
+    )
+    beyond_end = (
+        np.abs((offset * extents.long_axis[geoms]).sum(axis=1)) - extents.long_side[geoms] / 2
+    )
     return np.asarray(np.maximum(beyond_side, beyond_end) <= END_GAP)
 
 
 def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool:
     """Add the pieces that touch a wall's end and continue in its line, no thicker than it is."""
     is_wall = is_wall.copy()
-    is_thin = extents.thin <= THICK_WALL.max_thickness
+    is_thin = extents.short_side <= THICK_WALL.max_thickness
     may_continue = may_continue & is_thin
     new_walls = np.flatnonzero(is_wall & is_thin)
     while len(new_walls):
-        max_thickness = extents.thin[new_walls].max() + 2 * LINE_SLACK
-        pieces = np.flatnonzero(may_continue & ~is_wall & (extents.thin <= max_thickness))
+        max_thickness = extents.short_side[new_walls].max() + 2 * LINE_SLACK
+        pieces = np.flatnonzero(may_continue & ~is_wall & (extents.short_side <= max_thickness))
         continues = np.zeros(len(is_wall), dtype=np.bool_)
         for wall, piece in _near_pairs(new_walls, pieces, extents):
             offset = extents.center[piece] - extents.center[wall]
-            across = extents.across[wall]
-            along = extents.along[wall]
+            across = extents.short_axis[wall]
+            along = extents.long_axis[wall]
             to_side = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
             to_end = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
-            is_in_line = to_side <= extents.thin[wall] / 2 + LINE_SLACK
-            is_in_line &= to_end <= extents.long[wall] / 2 + END_GAP
+            is_in_line = to_side <= extents.short_side[wall] / 2 + LINE_SLACK
+            is_in_line &= to_end <= extents.long_side[wall] / 2 + END_GAP
             continues[piece[is_in_line]] = True
         new_walls = np.flatnonzero(continues)
         is_wall |= continues
@@ -393,13 +403,13 @@ def _continue_walls(is_wall: Bool, may_continue: Bool, extents: Extents) -> Bool
 
 def _near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
     """Yield the pairs of geoms and neighbors whose boxes touch, some of the geoms at a time."""
-    every_geom = np.arange(len(extents.thin))
-    center = np.column_stack([extents.center, (extents.low + extents.high) / 2])
+    every_geom = np.arange(len(extents.short_side))
+    center = np.column_stack([extents.center, (extents.bottom + extents.top) / 2])
     half_size = np.column_stack(
         [
             extents.half_widths(every_geom, np.array([1.0, 0.0])),
             extents.half_widths(every_geom, np.array([0.0, 1.0])),
-            (extents.high - extents.low) / 2,
+            (extents.top - extents.bottom) / 2,
         ]
     )
     for geom_chunk in np.array_split(geoms, len(geoms) * len(neighbors) // MAX_PAIRS + 1):
@@ -417,12 +427,12 @@ def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends:
     model = scene.model
     for body in _bodies_above(model, geom):
         body_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
-        body_geoms = body_geoms[~np.isnan(extents.thin[body_geoms])]
+        body_geoms = body_geoms[~np.isnan(extents.short_side[body_geoms])]
         if len(body_geoms) > FURNITURE_GEOMS:
             return False
-        depth = _width_along(body_geoms, extents.across[geom], extents)
-        length = _width_along(body_geoms, extents.along[geom], extents)
-        is_deeper = extents.thin[geom] + FURNITURE_OVER_PANEL <= depth <= FURNITURE_DEPTH
+        depth = _width_along(body_geoms, extents.short_axis[geom], extents)
+        length = _width_along(body_geoms, extents.long_axis[geom], extents)
+        is_deeper = extents.short_side[geom] + FURNITURE_OVER_PANEL <= depth <= FURNITURE_DEPTH
         if is_deeper and length <= FURNITURE_LENGTH:
             return True
     return False
@@ -501,9 +511,9 @@ def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSe
 
     `base` is the least height of each geom over a floor that it hangs over, inf for none [m].
     """
-    is_flat = extents.high - extents.low <= extents.thin
+    is_flat = extents.top - extents.bottom <= extents.short_side
     is_above_heads = base >= agent.height - LIMIT_SLACK
-    is_wide = extents.thin >= CEILING_WIDTH
+    is_wide = extents.short_side >= CEILING_WIDTH
     ceilings: Bool = is_static & is_wide & is_flat & is_above_heads
     return ceilings
 

@@ -327,11 +327,11 @@ def _measure_levels(
 ) -> tuple[OccupantSizes, FloorCounts]:
     """Measure how geoms stand over the floors of all levels, and how often they are floors."""
     lattice = levels[0].lattice
-    num_geoms = len(extents.low)
+    num_geoms = len(extents.bottom)
     heights = GeomHeights(
-        low=extents.low,
-        high=extents.high,
-        on_floor_gap=(np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + LIMIT_SLACK),
+        low=extents.bottom,
+        high=extents.top,
+        on_floor_gap=(np.fmax(extents.top - extents.bottom + COVERING, THING_HEIGHT) + LIMIT_SLACK),
         cover_gap=COVERING + LIMIT_SLACK,
     )
     base = np.full(num_geoms, np.inf)

@@ -586,7 +586,7 @@ class WallRays:
             along = np.array([1.0, -direction.slope]) / direction.stretch
             x, y = -along[::-1] if direction.swapped else along
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
-            tiled = replace(self._tiled, shapes=self._tiled.shapes.turned(axes))
+            tiled = replace(self._tiled, shapes=self._tiled.shapes.solids_in_frame(axes))
             coded_distance = np.zeros((self._heights.size, 2))
             self._rotated[key] = RotatedWalls(axes, tiled, coded_distance)
         return self._rotated[key]

@@ -150,24 +150,26 @@ def _find_leaves(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> di
     return {
         body: leaf
         for body, leaf in sides.items()
-        if extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
-        and MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
-        and extents.thin[leaf] <= MAX_THICKNESS + ROUNDING
+        if extents.top[leaf] - extents.bottom[leaf] >= MIN_HEIGHT - ROUNDING
+        and MIN_WIDTH - ROUNDING <= extents.long_side[leaf] <= MAX_WIDTH + ROUNDING
+        and extents.short_side[leaf] <= MAX_THICKNESS + ROUNDING
     }
 
 
 def _stands_between_jambs(leaf: int, own: Int, extents: Extents) -> bool:
     """Whether both ends of a leaf are at something like a wall, from its foot to above its top."""
-    jambs = (extents.thin <= JAMB) & (extents.long > extents.thin)
-    jambs &= extents.high >= extents.high[leaf] + HIGHER
-    jambs &= extents.low <= (extents.low[leaf] + extents.high[leaf]) / 2
+    jambs = (extents.short_side <= JAMB) & (extents.long_side > extents.short_side)
+    jambs &= extents.top >= extents.top[leaf] + HIGHER
+    jambs &= extents.bottom <= (extents.bottom[leaf] + extents.top[leaf]) / 2
     jambs[own] = False
     found = np.flatnonzero(jambs)
     for end in (-0.5, 0.5):
-        beyond = end * (extents.long[leaf] + 2 * BESIDE) * extents.along[leaf]
+        beyond = end * (extents.long_side[leaf] + 2 * BESIDE) * extents.long_axis[leaf]
         off = extents.center[leaf] + beyond - extents.center[found]
-        across = np.abs((off * extents.across[found]).sum(axis=1)) - extents.thin[found] / 2
-        along = np.abs((off * extents.along[found]).sum(axis=1)) - extents.long[found] / 2
+        across = (
+            np.abs((off * extents.short_axis[found]).sum(axis=1)) - extents.short_side[found] / 2
+        )
+        along = np.abs((off * extents.long_axis[found]).sum(axis=1)) - extents.long_side[found] / 2
         if not (np.maximum(across, along) <= BESIDE).any():
             return False
     return True
@@ -187,7 +189,7 @@ def _positions(model: Any, data: Any, joint: int) -> dict[str, float]:
 
 def find_largest_side(extents: Extents, geoms: Int) -> int:
     """The geom with the largest upright side; the first if none is finite."""
-    area = (extents.long * (extents.high - extents.low))[geoms]
+    area = (extents.long_side * (extents.top - extents.bottom))[geoms]
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 
 

@@ -1,13 +1,13 @@
-"""Fill voxels, column by column, with the labels of the geoms that meet them.
+"""Fills voxels, column by column, with the labels of the geoms that meet them.
 
 A convex solid or a half-space meets one run of a column's voxels; both ends are found by bisection
-with the tests of occupancy (see `solids` and `overlap`). A triangle is clipped to the column's
-square, and meets the voxels between its lowest and its highest point there. A voxel that no
-triangle of a closed surface meets is inside of it as its centre is, by the winding number of the
+with the tests of occupancy (`solid_kernels` and `overlap_kernels`). A triangle is clipped to the
+column's square, and meets the voxels between its lowest and its highest point there. A voxel that
+no triangle of a closed surface meets is inside of it if its centre is, by the winding number of the
 column's middle line (scan conversion of solids: Lee and Requicha, 1982).
 
 Voxels are narrowed by TOUCH_DEPTH on all sides: what reaches in by less only touches. Where several
-geoms meet a voxel the least label stays, in any order.
+geoms meet a voxel, the least label stays, in whatever order they come.
 """
 
 import math
@@ -34,11 +34,11 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 
 class Voxels(NamedTuple):
-    """A grid that is filled.
+    """A voxel grid to fill.
 
     Attributes:
-        values: (nx, ny, nz), unsigned integers, 0 for empty.
-        bottom: its lower end [m].
+        values: labels, (nx, ny, nz) unsigned integers, 0 for empty voxels.
+        bottom: height of the grid's lower end [m].
         res: edge of a voxel [m].
     """
 
@@ -49,7 +49,7 @@ class Voxels(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def _label(column, first, end, label):
-    """Label voxels of a column; the least label stays."""
+    """Label voxels ``[first, end)`` of a column; the least label stays."""
     for k in range(first, end):
         if column[k] == 0 or column[k] > label:
             column[k] = label
@@ -57,24 +57,27 @@ def _label(column, first, end, label):
 
 @subkernel(**NO_REFCOUNT)
 def _fill_between(voxels, column, low, high, label):
-    """Label the voxels of a column that a span of heights meets."""
-    num = column.shape[0]
+    """Label the voxels of a column that reach into a range of heights [m]."""
+    num_voxels = column.shape[0]
     start = (low + TOUCH_DEPTH - voxels.bottom) / voxels.res
     end = (high - TOUCH_DEPTH - voxels.bottom) / voxels.res
-    if start < num and end > 0.0:
+    if start < num_voxels and end > 0.0:
         first = math.floor(start) if start > 0.0 else 0
-        _label(column, first, math.ceil(end) if end < num else num, label)
+        _label(column, first, math.ceil(end) if end < num_voxels else num_voxels, label)
 
 
 @subkernel(**NO_REFCOUNT)
 def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
-    """Whether a solid or, numbered after these, a plane meets voxels ``[first, end)`` at (x, y)."""
+    """Return whether a solid or plane meets any voxel ``[first, end)`` of the column at (x, y).
+
+    `item` numbers the solids, then the planes.
+    """
     low = voxels.bottom + first * voxels.res + TOUCH_DEPTH
     high = voxels.bottom + end * voxels.res - TOUCH_DEPTH
     prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH_DEPTH, NOT_ROUND)
-    num = solids.geom.shape[0]
-    if item >= num:
-        return plane_meets_prism(planes, item - num, prism)
+    num_solids = solids.geom.shape[0]
+    if item >= num_solids:
+        return plane_meets_prism(planes, item - num_solids, prism)
     if is_beside_prism(solids.bounds, item, prism):
         return False
     return solid_meets_prism(solids, item, prism, simplex) != APART
@@ -85,22 +88,24 @@ def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
     """Label the voxels of a column that a solid or a half-space meets, see `_meets`."""
     first = np.int64(0)
     end = np.int64(column.shape[0])
-    if item < solids.geom.shape[0]:  # not beyond what it reaches
+    if item < solids.geom.shape[0]:  # only as far as its box reaches
         box = solids.bounds[item]
-        most = float(column.shape[0])
+        num_voxels = float(column.shape[0])
         first = np.int64(max((box[2] - voxels.bottom) / voxels.res, 0.0))
-        end = np.int64(math.ceil(min((box[5] - voxels.bottom) / voxels.res, most)))
+        end = np.int64(math.ceil(min((box[5] - voxels.bottom) / voxels.res, num_voxels)))
     if first >= end or not _meets(voxels, solids, planes, item, x, y, first, end, simplex):
         return
+    # bisect for the first voxel that is met: the voxels up to it are met together
     low = first
     high = end - 1
-    while low < high:  # the first one is met by what reaches up to it
+    while low < high:
         middle = (low + high) // 2
         if _meets(voxels, solids, planes, item, x, y, first, middle + 1, simplex):
             high = middle
         else:
             low = middle + 1
     first = low
+    # and for the last one: the voxels from it on are met together
     high = end - 1
     while low < high:
         middle = (low + high + 1) // 2
@@ -113,66 +118,77 @@ def _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex):
 
 @subkernel(**NO_REFCOUNT)
 def _fill_inside(voxels, column, hits, cell, labels):
-    """Label the voxels of a column whose middles closed surfaces enclose."""
+    """Label the voxels of a column whose centres are inside of closed surfaces."""
     first = hits.start[cell]
     last = hits.start[cell + 1]
     for i in range(first, last):
         if hits.closed[i] == OPEN_SURFACE:
             continue
         geom = hits.geom[i]
-        inside = 0
-        after = i + 1
+        winding_number = 0  # above hit i
+        next_hit = i + 1  # of the same geom
         for j in range(first, i + 1):
             if hits.geom[j] == geom and hits.closed[j] != OPEN_SURFACE:
-                inside += 1 if hits.normal[j, 2] < 0.0 else -1
-        while after < last and hits.geom[after] != geom:
-            after += 1
-        if inside > 0 and after < last:
+                winding_number += 1 if hits.normal[j, 2] < 0.0 else -1
+        while next_hit < last and hits.geom[next_hit] != geom:
+            next_hit += 1
+        if winding_number > 0 and next_hit < last:
             start = (hits.z[i] - voxels.bottom) / voxels.res
-            end = (hits.z[after] - voxels.bottom) / voxels.res
-            num = float(column.shape[0])
-            low = math.ceil(min(max(start - 0.5, 0.0), num))
-            _label(column, low, math.ceil(min(max(end - 0.5, 0.0), num)), labels[geom])
+            end = (hits.z[next_hit] - voxels.bottom) / voxels.res
+            num_voxels = float(column.shape[0])
+            low = math.ceil(min(max(start - 0.5, 0.0), num_voxels))
+            high = math.ceil(min(max(end - 0.5, 0.0), num_voxels))
+            _label(column, low, high, labels[geom])
 
 
 @subkernel(**NO_REFCOUNT)
 def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
-    """Label the voxels that a triangle meets; it is clipped to each strip of columns first."""
+    """Label the voxels that a triangle meets.
+
+    The triangle is clipped to each strip of columns along y, and the part in the strip, to each
+    column.
+    """
     half = voxels.res / 2.0
     num_rows = lattice.height
-    row0, row1, col0, col1 = window_near_box(lattice, window, facets.bounds, t, half)
-    for col in range(col0, col1):
-        x, _ = cell_center_at(lattice, row0, col)
-        between = x - half + TOUCH_DEPTH, x + half - TOUCH_DEPTH
-        num = clip_between(facets.corners[t], np.int64(3), polygons.other, X, between, strip)
-        if num == 0:
+    row_first, row_end, col_first, col_end = window_near_box(
+        lattice, window, facets.bounds, t, half
+    )
+    for col in range(col_first, col_end):
+        x, _ = cell_center_at(lattice, row_first, col)
+        x_limits = (x - half + TOUCH_DEPTH, x + half - TOUCH_DEPTH)
+        num_in_strip = clip_between(
+            facets.corners[t], np.int64(3), polygons.second, X, x_limits, strip
+        )
+        if num_in_strip == 0:
             continue
-        for row in range(row0, row1):
+        for row in range(row_first, row_end):
             _, y = cell_center_at(lattice, row, col)
-            between = y - half + TOUCH_DEPTH, y + half - TOUCH_DEPTH
-            left = clip_between(strip, num, polygons.other, Y, between, polygons.one)
-            if left > 0:
-                low = polygons.one[0, 2]
-                high = polygons.one[0, 2]
-                for i in range(1, left):
-                    low = min(low, polygons.one[i, 2])
-                    high = max(high, polygons.one[i, 2])
+            y_limits = (y - half + TOUCH_DEPTH, y + half - TOUCH_DEPTH)
+            polygon = polygons.first
+            num_corners = clip_between(strip, num_in_strip, polygons.second, Y, y_limits, polygon)
+            if num_corners > 0:
+                low = polygon[0, 2]
+                high = polygon[0, 2]
+                for i in range(1, num_corners):
+                    low = min(low, polygon[i, 2])
+                    high = max(high, polygon[i, 2])
                 column = voxels.values[col, num_rows - 1 - row]
                 _fill_between(voxels, column, low, high, label)
 
 
 @kernel(nogil=True)
-def fill_voxels(
-    voxels, lattice, solids, facets, planes, tiles, hits, labels, first_tile, end
-):  # fmt: skip
-    """Label the voxels of the tiles ``range(first_tile, end)`` that geoms meet.
+def fill_voxels(voxels, lattice, solids, facets, planes, tile_index, hits, labels, first_tile, end):
+    """Label the voxels of tiles ``range(first_tile, end)`` that geoms meet.
 
     Args:
+        voxels: the grid to fill, as `Voxels`.
         lattice: of the voxels' columns: column (i, j) is the cell at row ``ny - 1 - j``, column i.
-        tiles: what lies over each tile of the lattice.
-        hits: of the columns' middle lines with the triangles.
-        labels: by geom id, > 0, in the dtype of the grid's values. A voxel keeps the least of those
-            that meet it and of its own, unless that is 0; labels are neither summed nor ORed.
+        solids, facets, planes: the shapes.
+        tile_index: the solids and facets over each tile of the lattice.
+        hits: hits of the columns' middle lines with the facets, as `ColumnHits`.
+        labels: by geom id, > 0, in the dtype of the grid's values. A voxel gets the least label of
+            those that meet it and of its old one, unless that is 0.
+        first_tile, end: range of tiles.
     """
     polygons = make_polygons()
     strip = np.empty((12, 3))
@@ -183,8 +199,8 @@ def fill_voxels(
             for col in range(window[2], window[3]):
                 x, y = cell_center_at(lattice, row, col)
                 column = voxels.values[col, lattice.height - 1 - row]
-                for n in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-                    s = np.int64(tiles.solid_item[n])
+                for n in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
+                    s = np.int64(tile_index.solid_item[n])
                     label = labels[solids.geom[s]]
                     _fill_convex(voxels, solids, planes, s, column, x, y, label, simplex)
                 for p in range(planes.geom.shape[0]):
@@ -192,7 +208,7 @@ def fill_voxels(
                     label = labels[planes.geom[p]]
                     _fill_convex(voxels, solids, planes, item, column, x, y, label, simplex)
                 _fill_inside(voxels, column, hits, row * lattice.width + col, labels)
-        for n in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
-            t = tiles.triangle_item[n]
+        for n in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
+            t = tile_index.triangle_item[n]
             label = labels[facets.geom[t]]
             _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip)

@@ -1,13 +1,13 @@
-"""Voxels of a scene: which boxes of a grid its geoms meet, and which ID each geom's voxels get."""
+"""Voxel grids of scenes: which voxels the geoms meet, and which ID the voxels of each geom get."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.voxels.voxel_kernels import Voxels, fill_voxels
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import SceneSettings
+from navbake.config.settings import BakeConfig, SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.convert import OCTREE_SUFFIXES
 from navbake.known_names import find_near
@@ -34,19 +34,31 @@ from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
 from navbake.voxels.grid import Placement, VoxelGrid, check_memory, dtype_of, place_grid
 
-if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
-    from typing_extensions import Unpack
+if TYPE_CHECKING:  # mujoco and trimesh are slow to load
+    import mujoco
+    import trimesh
+    from typing_extensions import Unpack  # `typing` has it from Python 3.11 on
+
+    SceneInMemory: TypeAlias = mujoco.MjModel | mujoco.MjSpec | trimesh.Scene | trimesh.Trimesh
+    SceneInput: TypeAlias = str | PathLike[str] | Mapping[str, object] | BakeConfig | SceneInMemory
 
 
 Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[str]
+"""What the IDs of voxels stand for, see `label_geoms`."""
 
 KINDS = ("geom", "body", "top")
-MOST = 2**32 - 1
-OTHER = "other"
+MAX_ID = 2**32 - 1  # that of unmatched geoms; those of patterns are below
+UNMATCHED = "other"
 
 
 class GridOptions(TypedDict, total=False):
-    """What `Voxelizer.create` takes by name besides the edge of a voxel."""
+    """Keyword arguments of `Voxelizer.create` that `create_voxel_grid` passes on.
+
+    Attributes:
+        size: what the grid covers along x, y and z [m], in place of the numbers of voxels.
+        segments: what the voxels' IDs stand for, see `label_geoms`.
+        align: whether to move the grid onto whole multiples of the edge of a voxel.
+    """
 
     size: Sequence[float] | None
     segments: Segments | None
@@ -54,7 +66,7 @@ class GridOptions(TypedDict, total=False):
 
 
 def create_voxel_grid(
-    scene: Any,
+    scene: SceneInput | Scene | Voxelizer,
     position: ArrayLike | None = None,
     ncells_x: int | None = None,
     ncells_y: int | None = None,
@@ -67,25 +79,33 @@ def create_voxel_grid(
 ) -> VoxelGrid:
     """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
 
-    Solids, hulls, height fields and closed surfaces count inside, infinite planes behind their
-    front; what only touches a voxel (reaches in by less than 0.5 µm) doesn't. Where several
-    geoms meet a voxel, the least of their IDs is its.
+    The inside of solids, hulls, height fields and closed surfaces is filled, and so is the space
+    behind infinite planes. A geom that only touches a voxel, reaching in by less than 0.5 µm, does
+    not meet it. Where several geoms meet a voxel, it gets the least of their IDs.
 
     Args:
-        scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, a scene in
-            memory, see `navbake.bake`, or one that is loaded already.
-        position: the grid's centre, world frame [m]. With neither this nor counts nor size the
-            grid covers the scene's box.
+        scene: the path of a scene file or of a YAML file with settings, the settings as a mapping
+            or a `BakeConfig`, or a scene in memory, see `navbake.bake`; or a `Voxelizer`.
+        position: the grid's centre, shape (3,), world frame [m]. Without position, numbers of
+            voxels and size, the grid covers the scene's box.
         ncells_x, ncells_y, ncells_z: voxels along each axis, >= 1.
         res: edge of a voxel [m].
         of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
-        ignore: name patterns of bodies that are left out, with what hangs on them.
-        options: `size`, `segments` and `align` of `Voxelizer.create`; where an octree is to be
-            written, the grid is aligned unless told otherwise.
+        ignore: name patterns of bodies that are left out, with all bodies below them.
+        options: `size`, `segments` and `align` of `Voxelizer.create`; if an octree is to be
+            written, `align` is True by default.
+
+    Returns:
+        The grid; its values are bool, or IDs if `segments` are given.
 
     Raises:
         ConfigError: a setting or a number is wrong, or the grid needs more memory than there is.
         SceneError: the scene cannot be read, or holds nothing that counts.
+
+    Example:
+        >>> import navbake
+        >>> scene = navbake.samples.path("apartment")
+        >>> grid = navbake.create_voxel_grid(scene, res=0.05, of="apartment.binvox")
     """
     counts = [n for n in (ncells_x, ncells_y, ncells_z) if n is not None]
     if len(counts) not in (0, 3):
@@ -102,22 +122,27 @@ def create_voxel_grid(
 
 
 class Voxelizer:
-    """A scene that stays ready for voxel grids, wherever they lie and however it is posed.
+    """Makes voxel grids of a scene that is loaded once: at any place, in any pose.
 
     Attributes:
         scene: the scene as it was loaded.
-        shapes: the counted geoms' geometry as it is posed now, world frame.
+        shapes: the geometry of the geoms that count, in the current pose, world frame.
+
+    Example:
+        >>> import navbake
+        >>> voxelizer = navbake.Voxelizer(navbake.samples.path("apartment"))
+        >>> grid = voxelizer.create((0.0, 0.0, 1.0), (64, 64, 32), res=0.05)
     """
 
     def __init__(
         self,
-        scene: Any,
-        data: Any = None,
+        scene: SceneInput | Scene,
+        data: mujoco.MjData | None = None,
         /,
         *,
         ignore: str | Sequence[str] = (),
-        exclude: Mapping[str, Any] | None = None,
-        robot: Any = None,
+        exclude: Mapping[str, object] | None = None,
+        robot: object = None,
         **settings: Unpack[SettingKeywords],
     ) -> None:
         """Load a scene.
@@ -125,8 +150,8 @@ class Voxelizer:
         Args:
             scene: see `create_voxel_grid`.
             data: the pose of a scene in memory, see `navbake.bake`.
-            ignore: name patterns of bodies that are left out, with what hangs on them.
-            exclude, robot: what else is left out, see `navbake.bake`.
+            ignore: name patterns of bodies that are left out, with all bodies below them.
+            exclude, robot: bodies and geoms that are left out, too, see `navbake.bake`.
             settings: sections of settings in place of the scene's, see `navbake.bake`.
 
         Raises:
@@ -135,21 +160,24 @@ class Voxelizer:
         """
         self._settings: SceneSettings | None = None
         if isinstance(scene, Scene):
-            given = {"ignore": ignore or None, "exclude": exclude, "robot": robot, "data": data}
-            for name, value in {**given, **settings}.items():
+            arguments = {"ignore": ignore or None, "exclude": exclude, "robot": robot, "data": data}
+            for name, value in {**arguments, **settings}.items():
                 if value is not None:
                     raise ConfigError(f"expected `{name}` where the scene is loaded, this one is")
             self.scene = scene
         else:
             config, opened = parse_arguments(scene, data, settings, exclude, robot)
-            exclusions = config.scene.exclude
-            bodies = [*exclusions.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
-            update = {"exclude": exclusions.model_copy(update={"bodies": bodies})}
-            self._settings = config.scene.model_copy(update=update if ignore else {})
+            self._settings = config.scene
+            if ignore:
+                exclusions = config.scene.exclude
+                patterns = [ignore] if isinstance(ignore, str) else ignore
+                bodies = [*exclusions.bodies, *patterns]
+                extended = exclusions.model_copy(update={"bodies": bodies})
+                self._settings = config.scene.model_copy(update={"exclude": extended})
             config = config.model_copy(update={"scene": self._settings})
             self.scene = load_scene(config, opened=opened)
         self.shapes = self.scene.shapes
-        self._labels: dict[Any, Labels] = {}
+        self._labels: dict[str, Labels] = {}  # by `repr` of the segments
 
     def create(
         self,
@@ -161,54 +189,75 @@ class Voxelizer:
         segments: Segments | None = None,
         align: bool = False,
     ) -> VoxelGrid:
-        """Make a voxel grid of the scene as it is posed now.
+        """Make a voxel grid of the scene in its current pose.
 
         Args:
-            position: its centre, world frame [m].
-            cells: voxels along x, y and z, >= 1 each.
+            position: the grid's centre, shape (3,), world frame [m]. Without position, `cells` and
+                `size`, the grid covers the scene's box.
+            cells: numbers of voxels along x, y and z, >= 1 each.
             res: edge of a voxel [m].
-            size: what it covers along x, y and z [m], in place of `cells`.
-            segments: voxels hold IDs of this, see `label_geoms`; None for True and False.
+            size: what the grid covers along x, y and z [m], in place of `cells`.
+            segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
+                True and False.
             align: move the grid by half a voxel at most, onto whole multiples of `res`.
+
+        Returns:
+            The grid.
 
         Raises:
             ConfigError: a number is wrong, or the grid needs more memory than there is.
         """
-        bounds = self.shapes.bounds
-        place = place_grid(position, cells, size, res, bounds, align=align)
-        grid = self.fill(place, segments)
-        if place.moved > CELL_SLACK * place.res:
+        placement = place_grid(position, cells, size, res, self.shapes.bounds, align=align)
+        grid = self.fill(placement, segments)
+        if placement.moved > CELL_SLACK * placement.res:
             grid.notes.append(
-                f"the grid was moved by {place.moved:.3g} m onto whole multiples of its edge"
+                f"the grid was moved by {placement.moved:.3g} m onto whole multiples of its edge"
             )
         return grid
 
     def fill(self, place: Placement, segments: Segments | None = None) -> VoxelGrid:
-        """Make the voxel grid of a given placement.
+        """Fill the voxel grid of a placement, with the scene in its current pose.
+
+        Args:
+            place: where the grid lies, and its numbers of voxels.
+            segments: what the voxels' IDs stand for, see `label_geoms`; if None, the values are
+                True and False.
 
         Raises:
             ConfigError: `segments` is wrong, or the grid needs more memory than there is.
         """
-        ensure_compiled("baker.kernels.voxels.", "baker.kernels.rays.")
+        ensure_compiled("baker.voxels.voxel_kernels.", "baker.columns.ray_kernels.")
         labels = self._label(segments)
         dtype = dtype_of(max(labels.names, default=1))
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
-        worked = dtype if dtype == np.uint8 else np.dtype(np.uint32)
-        check_memory(place.shape, worked.itemsize + (worked != dtype) * dtype.itemsize)
+        kernel_dtype = dtype if dtype == np.uint8 else np.dtype(np.uint32)
+        copied_bytes = dtype.itemsize if kernel_dtype != dtype else 0
+        check_memory(place.shape, kernel_dtype.itemsize + copied_bytes)
         x, y, z = place.origin.tolist()
         nx, ny, _ = place.shape
-        voxels = Voxels(np.zeros(place.shape, dtype=worked), z, place.res)
+        voxels = Voxels(np.zeros(place.shape, dtype=kernel_dtype), z, place.res)
         lattice = Lattice(x, y + ny * place.res, place.res, nx, ny)
         shapes = self.shapes
-        tiled = tile_shapes(self.shapes, lattice, 0.0)
-        nothing = np.zeros(len(self.scene.geoms), dtype=np.bool_)
-        meshes = replace(shapes.only(nothing), meshes=shapes.meshes)
-        geometry = lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tile_index
+        tiled = tile_shapes(shapes, lattice, 0.0)
+        # only closed surfaces are filled by the hits of lines: solids and planes are left out
+        no_geoms = np.zeros(len(self.scene.geoms), dtype=np.bool_)
+        meshes_only = replace(shapes.only(no_geoms), meshes=shapes.meshes)
+        tiled_meshes = replace(tiled, shapes=meshes_only)
         for rows in split_into_row_chunks(lattice):
-            hits = cast_columns(replace(tiled, shapes=meshes), rows).hits
             tiles = tiles_of_rows(lattice, rows)
-            work = voxels, *geometry, hits, labels.ids.astype(worked)
-            run_in_chunks(fill_voxels, len(tiles), *work, begin=tiles.start)
+            run_in_chunks(
+                fill_voxels,
+                len(tiles),
+                voxels,
+                lattice,
+                shapes.solids,
+                tiled.facets,
+                shapes.planes,
+                tiled.tile_index,
+                cast_columns(tiled_meshes, rows).hits,
+                labels.ids.astype(kernel_dtype),
+                begin=tiles.start,
+            )
         values = voxels.values.astype(dtype, copy=False)
         return VoxelGrid(
             values=values.view(np.bool_) if segments is None else values,
@@ -224,23 +273,24 @@ class Voxelizer:
         joints: Mapping[str, float | list[float]] | None = None,
         keyframe: str | int | None = None,
         qpos: ArrayLike | None = None,
-        data: Any = None,
+        data: mujoco.MjData | None = None,
     ) -> None:
-        """Move the scene's geoms; nothing is loaded.
+        """Pose the scene anew, without loading it.
 
         Args:
-            joints: positions by name [m or rad], all others as the keyframe has them.
+            joints: positions by joint name [m or rad]; those of other joints are the keyframe's.
             keyframe: a keyframe's name or index; as modelled if None.
-            qpos: or all joint positions at once, shape (nq,).
-            data: or a mujoco.MjData of this scene whose geoms are placed already.
+            qpos: all joint positions, shape (nq,), in place of `joints` and `keyframe`.
+            data: a mujoco.MjData of this scene whose geoms are placed already, in place of the
+                others.
 
         Raises:
             ConfigError: there is no such joint or keyframe, or not as many positions.
             SceneError: a geom that counts would stand at no finite place.
         """
         model = self.scene.model
-        given = (joints is not None or keyframe is not None, qpos is not None, data is not None)
-        if sum(given) != 1:
+        has_joints = joints is not None or keyframe is not None
+        if has_joints + (qpos is not None) + (data is not None) != 1:
             raise ConfigError("expected one of joints (with a keyframe or not), qpos and data")
         if isinstance(keyframe, int) and keyframe < 0:
             raise ConfigError(f"expected a keyframe's name or its index >= 0, got {keyframe}")
@@ -254,24 +304,31 @@ class Voxelizer:
             data = pose_model(model, settings.model_copy(update=update))
         if not hasattr(data, "geom_xpos"):
             raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
-        first = self.scene.data
-        base = self.scene.shapes
-        if data.geom_xpos.shape != first.geom_xpos.shape:
+        loaded_data = self.scene.data
+        if data.geom_xpos.shape != loaded_data.geom_xpos.shape:
             raise ConfigError(
                 f"expected data of this scene's {model.ngeom} geoms, got {len(data.geom_xpos)}"
             )
         pos = np.array(data.geom_xpos)
-        flat = np.array(data.geom_xmat)
-        counted = np.array([geom.counted for geom in self.scene.geoms])
-        if not (np.isfinite(pos[counted]).all() and np.isfinite(flat[counted]).all()):
+        mat = np.array(data.geom_xmat)
+        is_counted = np.array([geom.counted for geom in self.scene.geoms])
+        if not (np.isfinite(pos[is_counted]).all() and np.isfinite(mat[is_counted]).all()):
             raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
-        moved = (pos != first.geom_xpos).any(axis=1) | (flat != first.geom_xmat).any(axis=1)
-        moved &= counted
-        known = self.scene.selections, self.scene.exact_meshes, np.flatnonzero(moved).tolist()
-        shapes, *_ = collect_shapes(model, data, *known, self.scene.meshes)
-        self.shapes = base.replaced(shapes, moved)
+        has_moved = (pos != loaded_data.geom_xpos).any(axis=1)
+        has_moved |= (mat != loaded_data.geom_xmat).any(axis=1)
+        has_moved &= is_counted
+        shapes, _, _ = collect_shapes(
+            model,
+            data,
+            self.scene.selections,
+            self.scene.exact_meshes,
+            only=np.flatnonzero(has_moved).tolist(),
+            meshes=self.scene.meshes,
+        )
+        self.shapes = self.scene.shapes.with_replaced(shapes, has_moved)
 
     def _label(self, segments: Segments | None) -> Labels:
+        """Return the labels for `segments`, which are kept; 1 for all geoms if it is None."""
         if segments is None:
             return Labels(np.ones(len(self.scene.geoms), dtype=np.uint32), {}, [])
         key = repr(segments)
@@ -288,9 +345,9 @@ class Labels:
     """The IDs of a scene's geoms.
 
     Attributes:
-        ids: by geom id, shape (n,), uint32; 0 for geoms that don't count.
+        ids: ID of each geom, by geom id, shape (n,), uint32; 0 for geoms that don't count.
         names: what each ID stands for.
-        notes: what the user should know, one line each.
+        notes: remarks for the user, one line each.
     """
 
     ids: NDArray[np.uint32]
@@ -299,64 +356,91 @@ class Labels:
 
 
 def label_geoms(scene: Scene, segments: Segments) -> Labels:
-    """Give the counted geoms of a scene their IDs.
+    """Assign IDs to the geoms of a scene that count.
 
-    `geom` is MuJoCo's geom id plus 1, as in a camera's segmentation image. `body` and `top` (the
-    top-most body; a geom of the world stands for itself) count from 1, in the order of the geoms.
-    Patterns match the names of a geom, its mesh, its body and the bodies above; the first match
-    decides. All other geoms are ``other``, with the greatest of the IDs plus 1.
+    With ``geom``, the ID is MuJoCo's geom id plus 1, as in a camera's segmentation image. With
+    ``body`` and ``top`` (the top-most body; a geom of the world stands for itself), IDs count from
+    1, in the order of the geoms. Patterns match the names of a geom, its mesh, its body and the
+    bodies above; the first match decides. Geoms without a match are ``other``; their ID is the
+    greatest of the patterns' plus 1.
 
     Args:
+        scene: the scene.
         segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``)
             to IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, …. One pattern is a list
             of one.
 
     Raises:
-        ConfigError: it is none of these, or an ID is none.
+        ConfigError: `segments` is none of these, or an ID is out of range.
     """
     if isinstance(segments, str) and segments in KINDS:
         return _label_by_kind(scene, segments)
     patterns = _check_patterns(segments)
-    other = max(patterns.values()) + 1
+    unmatched_id = max(patterns.values()) + 1
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
-    used = set()
-    for geom in _counted(scene):
-        names = _known_as(scene.model, geom)
-        match = next((p for p in patterns if any(fnmatchcase(n, p) for n in names)), None)
-        used.add(match)
-        ids[geom] = other if match is None else patterns[match]
-    table: dict[int, str] = {}
+    matched_patterns = set()
+    has_unmatched = False
+    for geom in _counted_geoms(scene):
+        pattern = _first_match(patterns, _names_of(scene.model, geom))
+        if pattern is None:
+            has_unmatched = True
+            ids[geom] = unmatched_id
+        else:
+            matched_patterns.add(pattern)
+            ids[geom] = patterns[pattern]
+    names: dict[int, str] = {}
     for pattern, number in patterns.items():
-        table[number] = f"{table[number]}, {pattern}" if number in table else pattern
-    if None in used:
-        table[other] = OTHER
-    known = sorted({name for geom in _counted(scene) for name in _known_as(scene.model, geom)})
-    notes = [warn_unmatched("segments", p, known) for p in patterns if p not in used]
-    return Labels(ids, table, notes)
+        names[number] = f"{names[number]}, {pattern}" if number in names else pattern
+    if has_unmatched:
+        names[unmatched_id] = UNMATCHED
+    names_in_scene = sorted(
+        {name for geom in _counted_geoms(scene) for name in _names_of(scene.model, geom)}
+    )
+    notes = [
+        warn_unmatched("segments", pattern, names_in_scene)
+        for pattern in patterns
+        if pattern not in matched_patterns
+    ]
+    return Labels(ids, names, notes)
+
+
+def _first_match(patterns: Iterable[str], names: Sequence[str]) -> str | None:
+    """Return the first pattern that matches any of the names."""
+    for pattern in patterns:
+        if any(fnmatchcase(name, pattern) for name in names):
+            return pattern
+    return None
 
 
 def _label_by_kind(scene: Scene, kind: str) -> Labels:
+    """Label geoms by themselves, their body or their top-most body: one of `KINDS`."""
     model = scene.model
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
-    numbers: dict[tuple[str, int], int] = {}
-    table: dict[int, str] = {}
-    for geom in _counted(scene):
+    id_of_segment: dict[tuple[str, int], int] = {}
+    segment_names: dict[int, str] = {}
+    for geom in _counted_geoms(scene):
         body = int(model.geom_bodyid[geom])
         if kind == "top":
             body = int(model.body_rootid[body])
         is_geom = kind == "geom" or (kind == "top" and body == 0)
-        key = ("geom", geom) if is_geom else ("body", body)
-        number = geom + 1 if kind == "geom" else numbers.setdefault(key, len(numbers) + 1)
+        if kind == "geom":
+            number = geom + 1
+        else:
+            segment = ("geom", geom) if is_geom else ("body", body)
+            number = id_of_segment.setdefault(segment, len(id_of_segment) + 1)
         ids[geom] = number
-        table[number] = all_names(model).geoms[geom].geom if is_geom else body_name(model, body)
-    return Labels(ids, table, [])
+        name = all_names(model).geoms[geom].geom if is_geom else body_name(model, body)
+        segment_names[number] = name
+    return Labels(ids, segment_names, [])
 
 
-def _check_patterns(segments: Any) -> dict[str, int]:
+def _check_patterns(segments: object) -> dict[str, int]:
+    """Return the IDs of name patterns; raise a ConfigError for anything else."""
     if isinstance(segments, Mapping):
         patterns = dict(segments)
     elif isinstance(segments, str) and (
-        set(segments) & set("*?[") or not find_near(segments, KINDS)  # else a slip
+        # a name that is nearly one of KINDS is a typing error
+        set(segments) & set("*?[") or not find_near(segments, KINDS)
     ):
         patterns = {segments: 1}
     elif isinstance(segments, Sequence) and not isinstance(segments, str):
@@ -369,21 +453,22 @@ def _check_patterns(segments: Any) -> dict[str, int]:
             f"got {segments!r}"
         )
     for pattern, number in patterns.items():
-        whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
-        if not whole or not 1 <= number < MOST:
+        is_integer = isinstance(number, int | np.integer) and not isinstance(number, bool)
+        if not is_integer or not 1 <= number < MAX_ID:
             raise ConfigError(
-                f"expected an ID from 1 to {MOST - 1} for segment pattern {pattern!r}, "
+                f"expected an ID from 1 to {MAX_ID - 1} for segment pattern {pattern!r}, "
                 f"got {number!r}"
             )
     return {pattern: int(number) for pattern, number in patterns.items()}
 
 
-def _counted(scene: Scene) -> list[int]:
+def _counted_geoms(scene: Scene) -> list[int]:
+    """Return the ids of the geoms that count."""
     return [geom.id for geom in scene.geoms if geom.counted]
 
 
-def _known_as(model: Any, geom: int) -> list[str]:
-    """The names of a geom, its mesh and all bodies above it."""
+def _names_of(model: mujoco.MjModel, geom: int) -> list[str]:
+    """Return the names of a geom, of its mesh and of all bodies above it."""
     names = all_names(model).geoms[geom]
     bodies = []
     body = int(model.geom_bodyid[geom])

@@ -325,8 +325,8 @@ def draw_soup(rng):
 def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     soup = draw_soup(np.random.default_rng(seed))
     fast = split(soup)
-    found = "navbake.baker.geometry.mesh_parts.find_shells"
-    monkeypatch.setattr(found, lambda *asked: asked[3].fill(NOT_SHELL))
+    name = "navbake.baker.geometry.mesh_parts.label_shells"
+    monkeypatch.setattr(name, lambda mate, shell: shell.fill(NOT_SHELL))
     general = split(soup)
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))

@@ -107,9 +107,9 @@ def test_meshes_are_measured_as_they_lie(tmp_path):
             scene={"meshes": "hull" if thing else "surface"},
         )
         extents = measure_extents(stages.scene.shapes, 2)
-        assert extents.thin[1] == pytest.approx(0.08, abs=1e-4)
-        assert extents.long[1] == pytest.approx(3.0, abs=1e-4)
-        assert (extents.low[1], extents.high[1]) == pytest.approx((0.0, 2.2), abs=1e-4)
+        assert extents.short_side[1] == pytest.approx(0.08, abs=1e-4)
+        assert extents.long_side[1] == pytest.approx(3.0, abs=1e-4)
+        assert (extents.bottom[1], extents.top[1]) == pytest.approx((0.0, 2.2), abs=1e-4)
         assert kinds(stages) == ["structure", expected]
 
 
@@ -122,14 +122,14 @@ def test_extents_follow_each_solids_own_axes(tmp_path):
         + '<geom type="cylinder" size="0.2 0.7" pos="0 0 2" euler="90 0 0"/>'
     )
     extents = measure_extents(stages_of(tmp_path, things).scene.shapes, 6)
-    np.testing.assert_allclose(extents.thin[1:], [0.2, 0.2, 0.4, 0.6, 0.4], atol=1e-9)
-    np.testing.assert_allclose(extents.long[1:], [2.0, 1.2, 0.6, 0.6, 1.4], atol=1e-9)
+    np.testing.assert_allclose(extents.short_side[1:], [0.2, 0.2, 0.4, 0.6, 0.4], atol=1e-9)
+    np.testing.assert_allclose(extents.long_side[1:], [2.0, 1.2, 0.6, 0.6, 1.4], atol=1e-9)
     across = np.radians(30 + 90)
     np.testing.assert_allclose(
-        np.abs(extents.across[1]), np.abs([np.cos(across), np.sin(across)]), atol=1e-9
+        np.abs(extents.short_axis[1]), np.abs([np.cos(across), np.sin(across)]), atol=1e-9
     )
     np.testing.assert_allclose(extents.center[4], [1, 2])
-    assert (extents.low[4], extents.high[4]) == pytest.approx((2.7, 3.3))
+    assert (extents.bottom[4], extents.top[4]) == pytest.approx((2.7, 3.3))
 
 
 def test_a_panel_of_furniture_is_no_wall(tmp_path):
