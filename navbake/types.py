@@ -1,4 +1,4 @@
-"""Array types by the names that the whole package uses for them."""
+"""Types of arrays and of JSON by the names that the whole package uses for them."""
 
 from typing import Any, TypeAlias
 
@@ -9,5 +9,6 @@ Bool: TypeAlias = NDArray[np.bool_]
 Float: TypeAlias = NDArray[np.float64]
 Int: TypeAlias = NDArray[np.int64]
 Int32: TypeAlias = NDArray[np.int32]  # labels, MuJoCo's ids
-Json: TypeAlias = dict[str, Any]  # a JSON object
+JsonValue: TypeAlias = Any  # an object, a list, a string, a number, a bool or None, parsed
+Json: TypeAlias = dict[str, JsonValue]  # a JSON object
 Vector3: TypeAlias = tuple[float, float, float]

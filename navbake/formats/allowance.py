@@ -12,18 +12,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from numbers import Real
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from navbake.errors import ConfigError, FormatError
 
 if TYPE_CHECKING:  # the command line lists formats before it loads numpy
-    from navbake.types import Json, Vector3
+    from navbake.types import Json, JsonValue, Vector3
 
 MAX_BYTES = 4 << 30  # of any file
 MAX_CELLS = 100_000_000  # of all levels together
 MAX_VOXELS = 1 << 31  # 1290 along each axis
 MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompression bomb
-MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
+MAX_DEPTH = 64  # of nested metadata, userData, timings and unknown fields
 MAX_HEADER = 65536  # text before the voxels of a binvox or octree, comments included [bytes]
 FREE_BYTES = 256 << 20  # of memory that any file may fill
 # and for each of its bytes; a campus as an octree takes 400, house-100 as JSON 40
@@ -31,16 +31,16 @@ BYTES_PER_BYTE = 512
 BYTES_PER_CELL = 128  # of all arrays together, with a caller's `max_cells`
 TEXT_COST = 4  # bytes of memory for one of packed JSON, whose values take more
 PIXEL_COST = 6  # bytes of memory for a pixel: an image, a copy, and values
-SHOWN_LENGTH = 40  # characters of a culprit that an error shows
-LEAVES = {str, int, bool, type(None)}  # JSON's values without children
-ALL = LEAVES | {dict, list, tuple}
-JSON = (str, int, float, dict, list, tuple)
+MAX_SHOWN = 40  # characters of a wrong value that an error shows
+LEAF_TYPES = {str, int, bool, type(None)}  # JSON's values without children, but for floats
+FAST_TYPES = LEAF_TYPES | {dict, list, tuple}  # that need no check of their own
+JSON_CLASSES = (str, int, float, dict, list, tuple)  # subclasses count as well
 
 
 # ---------------------------------------------------------------- values and their locations
 
 
-MISSING: Any = object()  # stands for a missing field
+MISSING: object = object()  # stands for a missing field
 
 
 def format_value(value: object) -> str:
@@ -54,19 +54,28 @@ def format_value(value: object) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str):
-        value = value[: SHOWN_LENGTH + 1]
-    elif isinstance(value, int) and abs(value) > 10**SHOWN_LENGTH:
+        value = value[: MAX_SHOWN + 1]
+    elif isinstance(value, int) and abs(value) > 10**MAX_SHOWN:
         return f"{value:.3e}" if abs(value) < 10**300 else "an integer of over 300 digits"
     text = repr(value)
-    return text if len(text) <= SHOWN_LENGTH else text[:SHOWN_LENGTH] + "…"
+    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "…"
 
 
 @dataclass(frozen=True)
 class JsonPath:
-    """A location in a file, as errors name it."""
+    """A location in a file, as errors name it; an index leads to a location below.
+
+    Attributes:
+        file: the file's name, or what the content was read from.
+        path: the location in the file, as ``grids[1].weights.data[17]``; "" for the top.
+
+    Example:
+        >>> JsonPath("house.grid.json")["grids"][1]["weights"].path
+        'grids[1].weights'
+    """
 
     file: str
-    path: str = ""  # as in ``grids[1].weights.data[17]``; "" for the top
+    path: str = ""
 
     def __getitem__(self, key: str | int) -> JsonPath:
         if isinstance(key, int):
@@ -83,15 +92,19 @@ class JsonPath:
         """Raise a FormatError with the fault and its location.
 
         Args:
-            what: The fault, the beginning of the message.
-            remedy: What to do, the end of the message.
-            expected: What was expected, for the attribute of the error alone.
-            value: What was there, for the attribute of the error alone.
+            what: the fault, the beginning of the message.
+            remedy: what to do, the end of the message.
+            expected: what was expected, for the attribute of the error alone.
+            value: the wrong value, for the attribute of the error alone.
+
+        Raises:
+            FormatError: always.
         """
         where = f"at `{self.path}` in" if self.path else "in"
         file = self.file if self.file.isprintable() else repr(self.file)
+        message = f"{what} {where} {file}"
         raise FormatError(
-            f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""),
+            f"{message}; {remedy}" if remedy else message,
             path=self.file,
             value=value,
             expected=expected,
@@ -100,79 +113,157 @@ class JsonPath:
         )
 
     def refuse(self, expected: str, value: object) -> NoReturn:
-        """Raise a FormatError with the expected and the actual value."""
-        actual = None if value is MISSING else value
-        self.fail(
-            f"expected {expected}, got {format_value(value)}", expected=expected, value=actual
-        )
+        """Raise a FormatError with the expected and the actual value.
+
+        Args:
+            expected: what was expected, as ``a list``.
+            value: the actual value, `MISSING` if there is none.
+
+        Raises:
+            FormatError: always.
+        """
+        message = f"expected {expected}, got {format_value(value)}"
+        self.fail(message, expected=expected, value=None if value is MISSING else value)
 
 
 def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
-    """Read an integer; 59.0 is valid, true is not."""
-    integral = type(value) is int or (isinstance(value, float) and value.is_integer())
-    if not integral or int(value) < minimum:  # type: ignore[call-overload]
+    """Return a whole number of a file; 59.0 is valid, true is not.
+
+    Args:
+        value: the number as parsed.
+        place: its location, for errors.
+        minimum: the least valid number.
+
+    Returns:
+        The number as int.
+
+    Raises:
+        FormatError: the value is not a whole number, or below the minimum.
+    """
+    is_whole = type(value) is int or (isinstance(value, float) and value.is_integer())
+    if not is_whole or int(value) < minimum:  # type: ignore[call-overload]
         place.refuse(f"a whole number >= {minimum}", value)
     return int(value)  # type: ignore[call-overload,no-any-return]
 
 
 def check_number(value: object, place: JsonPath, *, positive: bool = False) -> float:
-    """Check a finite number; whole ones become int, so that JSON has no .0."""
+    """Return a finite number of a file; whole ones become int, so that JSON has no .0.
+
+    Args:
+        value: the number as parsed.
+        place: its location, for errors.
+        positive: whether 0 and negative numbers are refused.
+
+    Returns:
+        The number, an int if it is whole and below 2**53.
+
+    Raises:
+        FormatError: the value is not such a number.
+    """
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
     try:
-        is_number = isinstance(value, Real) and not isinstance(value, bool)
-        checked = float(value) if is_number else math.nan  # type: ignore[arg-type]
+        finite = float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:  # YAML has whole numbers beyond all floats
-        checked = math.nan
-    if not math.isfinite(checked) or (positive and checked <= 0):
+        finite = math.nan
+    if not math.isfinite(finite) or (positive and finite <= 0):
         place.refuse("a number > 0" if positive else "a finite number", value)
-    return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked
+    return int(finite) if finite.is_integer() and abs(finite) < 2**53 else finite
 
 
 def check_vector(value: object, place: JsonPath) -> Vector3:
-    """Check three finite numbers."""
+    """Return three finite numbers of a file as floats.
+
+    Args:
+        value: the list as parsed.
+        place: its location, for errors.
+
+    Raises:
+        FormatError: the value is not a list of three finite numbers.
+    """
     if not isinstance(value, list | tuple) or len(value) != 3:
         place.refuse("three numbers", value)
-    x, y, z = (float(check_number(entry, place[i])) for i, entry in enumerate(value))
+    x = float(check_number(value[0], place[0]))
+    y = float(check_number(value[1], place[1]))
+    z = float(check_number(value[2], place[2]))
     return x, y, z
 
 
 def check_object(value: object, place: JsonPath) -> Json:
+    """Return a JSON object of a file.
+
+    Args:
+        value: the object as parsed.
+        place: its location, for errors.
+
+    Raises:
+        FormatError: the value is not an object.
+    """
     if not isinstance(value, dict):
         place.refuse("an object", value)
     return value
 
 
 def check_optional_object(content: Json, key: str, place: JsonPath) -> Json:
-    """Read an object that may be missing or null."""
+    """Return an object's field that is an object, and {} if it is missing or null.
+
+    Args:
+        content: the object with the field.
+        key: the field's name.
+        place: the location of `content`, for errors.
+
+    Raises:
+        FormatError: the field is not an object, or has values that are no JSON.
+    """
     value = content.get(key)
-    return {} if value is None else check_object(check_json(value, place[key]), place[key])
+    if value is None:
+        return {}
+    return check_object(check_json(value, place[key]), place[key])
 
 
-def check_json(value: Any, place: JsonPath) -> Any:
-    """Check that a value is JSON and not nested too deep; layer by layer, which is fast."""
+def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
+    """Return a value after a check that it is JSON and not nested too deep.
+
+    All values of one depth are checked at once, which is fast: there is no Python call for each.
+
+    Args:
+        value: any value. Keys of objects must be strings, floats finite.
+        place: its location, for errors.
+
+    Returns:
+        The value itself.
+
+    Raises:
+        FormatError: the value holds something that JSON lacks, or more than 64 levels.
+    """
     layer = [value]
     for _ in range(MAX_DEPTH):
-        if set(map(type, layer)) <= LEAVES:
+        if set(map(type, layer)) <= LEAF_TYPES:
             return value
-        for other in (v for v in layer if type(v) not in ALL):
-            if not (math.isfinite(other) if isinstance(other, float) else isinstance(other, JSON)):
-                _find_odd(value, place)
-        # all keys, then all children, of one depth: no Python call for each value
-        objects = [v for v in layer if isinstance(v, dict)]
+        for entry in layer:
+            if type(entry) in FAST_TYPES:
+                continue
+            if isinstance(entry, float):
+                is_valid = math.isfinite(entry)
+            else:
+                is_valid = isinstance(entry, JSON_CLASSES)
+            if not is_valid:
+                _refuse_first_invalid(value, place)
+        objects = [entry for entry in layer if isinstance(entry, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:
             place.fail("expected strings as keys of objects, got others")
-        lists = [v for v in layer if isinstance(v, list | tuple)]
+        lists = [entry for entry in layer if isinstance(entry, list | tuple)]
         layer = list(chain.from_iterable([*map(dict.values, objects), *lists]))
     place.fail(f"nested deeper than {MAX_DEPTH} levels")
 
 
-def _find_odd(value: Any, place: JsonPath) -> None:
-    """Refuse the first value that is not JSON."""
+def _refuse_first_invalid(value: JsonValue, place: JsonPath) -> None:
+    """Raise a FormatError for the first value that is not JSON, in reading order."""
     if isinstance(value, dict | list | tuple):
         for key, child in value.items() if isinstance(value, dict) else enumerate(value):
-            _find_odd(child, place[key if isinstance(key, int) else str(key)])
+            _refuse_first_invalid(child, place[key if isinstance(key, int) else str(key)])
     elif isinstance(value, float) and not math.isfinite(value):
         place.refuse("a finite number", value)
-    elif value is not None and not isinstance(value, JSON):
+    elif value is not None and not isinstance(value, JSON_CLASSES):
         place.fail(f"expected a JSON value, got one of Python's type {type(value).__name__}")
 
 
@@ -186,35 +277,63 @@ class Allowance:
     which then only free memory limits. Images have none.
     """
 
-    def __init__(self, num_bytes: int, keyword: str = "", most: int | None = None) -> None:
-        if most is not None and not (isinstance(most, int) and most >= 1):
-            message = f"expected {keyword} to be a whole number >= 1, got {most!r}"
+    def __init__(self, num_bytes: int, keyword: str = "", limit: int | None = None) -> None:
+        """Make the allowance of a file.
+
+        Args:
+            num_bytes: the size of the file [bytes].
+            keyword: the argument by which callers raise the limits: ``max_cells``,
+                ``max_voxels``, or "" for an image.
+            limit: the caller's value of that argument, at least 1; None for the default limits.
+
+        Raises:
+            FormatError: the limit is not a whole number of at least 1.
+        """
+        if limit is not None and not (isinstance(limit, int) and limit >= 1):
+            message = f"expected {keyword} to be a whole number >= 1, got {limit!r}"
             expected = "a whole number >= 1"
-            raise FormatError(message, key=keyword, value=most, expected=expected)
+            raise FormatError(message, key=keyword, value=limit, expected=expected)
         self._keyword = keyword
         self._remedy = f"pass {keyword} if that is meant" if keyword else ""
-        rule = FREE_BYTES + BYTES_PER_BYTE * num_bytes
-        self._rule = f"a file of {num_bytes:,} bytes may fill ({rule:,} bytes)"
+        memory = FREE_BYTES + BYTES_PER_BYTE * num_bytes
+        self._rule = f"a file of {num_bytes:,} bytes may fill ({memory:,} bytes)"
         self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
-        self._memory: float = rule
-        self._text = rule // TEXT_COST
+        self._memory: float = memory
+        self._text = memory // TEXT_COST
         self._num_bytes = num_bytes
-        if most is not None:
-            self._rule = f"{keyword} = {most} allows"
-            self._cells = most
-            self._memory = BYTES_PER_CELL * most if keyword == "max_cells" else math.inf
+        if limit is not None:
+            self._rule = f"{keyword} = {limit} allows"
+            self._cells = limit
+            self._memory = BYTES_PER_CELL * limit if keyword == "max_cells" else math.inf
 
     def take_cells(self, shape: Sequence[int], place: JsonPath) -> None:
-        """Count the cells, voxels or pixels of a shape; raises a FormatError for too many."""
+        """Take the cells, voxels or pixels of an array from the allowance.
+
+        Args:
+            shape: the array's shape.
+            place: its location in the file, for errors.
+
+        Raises:
+            FormatError: there are too many.
+        """
         if math.prod(shape) > self._cells:
             unit = self._keyword.removeprefix("max_") or "pixels"
-            counts = " × ".join(format_value(int(n)) for n in shape)
+            counts = " × ".join(format_value(int(count)) for count in shape)
             what = f"too many {unit} ({counts}, expected {self._cells:,} at most)"
-            place.fail(what, self._remedy)
+            place.fail(what, self._remedy, expected=f"{self._cells:,} at most", value=tuple(shape))
         self._cells -= math.prod(shape)
 
     def take_array(self, shape: Sequence[int], itemsize: int, place: JsonPath) -> None:
-        """Count the memory of an array; raises a FormatError for too much."""
+        """Take the memory of an array from the allowance.
+
+        Args:
+            shape: the array's shape.
+            itemsize: the size of an element [bytes].
+            place: the array's location in the file, for errors.
+
+        Raises:
+            FormatError: the array takes too much memory.
+        """
         self._memory -= math.prod(shape) * itemsize
         if self._memory < 0:
             place.fail(f"more memory than {self._rule}", self._remedy)
@@ -224,10 +343,18 @@ class Allowance:
             try:
                 check_memory(shape, itemsize)
             except ConfigError as error:
-                raise FormatError(f"{place.file}: {error}") from None
+                raise FormatError(f"{place.file}: {error}", path=place.file) from None
 
     def take_text(self, num_bytes: int, place: JsonPath) -> None:
-        """Count unpacked JSON; raises a FormatError for too much."""
+        """Take unpacked JSON from the allowance.
+
+        Args:
+            num_bytes: the size of the text [bytes].
+            place: its location in the file, for errors.
+
+        Raises:
+            FormatError: the text is too long.
+        """
         self._text -= num_bytes
         if self._text < 0:
             what = f"more text than a file of {self._num_bytes:,} bytes may unpack to"

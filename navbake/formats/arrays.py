@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from navbake.formats.allowance import MISSING, Allowance, JsonPath, check_whole_number
 from navbake.navgrid.metadata import datatype_name
-from navbake.types import Float, Int
+from navbake.types import Float, Int, JsonValue
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-PIECE = 1 << 20  # cells or runs encoded at once, to limit memory
+CHUNK_LENGTH = 1 << 20  # cells or runs encoded at once, to limit memory
 
 
 def decode_array(
@@ -30,11 +30,25 @@ def decode_array(
     default: object = None,
     null: float = np.nan,
 ) -> NDArray[Any]:
-    """Read an array: an object with ``data``, or a bare list, which is raw.
+    """Decode an array: an object with ``data``, or a bare list, which is raw.
 
     Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` is required; ``dataType`` is an
-    alias of ``datatype``, which defaults to the metadata's `default`, else float64. ``null``
-    becomes `null`, in raw data, too, where the original client keeps it.
+    alias of ``datatype``.
+
+    Args:
+        value: the array as parsed.
+        place: its location in the file, for errors.
+        shape: height and width of the level.
+        allowance: what the array's memory is taken from.
+        default: the datatype that the metadata state for the array; float64 if None.
+        null: the number that ``null`` becomes in arrays of floats, in raw data, too, where the
+            original client keeps it.
+
+    Returns:
+        The array, of that shape and its datatype.
+
+    Raises:
+        FormatError: the array is broken, of another length, or too large.
     """
     data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):
@@ -43,12 +57,15 @@ def decode_array(
         place.refuse("an array", value)
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
-    own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
-    stated = value[own[0]] if own else "float64" if default is None else default
-    name = datatype_name(stated) if isinstance(stated, str) else ""
+    datatype = "float64" if default is None else default
+    datatype_place = place
+    for key in ("dataType", "datatype"):  # ``datatype`` counts where a file has both
+        if value.get(key) is not None:
+            datatype = value[key]
+            datatype_place = place[key]
+    name = datatype_name(datatype) if isinstance(datatype, str) else ""
     if name not in DATATYPES:
-        where = place[own[0]] if own else place
-        where.refuse(f"a datatype of {', '.join(DATATYPES)}", stated)
+        datatype_place.refuse(f"a datatype of {', '.join(DATATYPES)}", datatype)
     dtype = np.dtype(name)
     num_cells = math.prod(shape)
     if value.get("length") is not None:
@@ -63,43 +80,47 @@ def decode_array(
     if encoding not in (None, "raw", "rle"):
         place["encoding"].refuse("'rle' or 'raw'", encoding)
     if encoding == "rle":
-        counts = _read_counts(data, data_place, num_cells)
-        return np.repeat(_cast(data, data_place, 2, dtype, null), counts).reshape(shape)
+        counts = _check_counts(data, data_place, num_cells)
+        run_values = _cast_values(data, data_place, 2, dtype, null)
+        return np.repeat(run_values, counts).reshape(shape)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
-    return _cast(data, data_place, 1, dtype, null).reshape(shape)
+    return _cast_values(data, data_place, 1, dtype, null).reshape(shape)
 
 
-def _read_counts(data: list[Any], place: JsonPath, num_cells: int) -> Int:
-    """The lengths of runs, checked to cover all cells before any array of that size is made."""
+def _check_counts(data: list[JsonValue], place: JsonPath, num_cells: int) -> Int:
+    """Return the lengths of runs after a check that they cover all cells exactly.
+
+    The check comes before any array of that size is made.
+    """
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
     expected = "a count, a whole number >= 0"
     counts = _to_float64(data, place, slice(1, None, 2), expected, (int, float))
-    bad = (counts < 0) | (counts != np.floor(counts))
-    if bad.any():
-        index = 2 * int(np.argmax(bad)) + 1
+    is_invalid = (counts < 0) | (counts != np.floor(counts))
+    if is_invalid.any():
+        index = 2 * int(np.argmax(is_invalid)) + 1
         place[index].refuse(expected, data[index])
     if counts.sum() != num_cells:
         place.fail(f"expected runs over {num_cells} cells, got runs over {counts.sum():.15g}")
     return counts.astype(np.int64)
 
 
-def _cast(
-    data: list[Any], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
+def _cast_values(
+    data: list[JsonValue], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
-    """Convert every step-th entry to the dtype; raises for the first that does not fit."""
-    kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
-    values = _to_float64(data, place, slice(0, None, step), f"a value of {dtype}", kinds)
+    """Convert every step-th entry to the dtype; raise a FormatError for the first that can't be."""
+    types = (int, float, type(None)) if dtype.kind == "f" else (int, float)
+    values = _to_float64(data, place, slice(0, None, step), f"a value of {dtype}", types)
     if dtype.kind == "f":
         # JSON has no infinity, so one comes from a number beyond the dtype
         with np.errstate(over="ignore"):
-            bad = np.isinf(values.astype(dtype))
+            is_invalid = np.isinf(values.astype(dtype))
     else:
         info = np.iinfo(dtype)
-        bad = (values < info.min) | (values > info.max) | (values != np.floor(values))
-    if bad.any():
-        index = step * int(np.argmax(bad))
+        is_invalid = (values < info.min) | (values > info.max) | (values != np.floor(values))
+    if is_invalid.any():
+        index = step * int(np.argmax(is_invalid))
         place[index].refuse(f"a value of {dtype}", data[index])
     if dtype.kind == "f" and not np.isnan(null):
         values[np.isnan(values)] = null
@@ -107,12 +128,13 @@ def _cast(
 
 
 def _to_float64(
-    data: list[Any], place: JsonPath, part: slice, expected: str, kinds: tuple[type, ...]
+    data: list[JsonValue], place: JsonPath, selection: slice, expected: str, types: tuple[type, ...]
 ) -> Float:
-    """Convert a part of a list of numbers and None (NaN) to an array."""
-    entries = data[part]
-    if not set(map(type, entries)) <= set(kinds):  # bool is no int here
-        index = next(i for i in range(len(data))[part] if type(data[i]) not in kinds)
+    """Convert a slice of a list of numbers and None, which becomes NaN, to an array."""
+    entries = data[selection]
+    if not set(map(type, entries)) <= set(types):  # as a type of its own, bool is no int
+        indices = range(len(data))[selection]
+        index = next(index for index in indices if type(data[index]) not in types)
         place[index].refuse(expected, data[index])
     return np.array(entries, dtype=np.float64)
 
@@ -122,35 +144,47 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
     float32 gets its own shortest decimal.
+
+    Args:
+        array: an array of one of `DATATYPES`, of any shape, by cells in its order in memory.
+        place: its location in the file, for errors.
+
+    Returns:
+        The text of the list.
+
+    Raises:
+        FormatError: the array is of another dtype.
     """
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
     cells = array.reshape(-1)
-    starts = [np.zeros(1, np.int64)]
-    texts = []
-    for first in range(1, len(cells), PIECE):
-        piece = _as_written(cells[first - 1 : first + PIECE])
-        differs = piece[1:] != piece[:-1]
-        if piece.dtype.kind == "f":
-            differs &= ~(np.isnan(piece[1:]) & np.isnan(piece[:-1]))
+    starts = [np.zeros(1, np.int64)]  # of runs
+    for first in range(1, len(cells), CHUNK_LENGTH):
+        chunk = _normalize_values(cells[first - 1 : first + CHUNK_LENGTH])
+        differs = chunk[1:] != chunk[:-1]
+        if chunk.dtype.kind == "f":
+            differs &= ~(np.isnan(chunk[1:]) & np.isnan(chunk[:-1]))
         starts.append(np.flatnonzero(differs) + first)
-    start = np.concatenate(starts)
-    count = np.diff(start, append=len(cells))
-    for first in range(0, len(start), PIECE):
-        values = _as_written(cells[start[first : first + PIECE]])
-        counts = count[first : first + PIECE]
+    run_start = np.concatenate(starts)
+    run_length = np.diff(run_start, append=len(cells))
+
+    texts = []
+    for first in range(0, len(run_start), CHUNK_LENGTH):
+        values = _normalize_values(cells[run_start[first : first + CHUNK_LENGTH]])
+        counts = run_length[first : first + CHUNK_LENGTH]
         if values.dtype.kind == "f":
-            pieces = [b""] * (2 * len(counts))
-            pieces[0::2] = _dump(values).split(b",")
-            pieces[1::2] = _dump(counts).split(b",")
-            texts.append(b",".join(pieces).replace(b".0,", b","))
+            words = [b""] * (2 * len(counts))
+            words[0::2] = _dump_numbers(values).split(b",")
+            words[1::2] = _dump_numbers(counts).split(b",")
+            texts.append(b",".join(words).replace(b".0,", b","))
         else:
-            texts.append(_dump(np.stack([values.astype(np.int64), counts], axis=1).ravel()))
+            pairs = np.stack([values.astype(np.int64), counts], axis=1)
+            texts.append(_dump_numbers(pairs.ravel()))
     return b"[%b]" % b",".join(texts)
 
 
-def _as_written(cells: NDArray[Any]) -> NDArray[Any]:
-    """Values in native byte order, infinities as NaN, and no -0.0."""
+def _normalize_values(cells: NDArray[Any]) -> NDArray[Any]:
+    """Return values in native byte order, with NaN for infinities and 0 for -0.0."""
     cells = cells.astype(cells.dtype.newbyteorder("="), copy=False)
     if cells.dtype.kind != "f":
         return cells
@@ -158,6 +192,6 @@ def _as_written(cells: NDArray[Any]) -> NDArray[Any]:
         return np.where(np.isfinite(cells), cells + 0, cells.dtype.type(np.nan))
 
 
-def _dump(array: NDArray[Any]) -> bytes:
-    """Numbers as JSON, without brackets."""
+def _dump_numbers(array: NDArray[Any]) -> bytes:
+    """Encode numbers as a JSON list without its brackets."""
     return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]

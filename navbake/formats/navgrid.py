@@ -14,9 +14,10 @@ import logging
 import math
 import os
 import re
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import orjson
@@ -50,7 +51,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.user_data import Shared, UserData
-from navbake.types import Json
+from navbake.types import Json, JsonValue
 
 if TYPE_CHECKING:
     import msgspec
@@ -59,13 +60,19 @@ else:
 
 LOG = logging.getLogger("navbake.formats")
 
+ReadLayer: TypeAlias = Callable[[tuple[int, int], JsonPath], NDArray[Any]]
+"""A function of a layer's shape and location that returns its array."""
+
 SCENE_FIELDS = (
-    *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),
-    *("cellSize", "min", "unit", "bbox", "timings"),
-)
+    "type", "metadata", "weights", "userData", "tileAttributes", "width", "height", "cellSize",
+    "min", "unit", "bbox", "timings",
+)  # fmt: skip
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
+# attributes of a grid that are parsed from tables of its metadata
+LINK_TABLES = ("step_array", "links")
+TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
 SPLIT_BYTES = 1 << 20  # below, all is parsed at once and msgspec stays unloaded
-ENTRIES = 1 << 16  # cells whose user data are encoded at once, to limit memory
+CELLS_AT_ONCE = 1 << 16  # whose user data are encoded at once, to limit memory
 
 
 # ---------------------------------------------------------------- reading
@@ -91,9 +98,14 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
 
     Raises:
         FormatError: the file can't be read or does not follow the format.
+
+    Example:
+        >>> grid = navbake.load("house.grid.json")
+        >>> grid.levels[0].shape
+        (82, 102)
     """
     text, num_bytes, top = read_navgrid_text(source)
-    content = _parse(text, top)
+    content = _parse_file(text, top)
     allowance = Allowance(num_bytes, "max_cells", max_cells)
     kind = content.get("type", MISSING)
     if kind == "MultiLevelGrid":
@@ -103,7 +115,7 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     return warn_of_newer(check_grid(read_level(content, top, allowance), top), top)
 
 
-def _parse(content: bytes, top: JsonPath) -> Json:
+def _parse_file(content: bytes, top: JsonPath) -> Json:
     """Parse a file; in a long one, each level's ``userData`` stay text."""
     if len(content) >= SPLIT_BYTES:
         with suppress(msgspec.DecodeError, RecursionError, orjson.JSONDecodeError):
@@ -112,76 +124,121 @@ def _parse(content: bytes, top: JsonPath) -> Json:
             if not is_house or "grids" not in fields:
                 return _parse_level(fields)
             levels = msgspec.json.decode(fields["grids"], type=list[dict[str, msgspec.Raw]])
-            house = {key: key == "grids" or orjson.loads(memoryview(fields[key])) for key in fields}
+            house = {
+                key: orjson.loads(memoryview(text))
+                for key, text in fields.items()
+                if key != "grids"
+            }
             return {**house, "grids": [_parse_level(level) for level in levels]}
     return check_object(parse_json(content, top), top)  # names the line of the fault
 
 
-def _parse_level(fields: Json) -> Json:
-    views = {key: memoryview(raw) for key, raw in fields.items()}
-    return {key: view if key == "userData" else orjson.loads(view) for key, view in views.items()}
+def _parse_level(fields: dict[str, msgspec.Raw]) -> Json:
+    """Parse the fields of a level, but for its ``userData``, which stay text."""
+    level: Json = {}
+    for key, raw in fields.items():
+        text = memoryview(raw)
+        level[key] = text if key == "userData" else orjson.loads(text)
+    return level
 
 
 def read_multi_level_grid(
     content: Json, top: JsonPath, allowance: Allowance, key: str = "grids"
 ) -> MultiLevelGrid:
-    """Read a grid of several levels; `key` is the file's name for its ``grids``."""
+    """Make a grid of several levels from the content of a file.
+
+    Args:
+        content: the parsed file; a layer may be a `ReadLayer`.
+        top: the top of the file, for errors.
+        allowance: what the arrays' memory is taken from.
+        key: the file's name for the levels, in errors.
+
+    Returns:
+        The grid.
+
+    Raises:
+        FormatError: the file does not follow the format, or is too large.
+    """
     grids = content.get("grids", MISSING)
     if not isinstance(grids, list) or not grids:
         top[key].refuse("a list of at least one level", grids)
-    whole = {name: content[name] for name in ("cellSize", "unit") if content.get(name) is not None}
-    for name in whole:
-        check_number(whole[name], top[name], positive=True)
+    defaults: Json = {}  # of the levels
+    for name in ("cellSize", "unit"):
+        if content.get(name) is not None:
+            check_number(content[name], top[name], positive=True)
+            defaults[name] = content[name]
     metadata = read_metadata(content, top)
+    defaults["metadata"] = metadata
     levels = []
     for i, value in enumerate(grids):
         level = check_object(value, top[key][i])
         if level.get("type", "SceneGrid2D") != "SceneGrid2D":
             top[key][i]["type"].refuse("'SceneGrid2D'", level["type"])
-        levels.append(read_level(level, top[key][i], allowance, {**whole, "metadata": metadata}))
+        levels.append(read_level(level, top[key][i], allowance, defaults))
     house = MultiLevelGrid(
         grids=levels,
-        cell_size=float(whole.get("cellSize", levels[0].cell_size)),
-        unit=float(whole.get("unit", 1)),
+        cell_size=float(defaults.get("cellSize", levels[0].cell_size)),
+        unit=float(defaults.get("unit", 1)),
         metadata=metadata,
         timings=check_optional_object(content, "timings", top),
-        extra=_unknown(content, MULTI_FIELDS, top),
+        extra=_unknown_fields(content, MULTI_FIELDS, top),
     )
     check_grid(house, top, key)
     return house
 
 
 def read_level(
-    content: Json, place: JsonPath, allowance: Allowance, whole: Json | None = None
+    content: Json, place: JsonPath, allowance: Allowance, defaults: Json | None = None
 ) -> SceneGrid2D:
-    """Read a level, which takes missing fields over from the `whole` grid.
+    """Make a level from its content in a file.
 
-    A layer may be a function of its shape and place that returns its array, in place of JSON.
+    Args:
+        content: the parsed level; a layer may be a `ReadLayer`.
+        place: its location in the file, for errors.
+        allowance: what the arrays' memory is taken from.
+        defaults: fields of the grid of several levels, which the level takes over where it has
+            none: ``cellSize``, ``unit`` and ``metadata``.
+
+    Returns:
+        The level.
+
+    Raises:
+        FormatError: the level does not follow the format, or is too large.
     """
-    metadata = read_metadata(content, place) or (whole or {}).get("metadata", {})
-    stated = {"unit": 1, **(whole or {}), **{k: v for k, v in content.items() if v is not None}}
-    size = float(check_number(stated.get("cellSize", MISSING), place["cellSize"], positive=True))
-    unit = float(check_number(stated.get("unit", MISSING), place["unit"], positive=True))
+    defaults = defaults or {}
+    metadata = read_metadata(content, place) or defaults.get("metadata", {})
+    own_fields = {key: value for key, value in content.items() if value is not None}
+    fields = {"unit": 1, **defaults, **own_fields}
+    size = float(check_number(fields.get("cellSize", MISSING), place["cellSize"], positive=True))
+    unit = float(check_number(fields.get("unit", MISSING), place["unit"], positive=True))
     width = check_whole_number(content.get("width", MISSING), place["width"], 1)
     height = check_whole_number(content.get("height", MISSING), place["height"], 1)
     allowance.take_cells((width, height), place)
 
-    def layer(value: Any, at: JsonPath, **given: Any) -> NDArray[Any]:
-        if callable(value):
-            read: NDArray[Any] = value((height, width), at)
-            return read
-        return decode_array(value, at, (height, width), allowance, **given)
+    def read_layer(
+        layer: ReadLayer | JsonValue,
+        layer_place: JsonPath,
+        default: object = None,
+        null: float = math.nan,
+    ) -> NDArray[Any]:
+        if callable(layer):
+            array: NDArray[Any] = layer((height, width), layer_place)
+            return array
+        return decode_array(
+            layer, layer_place, (height, width), allowance, default=default, null=null
+        )
 
-    types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
-    stored = stated.get("tileAttributes", {})
-    at = place["tileAttributes"]
+    datatypes = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
+    attributes_place = place["tileAttributes"]
+    layers = check_object(fields.get("tileAttributes", {}), attributes_place)
     attributes = {
-        name: layer(value, at[name], default=types.get(name))
-        for name, value in check_object(stored, at).items()
+        name: read_layer(layer, attributes_place[name], default=datatypes.get(name))
+        for name, layer in layers.items()
     }
-    if "weights" in stated:
-        weights = layer(stated["weights"], place["weights"], null=math.inf)
-        weights = weights if callable(stated["weights"]) else weights.astype(np.float64, copy=False)
+    if "weights" in fields:
+        weights = read_layer(fields["weights"], place["weights"], null=math.inf)
+        if not callable(fields["weights"]):
+            weights = weights.astype(np.float64, copy=False)
     else:
         allowance.take_array((height, width), 8, place["weights"])
         weights = np.ones((height, width))
@@ -189,12 +246,13 @@ def read_level(
             weights[attributes["occupancy"] != 0] = np.inf
         if "floorHeight" in attributes:
             weights[~np.isfinite(attributes["floorHeight"])] = np.inf
-    bbox = content.get("bbox")
-    at = place["bbox"]
-    if bbox is not None:
-        low = check_object(bbox, at).get("min", MISSING)
-        high = check_object(bbox, at).get("max", MISSING)
-        bbox = check_vector(low, at["min"]), check_vector(high, at["max"])
+    bbox = None
+    if content.get("bbox") is not None:
+        bbox_place = place["bbox"]
+        corners = check_object(content["bbox"], bbox_place)
+        low = check_vector(corners.get("min", MISSING), bbox_place["min"])
+        high = check_vector(corners.get("max", MISSING), bbox_place["max"])
+        bbox = (low, high)
     return SceneGrid2D(
         width=width,
         height=height,
@@ -207,12 +265,20 @@ def read_level(
         user_data=_read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=metadata,
         timings=check_optional_object(content, "timings", place),
-        extra=_unknown(content, SCENE_FIELDS, place),
+        extra=_unknown_fields(content, SCENE_FIELDS, place),
     )
 
 
 def read_metadata(content: Json, place: JsonPath) -> Json:
-    """Read the metadata of a grid or level, and check the parts that readers rely on."""
+    """Return the metadata of a grid or level after a check of the parts that readers rely on.
+
+    Args:
+        content: the parsed grid or level.
+        place: its location in the file, for errors.
+
+    Raises:
+        FormatError: the metadata are no object, or ``navbake`` or ``cellAttributes`` are broken.
+    """
     metadata = check_optional_object(content, "metadata", place)
     check_optional_object(metadata, "navbake", place["metadata"])
     entries = metadata.get("cellAttributes")
@@ -226,35 +292,49 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
     return metadata
 
 
-def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
-    return {key: check_json(content[key], place[key]) for key in content if key not in known}
+def _unknown_fields(content: Json, format_fields: tuple[str, ...], place: JsonPath) -> Json:
+    """Return the fields that the format doesn't have, which are kept and written back."""
+    return {
+        key: check_json(content[key], place[key]) for key in content if key not in format_fields
+    }
 
 
-def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
-    """Check user data: at once, or if still text, on first use."""
+def _read_user_data(value: JsonValue, place: JsonPath, num_cells: int) -> UserData:
+    """Make user data, which are checked at once, or if they are still text, on first use."""
 
-    def check(value: Any) -> dict[int, Json]:
-        stored: Json = {} if value is None else check_object(check_json(value, place), place)
-        ids = [int(key) if key.isdecimal() and len(key) <= 15 else -1 for key in stored]
-        for key, cell_id in zip(stored, ids, strict=True):
+    def check_entries(value: JsonValue) -> dict[int, Json]:
+        entries: Json = {} if value is None else check_object(check_json(value, place), place)
+        cell_ids = [int(key) if key.isdecimal() and len(key) <= 15 else -1 for key in entries]
+        for key, cell_id in zip(entries, cell_ids, strict=True):
             if not 0 <= cell_id < num_cells or str(cell_id) != key:
                 expected = f"a cell's id from 0 to {num_cells - 1} as key"
                 what = f"expected {expected}, got {format_value(key)}"
                 place.fail(what)
-        if not set(map(type, stored.values())) <= {dict}:
-            key, odd = next((k, v) for k, v in stored.items() if not isinstance(v, dict))
-            place[int(key)].refuse("an object", odd)
-        return dict(zip(ids, stored.values(), strict=True))
+        if not set(map(type, entries.values())) <= {dict}:
+            for key, entry in entries.items():
+                if not isinstance(entry, dict):
+                    place[int(key)].refuse("an object", entry)
+        return dict(zip(cell_ids, entries.values(), strict=True))
 
     if isinstance(value, memoryview):
-        return UserData(lambda: check(parse_json(value, place)))
-    return UserData(check(value))
+        return UserData(lambda: check_entries(parse_json(value, place)))
+    return UserData(check_entries(value))
 
 
 def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
-    """Check a file's cell size, and the tables of a whole grid."""
-    for k, level in enumerate(grid.levels):
-        place = top[key][k] if key else top
+    """Return a grid after a check of its levels' sizes and places, and of all its tables.
+
+    Args:
+        grid: the grid that a reader made of a file.
+        top: the top of the file, for errors.
+        key: the file's name for the levels, "" if the file is a level.
+
+    Raises:
+        FormatError: cells are too small, a level lies too far from the origin, or the table of
+            steps, links, areas, agents, doors or rooms is broken.
+    """
+    for number, level in enumerate(grid.levels):
+        place = top[key][number] if key else top
         edge = level.lattice.cell_size
         if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
             place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
@@ -264,25 +344,48 @@ def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
                 f"{level.height} cells of {edge:g} m from {level.min_yup} on"
             )
     try:
-        # checks them
-        _ = grid.step_array, grid.links, grid.areas, grid.agents, grid.doors, grid.stated_rooms
+        check_tables(grid, TABLES)
     except FormatError as error:
-        raise FormatError(f"{error} in {top.file}") from None
+        raise FormatError(f"{error} in {top.file}", path=top.file) from None
     return grid
 
 
-def warn_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
-    """Return the grid; log a warning if its metadata, or its format, are of a newer navbake."""
+def check_tables(grid: NavGrid, attributes: Iterable[str]) -> None:
+    """Check tables of a grid's metadata by parsing them; the grid keeps what is parsed.
 
-    def numbers(version: str) -> list[int]:
+    Args:
+        grid: the grid.
+        attributes: the attributes that hold the parsed tables, see `TABLES`.
+
+    Raises:
+        FormatError: a table is broken.
+    """
+    for attribute in attributes:
+        getattr(grid, attribute)
+
+
+def warn_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
+    """Return a grid; log a warning if a newer navbake wrote its file.
+
+    Args:
+        grid: the grid, whose metadata state a version.
+        top: the top of the file, for the warning.
+        is_newer: whether the version of the file's format is newer than this navbake's.
+    """
+
+    def parse_version(version: str) -> list[int]:
         return [int(part) for part in re.findall("[0-9]{1,9}", version)[:3]]
 
-    stated = grid.navbake.get("version")
-    is_stated = isinstance(stated, str) and numbers(stated) > numbers(__version__)
-    if is_newer or is_stated:
-        by = f"navbake {format_value(stated)[1:-1]}" if is_stated else "a newer navbake"
-        LOG.warning("%s is by %s, this is %s: parts of it may be unknown here",
-                    printable(top.file), by, __version__)  # fmt: skip
+    version = grid.navbake.get("version")
+    states_newer = isinstance(version, str) and parse_version(version) > parse_version(__version__)
+    if is_newer or states_newer:
+        writer = f"navbake {format_value(version)[1:-1]}" if states_newer else "a newer navbake"
+        LOG.warning(
+            "%s is by %s, this is %s: parts of it may be unknown here",
+            printable(top.file),
+            writer,
+            __version__,
+        )
     return grid
 
 
@@ -292,21 +395,43 @@ def warn_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGr
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``, as a whole or not at all.
 
-    Raises a FormatError if the format can't hold the grid, the name ends as one of another format,
-    or the path can't be written.
+    Args:
+        grid: the grid.
+        path: the file, by its usual ending ``.json`` or ``.json.gz``.
+
+    Raises:
+        FormatError: the format can't hold the grid, the name ends as one of another format, or
+            the file can't be written.
     """
     name = check_path(path)
-    others = [form.name for form in GRID_FORMATS[1:] if name.lower().endswith(form.endings)]
-    ways = [f"grid.convert(path) writes {others[0]}"] if others else []
-    ways += ["grid.plot(path) draws a picture"] if name.lower().endswith((".png", ".svg")) else []
-    if ways:
+    hints = []
+    for file_format in GRID_FORMATS:
+        if file_format.name != "navgrid" and name.lower().endswith(file_format.endings):
+            hints.append(f"grid.convert(path) writes {file_format.name}")
+            break
+    if name.lower().endswith((".png", ".svg")):
+        hints.append("grid.plot(path) draws a picture")
+    if hints:
         expected = "a name that ends in .json or .json.gz, which grid.save writes"
-        raise FormatError(f"expected {expected}, got {name}: {', '.join(ways)}")
+        hint = ", ".join(hints)
+        message = f"expected {expected}, got {name}: {hint}"
+        raise FormatError(message, path=name, expected=expected, hint=hint)
     write_files(encode_files(grid, Path(name)))
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:
-    """The file of `write_navgrid`, as a writer of `navbake.formats.convert`."""
+    """Encode the file of `write_navgrid`, as a writer of `navbake.formats.convert`.
+
+    Args:
+        grid: the grid.
+        path: the file; the content is gzipped if it ends in ``.gz``.
+
+    Returns:
+        The content by the path.
+
+    Raises:
+        FormatError: as of `dumps_navgrid`.
+    """
     content = dumps_navgrid(grid)
     if path.name.lower().endswith(".gz"):
         packed = io.BytesIO()
@@ -320,31 +445,34 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, arrays as runs.
 
     NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
-    level's metadata are left out if it can take them over from its MultiLevelGrid. Raises a
-    FormatError for NaN or infinity outside of arrays, a dtype that the format lacks, or values in
-    the metadata, user data or extra fields that JSON lacks.
+    level's metadata are left out if it can take them over from its MultiLevelGrid.
+
+    Raises:
+        FormatError: there are NaN or infinity outside of arrays, a dtype that the format lacks,
+            or values in the metadata, user data or extra fields that JSON lacks.
     """
     top = JsonPath("the grid to be written")
     if isinstance(grid, SceneGrid2D):
         fields = _level_fields(grid, top, grid.metadata)
     else:
-        _ = grid.step_array, grid.links  # checks them
-        described = grid.cell_attributes
+        check_tables(grid, LINK_TABLES)
+        grid_attributes = grid.cell_attributes
         levels = []
-        for k, level in enumerate(grid.grids):
-            # a level that takes over the metadata of the whole, all dtypes included, has none
-            is_same = grid.inherits_metadata(k, level)
-            is_same &= all(entry in described for entry in level.cell_attributes)
-            own = None if is_same else level.metadata
-            levels.append(_level_fields(level, top["grids"][k], own))
+        for number, level in enumerate(grid.grids):
+            # a level that takes over the grid's metadata, all dtypes included, is written without
+            inherits = grid.inherits_metadata(number, level)
+            inherits &= all(entry in grid_attributes for entry in level.cell_attributes)
+            metadata = None if inherits else level.metadata
+            levels.append(_level_fields(level, top["grids"][number], metadata))
         fields = {
             "type": "MultiLevelGrid",
-            "metadata": _metadata(grid, top),
+            "metadata": _encode_metadata(grid, top),
             "cellSize": check_number(grid.cell_size, top["cellSize"], positive=True),
             "unit": check_number(grid.unit, top["unit"], positive=True),
             "grids": levels,
             "timings": check_json(grid.timings, top["timings"]),
-        } | _extra(grid, top)
+            **_extra_fields(grid, top),
+        }
 
     try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
         option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
@@ -354,20 +482,29 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
 
 
 def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
-    def runs(array: NDArray[Any], at: JsonPath, **stated: str) -> Json:
+    """Return the fields of a level as in a file, its metadata only if there are any to write."""
+
+    def encode_layer(
+        array: NDArray[Any], layer_place: JsonPath, datatype: str | None = None
+    ) -> Json:
         if array.shape != grid.shape:
-            at.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
-        data = orjson.Fragment(encode_array(array, at["data"]))
-        return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
+            layer_place.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
+        layer: Json = {"type": "array"}
+        if datatype is not None:
+            layer["datatype"] = datatype
+        layer["length"] = array.size
+        layer["encoding"] = "rle"
+        layer["data"] = orjson.Fragment(encode_array(array, layer_place["data"]))
+        return layer
 
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
-        fields["metadata"] = _metadata(grid, place)
+        fields["metadata"] = _encode_metadata(grid, place)
     fields |= {
-        "weights": runs(grid.weights.astype(np.float64, copy=False), place["weights"]),
+        "weights": encode_layer(grid.weights.astype(np.float64, copy=False), place["weights"]),
         "userData": orjson.Fragment(encode_user_data(grid, place["userData"])),
         "tileAttributes": {
-            name: runs(array, place["tileAttributes"][name], datatype=array.dtype.name)
+            name: encode_layer(array, place["tileAttributes"][name], datatype=array.dtype.name)
             for name, array in grid.attributes.items()
         },
         "width": check_whole_number(int(grid.width), place["width"], 1),
@@ -377,41 +514,63 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
         "unit": check_number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
+        low, high = grid.bbox_yup
         fields["bbox"] = {
-            key: [check_number(value, place["bbox"][key][i]) for i, value in enumerate(corner)]
-            for key, corner in zip(("min", "max"), grid.bbox_yup, strict=True)
+            "min": [check_number(value, place["bbox"]["min"][i]) for i, value in enumerate(low)],
+            "max": [check_number(value, place["bbox"]["max"][i]) for i, value in enumerate(high)],
         }
     fields["timings"] = check_json(grid.timings, place["timings"])
-    return fields | _extra(grid, place)
+    return fields | _extra_fields(grid, place)
 
 
-def _metadata(grid: NavGrid, place: JsonPath) -> Json:
-    """The grid's metadata with ``cellAttributes`` of the existing arrays."""
+def _encode_metadata(grid: NavGrid, place: JsonPath) -> Json:
+    """Return the grid's metadata with ``cellAttributes`` of the existing arrays."""
     place = place["metadata"]
     check_optional_object(grid.metadata, "navbake", place)
     metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
     return check_object(check_json(metadata, place), place)
 
 
-def _extra(grid: NavGrid, place: JsonPath) -> Json:
+def _extra_fields(grid: NavGrid, place: JsonPath) -> Json:
+    """Return the grid's extra fields after a check that they are JSON with names of their own."""
     check_extra(grid.extra, type(grid), place)
     return {key: check_json(grid.extra[key], place[key]) for key in grid.extra}
 
 
 def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
-    """Refuse extra fields with the name of one of the format's own."""
+    """Refuse extra fields with the name of one of the format's own.
+
+    Args:
+        extra: the extra fields.
+        kind: the class of the grid that has them.
+        place: its location, for errors.
+
+    Raises:
+        FormatError: the format has a field of such a name.
+    """
     for key in MULTI_FIELDS if kind is MultiLevelGrid else SCENE_FIELDS:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
 
 
 def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
-    """Encode user data as JSON by ascending cell id."""
+    """Encode a level's user data as JSON by ascending cell id.
+
+    Args:
+        grid: the level.
+        place: the location of its user data, for errors.
+
+    Returns:
+        The text of a JSON object.
+
+    Raises:
+        FormatError: the level has no such cell, or an entry is no JSON object.
+    """
     num_cells = grid.width * grid.height
     source = UserData.of(grid.user_data).source
     if isinstance(source, Shared):
-        cells = source.cells.tolist()
-        numbers = source.number.tolist()
+        cell_ids = source.cells.tolist()
+        entry_numbers = source.number.tolist()
         entries = source.entries
         check_json(list(entries), place)
     else:
@@ -422,17 +581,20 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
                 )
             if not isinstance(value, dict):
                 place[int(cell_id)].refuse("an object", value)
-        cells = sorted(map(int, source))
-        numbers = range(len(cells))
-        entries = [source[cell] for cell in cells]
-        check_json({str(cell): entry for cell, entry in zip(cells, entries, strict=True)}, place)
-    if cells and not 0 <= cells[0] <= cells[-1] < num_cells:
-        wrong = cells[0] if cells[0] < 0 else cells[-1]
-        place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong}")
-    encoded = [orjson.dumps(entry) for entry in entries]
-    pieces = []
-    for first in range(0, len(cells), ENTRIES):
-        part = slice(first, first + ENTRIES)
-        own = zip(cells[part], map(encoded.__getitem__, numbers[part]), strict=True)
-        pieces.append(b",".join(map(b'"%d":%b'.__mod__, own)))
-    return b"{%b}" % b",".join(pieces)
+        cell_ids = sorted(map(int, source))
+        entry_numbers = range(len(cell_ids))
+        entries = [source[cell_id] for cell_id in cell_ids]
+        entry_of_cell = zip(cell_ids, entries, strict=True)
+        check_json({str(cell_id): entry for cell_id, entry in entry_of_cell}, place)
+    if cell_ids and not 0 <= cell_ids[0] <= cell_ids[-1] < num_cells:
+        wrong_id = cell_ids[0] if cell_ids[0] < 0 else cell_ids[-1]
+        place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong_id}", value=wrong_id)
+    texts = [orjson.dumps(entry) for entry in entries]
+    chunks = []
+    for first in range(0, len(cell_ids), CELLS_AT_ONCE):
+        chunk = slice(first, first + CELLS_AT_ONCE)
+        # map instead of a generator: there may be millions of cells
+        chunk_texts = map(texts.__getitem__, entry_numbers[chunk])
+        pairs = zip(cell_ids[chunk], chunk_texts, strict=True)
+        chunks.append(b",".join(map(b'"%d":%b'.__mod__, pairs)))
+    return b"{%b}" % b",".join(chunks)

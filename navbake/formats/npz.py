@@ -15,11 +15,11 @@ import io
 import re
 import warnings
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import orjson
@@ -42,21 +42,27 @@ from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 
-Content = str | PathLike[str] | bytes  # a file, or its content
+Content: TypeAlias = str | PathLike[str] | bytes
+"""A path, or a file's content."""
 
 VERSION = 1  # of both kinds of archives
 ZIP = b"PK"
 NPY = b"\x93NUMPY"
 GRID = "grid"  # the array that marks archives of grids
-REQUIRED = ("values", "origin", "res")  # of archives of voxels
+# names of attributes that are names of arrays as well
 PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
 
 # ---------------------------------------------------------------- arrays of an archive
 
 
-class _Archive:
-    """The arrays of an archive, read one by one within an allowance."""
+class Archive:
+    """The arrays of an archive, read one by one within an allowance.
+
+    Attributes:
+        allowance: what the arrays' memory is taken from.
+        top: the archive's location, for errors.
+    """
 
     def __init__(self, archive: zipfile.ZipFile, allowance: Allowance, top: JsonPath) -> None:
         self._archive = archive
@@ -68,7 +74,16 @@ class _Archive:
         return name in self._members
 
     def read(self, name: str, place: JsonPath, *, is_text: bool = False) -> NDArray[Any]:
-        """Read an array within the allowance for arrays or for text."""
+        """Read an array.
+
+        Args:
+            name: the array's name in the archive.
+            place: its location, for errors.
+            is_text: whether its memory is taken from the allowance of text.
+
+        Raises:
+            FormatError: there is no such array, or it is too large.
+        """
         if name not in self:
             place.fail(f"expected an array `{name}`, got nothing")
         member = self._members[name]
@@ -80,15 +95,32 @@ class _Archive:
             array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
             return array
 
-    def text(self, name: str, place: JsonPath) -> bytes:
-        """The text in an array of bytes."""
+    def read_text(self, name: str, place: JsonPath) -> bytes:
+        """Read the text that an array of bytes holds.
+
+        Args:
+            name: the array's name in the archive.
+            place: its location, for errors.
+
+        Raises:
+            FormatError: there is no such array, or it holds no bytes.
+        """
         array = self.read(name, place, is_text=True)
         if array.dtype != np.uint8 or array.ndim != 1:
             place.fail(f"expected text as bytes, got {array.dtype} of {array.shape}")
         return array.tobytes()
 
-    def layer(self, name: str, shape: tuple[int, int], place: JsonPath) -> NDArray[Any]:
-        """An array with a value for each cell."""
+    def read_layer(self, name: str, shape: tuple[int, int], place: JsonPath) -> NDArray[Any]:
+        """Read an array that has a number for each cell.
+
+        Args:
+            name: the array's name in the archive.
+            shape: height and width of the level.
+            place: the array's location, for errors.
+
+        Raises:
+            FormatError: there is no such array, or it is of another shape or kind.
+        """
         array = self.read(name, place)
         if array.shape != shape or array.dtype.kind not in "biuf":
             got = f"{array.dtype} of {array.shape}"
@@ -97,7 +129,7 @@ class _Archive:
 
 
 @contextmanager
-def _reading(expected: str, name: str) -> Iterator[None]:
+def _convert_errors(expected: str, name: str) -> Iterator[None]:
     """Turn the errors of zipfile, zlib and numpy about broken content into a FormatError."""
     try:
         with warnings.catch_warnings():
@@ -106,30 +138,55 @@ def _reading(expected: str, name: str) -> Iterator[None]:
     except FormatError:
         raise
     except Exception as error:
-        why = " ".join(str(error).split())[:200] or type(error).__name__
-        raise FormatError(f"expected {expected}, {name} can't be read: {why}") from error
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        message = f"expected {expected}, {name} can't be read: {reason}"
+        raise FormatError(message, path=name, expected=expected) from error
 
 
 def read_npy(source: Content) -> NDArray[Any]:
-    """Read a single array (``.npy``), a file or its content; raises a FormatError if it is none."""
+    """Read a single array (``.npy``).
+
+    Args:
+        source: a path, or the file's content.
+
+    Returns:
+        The array, of the file's shape and dtype.
+
+    Raises:
+        FormatError: the file is no such array.
+    """
     expected = "an array (.npy)"
     data, name = read_bytes(source, begins=NPY, expected=expected)
-    with _reading(expected, name):
+    with _convert_errors(expected, name):
         array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     return array
 
 
 @contextmanager
 def open_archive(
-    source: Content, expected: str, keyword: str = "", most: int | None = None
-) -> Iterator[_Archive]:
-    """Open an archive whose arrays are read within an allowance; faults are FormatErrors."""
+    source: Content, expected: str, keyword: str = "", limit: int | None = None
+) -> Iterator[Archive]:
+    """Open an archive whose arrays are read within an allowance.
+
+    Args:
+        source: a path, or the archive's content.
+        expected: what such an archive is, for errors.
+        keyword: the argument by which callers raise the limits, see `Allowance`.
+        limit: the caller's value of that argument, None for the default limits.
+
+    Yields:
+        The archive.
+
+    Raises:
+        FormatError: the file can't be read or is broken, also while the archive is open.
+    """
     data, name = read_bytes(source, begins=ZIP, expected=expected)
-    with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
-        yield _Archive(packed, Allowance(len(data), keyword, most), JsonPath(name))
+    with _convert_errors(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
+        yield Archive(packed, Allowance(len(data), keyword, limit), JsonPath(name))
 
 
-def _pack(arrays: Json) -> bytes:
+def _pack_arrays(arrays: Mapping[str, Any]) -> bytes:
+    """Encode an archive of arrays by name."""
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
     return file.getvalue()
@@ -139,78 +196,117 @@ def _pack(arrays: Json) -> bytes:
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:
-    """Encode voxels as ``.npz``, without their notes; see the module's head."""
+    """Encode voxels as ``.npz``, without their notes; the module's docstring lists the arrays.
+
+    Raises:
+        FormatError: the name of an ID ends in the character 0, which the format drops.
+    """
     ids = sorted(grid.names)
     if any(name.endswith("\0") for name in grid.names.values()):  # numpy pads texts with these
         raise FormatError("expected names of IDs that do not end in the character 0, got one")
-    arrays: Json = {
-        "version": np.int64(VERSION),
+    arrays: dict[str, NDArray[Any]] = {
+        "version": np.array(VERSION, dtype=np.int64),
         "values": grid.values,
         "origin": np.array(grid.origin),
-        "res": np.float64(grid.res),
+        "res": np.array(grid.res, dtype=np.float64),
         "ids": np.array(ids, dtype=np.uint32),
-        "names": np.array([grid.names[number] for number in ids], dtype=np.str_),
+        "names": np.array([grid.names[voxel_id] for voxel_id in ids], dtype=np.str_),
     }
-    return _pack(arrays if grid.known is None else {**arrays, "known": grid.known})
+    if grid.known is not None:
+        arrays["known"] = grid.known
+    return _pack_arrays(arrays)
 
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
-    """Read voxels of `encode_npz`; `max_voxels` is that of `navbake.load_voxels`."""
+    """Read voxels of `encode_npz`.
+
+    Args:
+        source: a path, or the file's content.
+        max_voxels: as of `navbake.load_voxels`.
+
+    Returns:
+        The voxels.
+
+    Raises:
+        FormatError: the file holds no voxels, is broken, or needs too much memory.
+    """
     with open_archive(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
         top = archive.top
         if GRID in archive and "values" not in archive:
-            raise FormatError(f"{top.file} holds a grid, no voxels: navbake.from_npz reads it")
-        values, origin, res = (archive.read(key, top) for key in REQUIRED)
+            message = f"{top.file} holds a grid, no voxels: navbake.from_npz reads it"
+            raise FormatError(message, path=top.file, hint="navbake.from_npz reads it")
+        values = archive.read("values", top)
+        origin = archive.read("origin", top)
+        res = archive.read("res", top)
         archive.allowance.take_cells(values.shape, top)
-        ids = archive.read("ids", top) if "ids" in archive else None
-        names = archive.read("names", top) if "names" in archive else None
+        ids = archive.read("ids", top) if "ids" in archive else np.zeros(0)
+        names = archive.read("names", top) if "names" in archive else np.zeros(0)
         known = archive.read("known", top) if "known" in archive else None
-        ids = np.zeros(0) if ids is None else ids
-        names = np.zeros(0) if names is None else names
         if ids.shape != names.shape or ids.ndim != 1:
             raise ValueError(f"expected as many names as IDs, got {names.shape} for {ids.shape}")
+        name_pairs = zip(ids.tolist(), names.tolist(), strict=True)
         try:
             return VoxelGrid(
                 values=values,
                 origin=tuple(origin.tolist()),
                 res=float(res),
-                names={int(i): str(n) for i, n in zip(ids.tolist(), names.tolist(), strict=True)},
+                names={int(voxel_id): str(name) for voxel_id, name in name_pairs},
                 known=known,
             )
         except FormatError as error:
-            raise FormatError(f"{top.file}: {error}") from error
+            raise FormatError(f"{top.file}: {error}", path=top.file) from error
 
 
 # ---------------------------------------------------------------- grids
 
 
 def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid as a lossless archive; equal grids have equal bytes."""
+    """Encode a grid as a lossless archive; equal grids have equal bytes.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+
+    Returns:
+        The file's content by its path.
+
+    Raises:
+        FormatError: a layer has no numbers, or the metadata, user data or extra fields have
+            values that JSON lacks.
+    """
     top = JsonPath("the grid to be written")
     arrays: dict[str, NDArray[Any]] = {}
     document: Json = {
         "version": VERSION,
         "type": type(grid).__name__,
-        **_facts(grid, grid.metadata, top),
+        **_encode_fields(grid, grid.metadata, top),
         "levels": [],
     }
-    for k, level in enumerate(grid.levels):
-        is_own = isinstance(grid, MultiLevelGrid) and not grid.inherits_metadata(k, level)
-        place = top["levels"][k]
+    for number, level in enumerate(grid.levels):
+        has_metadata = isinstance(grid, MultiLevelGrid) and not grid.inherits_metadata(
+            number, level
+        )
+        place = top["levels"][number]
         # arrays have their attributes' names if zip allows them
-        names = {
+        array_names = {
             name: name if PLAIN_NAME.fullmatch(name) else f"attribute {i}"
             for i, name in enumerate(level.attributes)
         }
         document["levels"].append(
-            _facts(level, level.metadata if is_own else None, place)
-            | {"width": level.width, "height": level.height, "attributes": names}
-            | {"min": level.min_yup, "bbox": level.bbox_yup}
+            {
+                **_encode_fields(level, level.metadata if has_metadata else None, place),
+                "width": level.width,
+                "height": level.height,
+                "attributes": array_names,
+                "min": level.min_yup,
+                "bbox": level.bbox_yup,
+            }
         )
-        arrays[f"{k}/weights"] = level.weights
-        arrays |= {f"{k}/{names[name]}": array for name, array in level.attributes.items()}
-        text = navgrid.encode_user_data(level, place["userData"])
-        arrays[f"{k}/userData"] = np.frombuffer(text, dtype=np.uint8)
+        arrays[f"{number}/weights"] = level.weights
+        for name, array in level.attributes.items():
+            arrays[f"{number}/{array_names[name]}"] = array
+        user_data = navgrid.encode_user_data(level, place["userData"])
+        arrays[f"{number}/userData"] = np.frombuffer(user_data, dtype=np.uint8)
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":
             top[name].fail(f"expected numbers, got an array of {array.dtype}")
@@ -218,10 +314,11 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         text = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
     except orjson.JSONEncodeError as error:
         raise FormatError(f"cannot write the grid as JSON: {error}") from error
-    return {path: _pack({GRID: np.frombuffer(text, dtype=np.uint8), **arrays})}
+    return {path: _pack_arrays({GRID: np.frombuffer(text, dtype=np.uint8), **arrays})}
 
 
-def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
+def _encode_fields(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
+    """Encode the fields that a grid and its levels have in common."""
     navgrid.check_extra(grid.extra, type(grid), place["extra"])
     return {
         "cellSize": check_number(grid.cell_size, place["cellSize"], positive=True),
@@ -233,9 +330,17 @@ def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
 
 
 def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
-    """Read a grid from an archive of `encode_grid_npz`, a file or its content; see `navbake.load`.
+    """Read a grid from an archive of `encode_grid_npz`.
 
-    Raises a FormatError if the file is no such archive, broken, or needs too much memory.
+    Args:
+        source: a path, or the file's content.
+        max_cells: as of `navbake.load`.
+
+    Returns:
+        The grid, equal to the one that was written.
+
+    Raises:
+        FormatError: the file is no such archive, broken, or needs too much memory.
     """
     expected = "a .npz of a grid"
     with open_archive(source, expected, "max_cells", max_cells) as archive:
@@ -244,54 +349,58 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         if GRID not in archive:
             hint = ": it holds voxels, navbake.load_voxels reads them"
             hint = hint if "values" in archive else ""
-            raise FormatError(f"expected {expected}, {top.file} has no array `{GRID}`{hint}")
-        document = check_object(parse_json(archive.text(GRID, top), top), top)
+            message = f"expected {expected}, {top.file} has no array `{GRID}`{hint}"
+            raise FormatError(message, path=top.file, expected=expected)
+        document = check_object(parse_json(archive.read_text(GRID, top), top), top)
         version = check_whole_number(document.get("version", MISSING), top["version"], 1)
-        stated = document.get("levels", MISSING)
+        entries = document.get("levels", MISSING)
         kind = document.get("type", MISSING)
-        if not isinstance(stated, list) or not stated:
-            top["levels"].refuse("a list of levels", stated)
-        levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]
+        if not isinstance(entries, list) or not entries:
+            top["levels"].refuse("a list of levels", entries)
+        levels = [_decode_level(archive, number, entry) for number, entry in enumerate(entries)]
         if kind == "MultiLevelGrid":
-            whole = _with_extra(document, MultiLevelGrid, top)
-            house = navgrid.read_multi_level_grid(
-                {**whole, "grids": levels}, top, allowance, "levels"
-            )
+            content = {**_merge_extra(document, MultiLevelGrid, top), "grids": levels}
+            house = navgrid.read_multi_level_grid(content, top, allowance, "levels")
             return navgrid.warn_of_newer(house, top, version > VERSION)
-        if kind != "SceneGrid2D" or len(stated) != 1:
+        if kind != "SceneGrid2D" or len(entries) != 1:
             top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
-        _ = _with_extra(document, SceneGrid2D, top)
-        whole = {"metadata": navgrid.read_metadata(document, top)}
-        level = navgrid.check_grid(
-            navgrid.read_level(levels[0], top["levels"][0], allowance, whole), top
-        )
-        return navgrid.warn_of_newer(level, top, version > VERSION)
+        _check_extra_fields(document, SceneGrid2D, top)
+        defaults = {"metadata": navgrid.read_metadata(document, top)}
+        level = navgrid.read_level(levels[0], top["levels"][0], allowance, defaults)
+        return navgrid.warn_of_newer(navgrid.check_grid(level, top), top, version > VERSION)
 
 
-def _content(archive: _Archive, k: int, value: object) -> Json:
-    """A level as in a NavGrid file, with functions that read its layers."""
-    place = archive.top["levels"][k]
+def _decode_level(archive: Archive, number: int, value: object) -> Json:
+    """Return a level as in a NavGrid file, with functions that read its layers."""
+    place = archive.top["levels"][number]
     entry = check_object(value, place)
-    members = check_object(entry.get("attributes", MISSING), place["attributes"])
+    array_names = check_object(entry.get("attributes", MISSING), place["attributes"])
     corners = entry.get("bbox")
     if corners is not None and not (isinstance(corners, list) and len(corners) == 2):
         place["bbox"].refuse("two corners", corners)
 
-    def reader(member: str) -> Any:
-        return lambda shape, at: archive.layer(f"{k}/{member}", shape, at)
+    def make_reader(name: str) -> Callable[[tuple[int, int], JsonPath], NDArray[Any]]:
+        return lambda shape, place: archive.read_layer(f"{number}/{name}", shape, place)
 
     return {
-        **_with_extra(entry, SceneGrid2D, place),
-        "bbox": corners and dict(zip(("min", "max"), corners, strict=True)),
-        "weights": reader("weights"),
-        "tileAttributes": {name: reader(member) for name, member in members.items()},
-        "userData": memoryview(archive.text(f"{k}/userData", place["userData"])),
+        **_merge_extra(entry, SceneGrid2D, place),
+        "bbox": None if corners is None else {"min": corners[0], "max": corners[1]},
+        "weights": make_reader("weights"),
+        "tileAttributes": {attribute: make_reader(name) for attribute, name in array_names.items()},
+        "userData": memoryview(archive.read_text(f"{number}/userData", place["userData"])),
     }
 
 
-def _with_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
-    """An entry's fields and its extra fields in one object."""
+def _check_extra_fields(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
+    """Return an entry's extra fields after a check that they have names of their own."""
     extra = check_optional_object(entry, "extra", place)
     navgrid.check_extra(extra, kind, place["extra"])
-    other = ("version", "extra", "levels", "attributes")
-    return {**extra, **{key: value for key, value in entry.items() if key not in other}}
+    return extra
+
+
+def _merge_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
+    """Return an entry's fields and its extra fields in one object, as in a NavGrid file."""
+    extra = _check_extra_fields(entry, kind, place)
+    archive_fields = ("version", "extra", "levels", "attributes")
+    fields = {key: value for key, value in entry.items() if key not in archive_fields}
+    return {**extra, **fields}

@@ -11,6 +11,7 @@ Source: ``ProcTHORMap.save`` and ``load`` of ``molmo_spaces/utils/scene_maps.py`
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,52 +23,61 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.convert import list_level_paths
-from navbake.formats.occupancy import (
-    level_from_rooms,
-)
+from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, encode_image, open_image
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
-from navbake.types import Float, Json
+from navbake.types import Float, Json, JsonValue
 
 MAX_ROOMS = 255  # numbers in a byte
 ZERO_SHARE = 1e-6  # an entry below this share of a matrix's largest counts as 0
+INTEGER_TOLERANCE = 1e-9  # by which a whole number of pixels a metre may be off
 
 
 def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> Files:
-    """Encode the ``ProcTHORMap`` of each level; `path` ends in ``.png``.
+    """Encode the ``ProcTHORMap`` of each level.
 
-    `level` is as of `encode_nav2`. Raises a FormatError for an unknown level, or one of more than
-    255 rooms.
+    Args:
+        grid: the grid.
+        path: the file, which ends in ``.png``; several levels have numbers after the stem.
+        level: the number of the only level to write, None for all.
+
+    Returns:
+        The content of each file by its path.
+
+    Raises:
+        FormatError: there is no such level, or one has more than 255 rooms.
     """
     files: Files = {}
-    for number, own_path in list_level_paths(grid, path, level, (".png",)).items():
-        own = grid.levels[number]
-        if own.room_index.max(initial=0) > MAX_ROOMS:
-            got = f"level {number} has {own.room_index.max()}"
+    for number, level_path in list_level_paths(grid, path, level, (".png",)).items():
+        scene = grid.levels[number]
+        num_rooms = scene.room_index.max(initial=0)
+        if num_rooms > MAX_ROOMS:
+            got = f"level {number} has {num_rooms}"
             raise FormatError(f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, {got}")
-        free = np.where(own.free, np.uint8(255), np.uint8(0))
-        pixels = np.stack([free, free, own.room_index.astype(np.uint8)], axis=-1)
-        cell = own.lattice.cell_size
-        x = own.lattice.x_min
-        y = own.lattice.y_max
-        density = 1.0 / cell
+        free = np.where(scene.free, np.uint8(255), np.uint8(0))
+        pixels = np.stack([free, free, scene.room_index.astype(np.uint8)], axis=-1)
+        cell_size = scene.lattice.cell_size
+        x_min = scene.lattice.x_min
+        y_max = scene.lattice.y_max
+        density = 1.0 / cell_size  # pixels a metre
+        is_whole = abs(density - round(density)) < INTEGER_TOLERANCE
         rooms = [room for room in grid.rooms if room.level == number]
         texts: Json = {
             "world_to_map": [
-                [0.0, -density, 0.0, y / cell - 0.5],
-                [density, 0.0, 0.0, -x / cell - 0.5],
+                [0.0, -density, 0.0, y_max / cell_size - 0.5],
+                [density, 0.0, 0.0, -x_min / cell_size - 0.5],
             ],
             "map_to_world": [
-                [0.0, cell, x + cell / 2],
-                [-cell, 0.0, y - cell / 2],
-                [0.0, 0.0, own.ground],
+                [0.0, cell_size, x_min + cell_size / 2],
+                [-cell_size, 0.0, y_max - cell_size / 2],
+                [0.0, 0.0, scene.ground],
             ],
-            "px_per_m": round(density) if abs(density - round(density)) < 1e-9 else density,
+            "px_per_m": round(density) if is_whole else density,
             "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
         }
-        notes = {key: orjson.dumps(text).decode() for key, text in texts.items()}
-        files[own_path] = encode_image(pixels, "PNG", **notes)
+        encoded_texts = {key: orjson.dumps(text).decode() for key, text in texts.items()}
+        files[level_path] = encode_image(pixels, "PNG", **encoded_texts)
     return files
 
 
@@ -76,76 +86,116 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
 
     Rows and columns may run along either axis of the world, in either direction; they are turned
     to navbake's. All cells have a flat floor at the z of ``map_to_world``. Grey maps (``iTHORMap``)
-    have no rooms. Raises a FormatError if the file is no such map, or not along the world's axes.
+    have no rooms.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The level, with the rooms that the map names.
+
+    Raises:
+        FormatError: the file is no such map, or its axes are not along the world's.
+
+    Example:
+        >>> grid = navbake.from_procthor("train_0.png")
     """
     image = open_image(path, ("PNG",))
-    to_map = _matrix(image.info, "world_to_map", (2, 4), path)
-    to_world = _matrix(image.info, "map_to_world", (3, 3), path)
+    world_to_map = _read_matrix(image.info, "world_to_map", (2, 4), path)
+    map_to_world = _read_matrix(image.info, "map_to_world", (3, 3), path)
     if image.mode not in ("L", "1", "RGB"):
-        raise FormatError(f"expected a map of 1 or 3 channels in {path}, got {image.mode}")
+        message = f"expected a map of 1 or 3 channels in {path}, got {image.mode}"
+        raise FormatError(
+            message, path=str(path), value=image.mode, expected="a map of 1 or 3 channels"
+        )
     red, _, blue = np.moveaxis(np.asarray(image.convert("RGB")), -1, 0)
     rooms = blue if image.mode == "RGB" else np.zeros_like(blue)
-    layers, lattice = _straighten(np.stack([red, rooms]), to_map, path)
+    layers, lattice = _straighten(np.stack([red, rooms]), world_to_map, path)
     free = layers[0] > 0
-    rooms = layers[1].astype(np.uint16)
-    z = float(to_world[2, 2])
-    if not abs(z) <= FARTHEST:
-        raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
-    stated = _parse_text(image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path)
-    if not isinstance(stated, dict | None):
-        raise FormatError(f"expected names by number as `room_ids_to_name` in {path}")
-    names = {
+    room_index = layers[1].astype(np.uint16)
+    ground = float(map_to_world[2, 2])
+    if not abs(ground) <= FARTHEST:
+        raise _range_error(path)
+    names = _parse_text(image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path)
+    if not isinstance(names, dict | None):
+        expected = "names by number"
+        raise FormatError(
+            f"expected {expected} as `room_ids_to_name` in {path}",
+            path=str(path),
+            key="room_ids_to_name",
+            value=names,
+            expected=expected,
+        )
+    room_names = {
         int(key): name
-        for key, name in (stated or {}).items()
+        for key, name in (names or {}).items()
         if key.isdecimal() and len(key) < 10 and isinstance(name, str)
     }
-    return level_from_rooms(free, rooms, names, lattice, z, readable_stem(path))
+    return level_from_rooms(free, room_index, room_names, lattice, ground, readable_stem(path))
 
 
 def _straighten(
-    layers: NDArray[np.uint8], to_map: Float, path: str | PathLike[str]
+    layers: NDArray[np.uint8], world_to_map: Float, path: str | PathLike[str]
 ) -> tuple[NDArray[np.uint8], Lattice]:
     """Turn layers so that columns run along x and rows against y, and find their lattice."""
-    scale = float(np.abs(to_map[:, :2]).max())
-    linear = np.where(np.abs(to_map[:, :3]) <= ZERO_SHARE * scale, 0.0, to_map[:, :3])
+    scale = float(np.abs(world_to_map[:, :2]).max())
+    linear = np.where(np.abs(world_to_map[:, :3]) <= ZERO_SHARE * scale, 0.0, world_to_map[:, :3])
     if linear[0, 0] != 0:  # rows run along x
         layers = layers.transpose(0, 2, 1)
         linear = linear[::-1]
-        to_map = to_map[::-1]
+        world_to_map = world_to_map[::-1]
     (row_x, row_y, row_z), (col_x, col_y, col_z) = linear
     is_straight = row_x == col_y == row_z == col_z == 0 and row_y != 0 and col_x != 0
     if not is_straight or abs(abs(row_y) - abs(col_x)) > ZERO_SHARE * scale:
-        raise FormatError(f"`world_to_map` of {path} turns by no quarter, or stretches")
+        message = f"`world_to_map` of {path} turns by no quarter, or stretches"
+        raise FormatError(message, path=str(path), key="world_to_map")
+
     _, height, width = layers.shape
-    down, right = to_map[:, 3].tolist()
+    # the world's origin in the map
+    row, col = world_to_map[:, 3].tolist()
     if row_y > 0:
         layers = layers[:, ::-1]
-        down = height - 1 - down
+        row = height - 1 - row
     if col_x < 0:
         layers = layers[:, :, ::-1]
-        right = width - 1 - right
-    cell = 1.0 / float(abs(col_x))
-    lattice = Lattice(-(right + 0.5) * cell, (down + 0.5) * cell, cell, width, height)
-    if not cell >= LEAST_EDGE or not all(abs(value) <= FARTHEST for value in lattice.bounds):
-        raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
+        col = width - 1 - col
+    cell_size = 1.0 / float(abs(col_x))
+    x_min = -(col + 0.5) * cell_size
+    y_max = (row + 0.5) * cell_size
+    lattice = Lattice(x_min, y_max, cell_size, width, height)
+    if not cell_size >= LEAST_EDGE or not all(abs(edge) <= FARTHEST for edge in lattice.bounds):
+        raise _range_error(path)
     return np.ascontiguousarray(layers), lattice
 
 
-def _matrix(texts: Json, key: str, shape: tuple[int, int], path: str | PathLike[str]) -> Float:
+def _range_error(path: str | PathLike[str]) -> FormatError:
+    expected = f"a map within {FARTHEST:g} m of the origin"
+    return FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
+
+
+def _read_matrix(
+    texts: Mapping[Any, Any], key: str, shape: tuple[int, int], path: str | PathLike[str]
+) -> Float:
+    """Read a matrix from the texts of an image."""
     try:
         matrix = np.array(_parse_text(texts.get(key), key, path))
     except ValueError:  # rows of several lengths
         matrix = np.empty(0)
     if matrix.shape != shape or matrix.dtype.kind not in "if":
         expected = f"a {shape[0]} × {shape[1]} matrix of numbers"
-        raise FormatError(f"expected {expected} as `{key}` in {path}")
+        raise FormatError(
+            f"expected {expected} as `{key}` in {path}", path=str(path), key=key, expected=expected
+        )
     return matrix.astype(np.float64)
 
 
-def _parse_text(text: Any, key: str, path: str | PathLike[str]) -> Any:
+def _parse_text(text: object, key: str, path: str | PathLike[str]) -> JsonValue:
+    """Parse the JSON in a text of an image."""
     if not isinstance(text, str):
-        raise FormatError(f"expected a ProcTHORMap, {path} has no text `{key}`")
+        message = f"expected a ProcTHORMap, {path} has no text `{key}`"
+        raise FormatError(message, path=str(path), key=key, expected="a ProcTHORMap")
     try:
         return orjson.loads(text)
     except orjson.JSONDecodeError as error:
-        raise FormatError(f"expected JSON as text `{key}` in {path}: {error}") from error
+        message = f"expected JSON as text `{key}` in {path}: {error}"
+        raise FormatError(message, path=str(path), key=key, expected="JSON") from error

@@ -1,6 +1,7 @@
 """Reads and writes whole files: paths, bytes or streams, JSON, YAML, and images by Pillow.
 
-Errors of the system and of libraries become FormatErrors.
+All formats read and write their files by these functions. Errors of the system and of libraries
+become FormatErrors with the file's path.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ import math
 import os
 import warnings
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias
+from types import ModuleType
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias, cast
 
 import orjson
 
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from PIL import Image, PngImagePlugin
+
+    from navbake.types import JsonValue
 else:  # the command line lists formats before it loads numpy
     np = lazy("numpy")
     Image = lazy("PIL.Image")
@@ -48,24 +52,32 @@ Files: TypeAlias = dict[Path, bytes]
 """Files to be written, in this order: content by path."""
 
 LOG = logging.getLogger("navbake")
-CHUNK = 1 << 20  # read first [bytes]
+FIRST_BYTES = 1 << 20  # read before more is read [bytes]
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP = b"\x1f\x8b"
-PACKED: dict[bytes, tuple[str, Any]] = {GZIP: ("gzip", gzip.open), b"BZ": ("bzip2", bz2.open)}
-LUMA = (306, 601, 117)  # of 1024: shares of red, green and blue
-BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
+# what opens packed files, by their first two bytes
+OPENERS: dict[bytes, tuple[str, Callable[[BinaryIO], IO[bytes]]]] = {
+    GZIP: ("gzip", cast("Callable[[BinaryIO], IO[bytes]]", gzip.open)),
+    b"BZ": ("bzip2", cast("Callable[[BinaryIO], IO[bytes]]", bz2.open)),
+}
+LUMA_SHARES = (306, 601, 117)  # of 1024: those of red, green and blue
+IMAGE_BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 NAVGRID = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
 
 def format_path(path: str | os.PathLike[str]) -> str:
-    """A path for messages, on one line."""
+    """Format a path for messages, on one line."""
     name = os.fsdecode(path)
     return name if name.isprintable() else repr(name)
 
 
 def check_path(path: object) -> str:
-    """A path as text; a FormatError if it is none."""
+    """Return a path as text.
+
+    Raises:
+        FormatError: the value is no path.
+    """
     if not isinstance(path, str | os.PathLike):
         raise FormatError(
             f"expected a path, got {describe_type(path)}", value=path, expected="a path"
@@ -74,12 +86,12 @@ def check_path(path: object) -> str:
 
 
 def describe_type(value: object) -> str:
-    """Describe a value of a wrong type."""
+    """Describe the type of a wrong value for messages."""
     return "None" if value is None else f"one of Python's type {type(value).__name__}"
 
 
 def _os_message(error: Exception) -> str:
-    """The operating system's message of an error, without its number."""
+    """Return the operating system's message of an error, without its number."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
@@ -90,13 +102,23 @@ def read_bytes(
     expected: str = "",
     remedy: str = "",
 ) -> tuple[bytes, str]:
-    """Read a file whole; returns its content, and its name for messages.
+    """Read a whole file.
 
-    `begins` are the possible beginnings of such a file. Of any other, at most 1 MiB is read: it
-    may be a device that never ends.
+    Args:
+        source: a path, the file's content, or the file opened in binary mode.
+        begins: the possible beginnings of such a file, b"" for any. Of a file that begins
+            otherwise, at most 1 MiB is read: it may be a device that never ends.
+        expected: what such a file is, for errors.
+        remedy: what to do about another file, for errors.
+
+    Returns:
+        The content, and the file's name for messages.
+
+    Raises:
+        FormatError: the file can't be read, begins otherwise, or has more than 4 GiB.
     """
     path = source if isinstance(source, str | os.PathLike) else None
-    stream: Any = source
+    stream = source
     name = str(getattr(source, "name", "the stream given"))
     if path is not None:
         name = os.fsdecode(path)
@@ -105,23 +127,26 @@ def read_bytes(
         stream = io.BytesIO(source)
         name = "the bytes given"
     elif not callable(getattr(source, "read", None)):
-        wanted = "a path, a file's content or a file opened in binary mode"
-        raise FormatError(f"expected {wanted}, got {describe_type(source)}")
+        readable = "a path, a file's content or a file opened in binary mode"
+        raise FormatError(
+            f"expected {readable}, got {describe_type(source)}", value=source, expected=readable
+        )
     try:
         if path is not None and os.path.isdir(path):
             raise FormatError(
                 f"expected a file, got the folder {format_path(name)}", path=name, expected="a file"
             )
-        with nullcontext(stream) if path is None else open(path, "rb") as file:
-            data = file.read(CHUNK)
+        with nullcontext(cast("BinaryIO", stream)) if path is None else open(path, "rb") as file:
+            data = file.read(FIRST_BYTES)
             if not isinstance(data, bytes):
                 got = "text" if isinstance(data, str) else describe_type(data)
                 JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
             if not data.startswith(begins):
-                JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
+                got = _format_beginning(data)
+                JsonPath(name).fail(f"expected {expected}, got {got}", remedy, expected=expected)
             pieces = [data]
             size = len(data)
-            while piece := file.read(16 * CHUNK):
+            while piece := file.read(16 * FIRST_BYTES):
                 pieces.append(piece)
                 size += len(piece)
                 if size > MAX_BYTES:
@@ -132,22 +157,30 @@ def read_bytes(
         raise FormatError(message, path=name) from error
 
 
-def _beginning(text: bytes) -> str:
-    """The beginning of a text for messages."""
-    begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
+def _format_beginning(text: bytes) -> str:
+    """Format the beginning of a text for messages."""
+    begin = text[:FIRST_BYTES].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
     return f"{format_value(begin)[1:]}…" if begin else "nothing"
 
 
 def unpack(data: bytes, name: str) -> bytes:
-    """Unpack gzip or bzip2, detected by the content; other data are returned as they are."""
-    kind, opened = PACKED.get(data[:2], ("", None))
-    if opened is None:
+    """Unpack gzip or bzip2, detected by the content; return other data as they are.
+
+    Args:
+        data: the content of a file.
+        name: the file's name, for errors.
+
+    Raises:
+        FormatError: the packed data are broken, or unpack to more than an `Allowance` of text.
+    """
+    kind, open_packed = OPENERS.get(data[:2], ("", None))
+    if open_packed is None:
         return data
     allowance = Allowance(len(data), "max_cells")
     pieces = []
     try:
-        with opened(io.BytesIO(data)) as unpacked:
-            while piece := unpacked.read(16 * CHUNK):
+        with open_packed(io.BytesIO(data)) as unpacked:
+            while piece := unpacked.read(16 * FIRST_BYTES):
                 allowance.take_text(len(piece), JsonPath(name))
                 pieces.append(piece)
     except (EOFError, OSError, zlib.error) as error:
@@ -159,44 +192,75 @@ def unpack(data: bytes, name: str) -> bytes:
 def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
     """Read the JSON of a grid's file, plain or gzipped (detected by its content).
 
-    Returns its text without a byte order mark, the file's size, and the place for errors.
+    Args:
+        source: a path, the file's content, or the file opened in binary mode.
+
+    Returns:
+        The text without a byte order mark, the file's size before unpacking [bytes], and the top
+        of the file, for errors.
+
+    Raises:
+        FormatError: the file can't be read, or is no JSON object.
     """
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
     remedy = NAVGRID_REMEDY
-    file = str(source) if isinstance(source, str | os.PathLike) else ""
-    if file.lower().endswith((".yaml", ".yml")):
-        made = f"{Path(file).stem}.grid.json"
-        shown_file = format_path(file)
-        remedy = f"of settings, `navbake bake {shown_file}` makes one, of a map of nav2, "
-        remedy += f"`navbake convert {shown_file} {format_path(made)}`"
+    path = str(source) if isinstance(source, str | os.PathLike) else ""
+    if path.lower().endswith((".yaml", ".yml")):
+        shown_path = format_path(path)
+        grid_path = format_path(f"{Path(path).stem}.grid.json")
+        remedy = (
+            f"of settings, `navbake bake {shown_path}` makes one, of a map of nav2, "
+            f"`navbake convert {shown_path} {grid_path}`"
+        )
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=remedy)
     num_bytes = len(text)
     top = JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)
-    if _beginning(text)[1:2] != "{":
-        top.fail(f"expected {NAVGRID}, got {_beginning(text)}", remedy)
+    if _format_beginning(text)[1:2] != "{":
+        top.fail(f"expected {NAVGRID}, got {_format_beginning(text)}", remedy)
     return text, num_bytes, top
 
 
-def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
-    """Parse JSON; a FormatError names line and column."""
+def parse_json(content: bytes | memoryview, place: JsonPath) -> JsonValue:
+    """Parse JSON.
+
+    Args:
+        content: the text, UTF-8.
+        place: its location, for errors.
+
+    Returns:
+        The value.
+
+    Raises:
+        FormatError: the text is no JSON; the error names line and column.
+    """
     try:
         return orjson.loads(content)
     except orjson.JSONDecodeError as error:
         near = error.doc[error.pos : error.pos + 9].lstrip("-")
-        hint = "; NaN and Infinity are no JSON, write null" if near[:3] in ("NaN", "Inf") else ""
+        is_constant = near[:3] in ("NaN", "Inf")
+        hint = "NaN and Infinity are no JSON, write null" if is_constant else None
         file = f"`{place.path}` of {place.file}" if place.path else place.file
         line = f"line {error.lineno}, column {error.colno}"
+        message = f"broken JSON in {file}, {line}: {error.msg}"
         raise FormatError(
-            f"broken JSON in {file}, {line}: {error.msg}{hint}",
-            path=place.file,
-            place=line,
-            hint=hint.removeprefix("; ") or None,
+            f"{message}; {hint}" if hint else message, path=place.file, place=line, hint=hint
         ) from error
 
 
-def read_json(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
-    """Read a JSON file; also returns its name for messages, which name `expected`."""
+def read_json(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue, str]:
+    """Read a JSON file.
+
+    Args:
+        path: the file.
+        expected: what such a file is, for errors.
+
+    Returns:
+        The parsed value, and the file's name for messages.
+
+    Raises:
+        FormatError: the file can't be read, or is no JSON.
+    """
     content, name = read_bytes(path)
     try:
         return parse_json(content.removeprefix(BOM), JsonPath(format_path(name))), name
@@ -207,8 +271,19 @@ def read_json(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]
         ) from error
 
 
-def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
-    """Read a YAML file; also returns its name for messages, which name `expected`."""
+def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue, str]:
+    """Read a YAML file.
+
+    Args:
+        path: the file.
+        expected: what such a file is, for errors.
+
+    Returns:
+        The parsed value, and the file's name for messages.
+
+    Raises:
+        FormatError: the file can't be read, or is no YAML.
+    """
     from navbake.yaml_text import decode_yaml  # PyYAML loads slowly
 
     content, name = read_bytes(path)
@@ -225,20 +300,38 @@ def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]
 
 
 class Pixels(NamedTuple):
-    """The pixels of an image, row 0 at the top."""
+    """The pixels of an image, row 0 at the top.
 
-    light: NDArray[Any]  #: Sum of red, green and blue, shape (height, width), uint16 or uint32.
-    white: int  #: The largest value of each, 255 or 65535.
-    #: 0 to 255, shape (height, width), uint8; None if the image has none.
+    Attributes:
+        light: the sum of red, green and blue, shape (height, width), uint16 or uint32.
+        white: the largest value of each channel, 255 or 65535.
+        opacity: 0 to 255, shape (height, width), uint8; None if the image has none.
+        luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8, as GraphicsMagick computes
+            it with quanta of 16 bits.
+    """
+
+    light: NDArray[Any]
+    white: int
     opacity: NDArray[np.uint8] | None
-    #: Luma by Rec. 601, 0 to 255, shape (height, width), uint8, as GraphicsMagick computes it with
-    #: quanta of 16 bits.
     luma: NDArray[np.uint8]
 
 
-def open_image(source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
-    """Load an image of one of some kinds: ``PPM`` (includes PGM), ``PNG`` and ``BMP``."""
-    begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
+def open_image(
+    source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(IMAGE_BEGINNINGS)
+) -> Image.Image:
+    """Load an image.
+
+    Args:
+        source: the file.
+        kinds: the kinds that the image may have: ``PPM`` (includes PGM), ``PNG`` and ``BMP``.
+
+    Returns:
+        The image with its pixels loaded; ``info`` holds its texts.
+
+    Raises:
+        FormatError: the file can't be read, is of another kind, broken or too large.
+    """
+    begins = tuple(beginning for kind in kinds for beginning in IMAGE_BEGINNINGS[kind])
     names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
     allowance = Allowance(len(data))
@@ -260,7 +353,11 @@ def open_image(source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(BE
 
 
 def read_pixels(source: str | os.PathLike[str]) -> Pixels:
-    """Read the pixels of a PGM, PNG or BMP of any depth; see `open_image`."""
+    """Read the pixels of a PGM, PNG or BMP of any depth.
+
+    Raises:
+        FormatError: as of `open_image`.
+    """
     image = open_image(source)
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
         grey = np.asarray(image).astype(np.uint32)
@@ -271,14 +368,21 @@ def read_pixels(source: str | os.PathLike[str]) -> Pixels:
         return Pixels(3 * luma.astype(np.uint16), 255, None, luma)
     channels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
     light = channels[..., :3].sum(axis=2, dtype=np.uint16)
-    luma = (channels[..., :3] @ np.array(LUMA, dtype=np.uint32) >> 10).astype(np.uint8)
+    luma = (channels[..., :3] @ np.array(LUMA_SHARES, dtype=np.uint32) >> 10).astype(np.uint8)
     return Pixels(light, 255, channels[..., 3] if has_opacity else None, luma)
 
 
 def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
-    """Encode pixels, (height, width) or (height, width, 3 or 4), as ``PNG`` with texts by keyword.
+    """Encode pixels as an image file.
 
-    Or a binary PGM (``PPM`` to Pillow) of grey values, (height, width). Row 0 is the top.
+    Args:
+        pixels: grey values, shape (height, width), or channels, shape (height, width, 3 or 4);
+            row 0 is the top.
+        kind: ``PNG``, or ``PPM`` for a binary PGM of grey values.
+        texts: texts that a PNG holds, by keyword.
+
+    Returns:
+        The content of the file.
     """
     notes = PngImagePlugin.PngInfo()
     for keyword, text in texts.items():
@@ -293,18 +397,22 @@ def read_header(
     source: str,
     numbers: Mapping[str, tuple[int, type]],
     defaults: Mapping[str, list[str]] | None = None,
-) -> tuple[dict[str, list[str]], list[list[Any]], int]:
+) -> tuple[dict[str, list[str]], list[list[JsonValue]], int]:
     """Read the header lines of a voxel file, up to the line ``data``: binvox or OctoMap.
 
     Args:
-        data: the file.
-        source: its name.
-        numbers: how many numbers some lines have, and of which type, by the line's first word.
-        defaults: the words of lines that may be missing.
+        data: the content of the file.
+        source: the file's name, for errors.
+        numbers: of lines of numbers, their count and type (int or float), by the line's first
+            word.
+        defaults: the words of lines that may be missing, by the line's first word.
 
     Returns:
-        The words of each line by its first word, comments (``#``) included, the numbers, and the
-        offset of the data.
+        The words of each line by its first word, comments (``#``) included; the numbers of each
+        entry of `numbers`, in its order; and the offset of the data [bytes].
+
+    Raises:
+        FormatError: a line is missing, or hasn't the numbers that it should have.
     """
     lines = dict(defaults or {})
     start = 0
@@ -315,36 +423,41 @@ def read_header(
         first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
         lines[first] = words
         start = end + 1
-    found = []
-    for name, (count, kind) in numbers.items():
+    line_numbers = []
+    for name, (count, number_type) in numbers.items():
         if name not in lines:
             message = f"no line `{name}` in the header of {source}"
             raise FormatError(message, path=source, key=name)
         try:
-            values = [kind(word) for word in lines[name]]
-            is_good = len(values) == count and all(map(math.isfinite, values))
+            values = [number_type(word) for word in lines[name]]
+            is_valid = len(values) == count and all(map(math.isfinite, values))
         except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
-            is_good = False
-        if not is_good:
-            what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
+            is_valid = False
+        if not is_valid:
+            noun = "whole number" if number_type is int else "number"
+            expected = f"{count} {noun}" if count == 1 else f"{count} {noun}s"
             where = f"at `{name}` in the header of {source}"
             text = " ".join(lines[name])[:60]
             raise FormatError(
-                f"expected {count} {what} {where}, got {text!r}",
+                f"expected {expected} {where}, got {text!r}",
                 path=source,
                 key=name,
                 value=text,
-                expected=f"{count} {what}",
+                expected=expected,
             )
-        found.append(values)
-    return lines, found, start
+        line_numbers.append(values)
+    return lines, line_numbers, start
 
 
 # ---------------------------------------------------------------- writing
 
 
 def check_named(path: Path) -> None:
-    """Refuse a file whose name isn't UTF-8, as another file is to contain it."""
+    """Refuse a file whose name isn't UTF-8, where another file is to contain the name.
+
+    Raises:
+        FormatError: the name isn't UTF-8.
+    """
     if path.name != os.fsencode(path.name).decode(errors="replace"):
         raise FormatError(
             f"expected a name in UTF-8, which another file can hold, got {path}",
@@ -354,12 +467,30 @@ def check_named(path: Path) -> None:
 
 
 def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
-    """Write a file as a whole or not at all."""
+    """Write a file as a whole or not at all.
+
+    Args:
+        data: the content.
+        path: the file.
+
+    Raises:
+        FormatError: the file can't be written.
+    """
     write_files({Path(check_path(path)): data})
 
 
 def write_files(files: Files) -> list[Path]:
-    """Write files that belong together, all or none; returns their paths."""
+    """Write files that belong together, all or none.
+
+    Args:
+        files: the content of each file by its path.
+
+    Returns:
+        The paths, in their order.
+
+    Raises:
+        FormatError: a file can't be written.
+    """
     try:
         write_together(files)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
@@ -373,8 +504,20 @@ def write_files(files: Files) -> list[Path]:
     return list(files)
 
 
-def import_extra(name: str, extra: str = "convert", what: str = "this") -> Any:
-    """Import a library of an extra, or raise an error that says how to install it."""
+def import_extra(name: str, extra: str = "convert", what: str = "this") -> ModuleType:
+    """Import a module of an optional library.
+
+    Args:
+        name: the module's dotted name.
+        extra: the extra of navbake that installs it.
+        what: what needs the library, for errors.
+
+    Returns:
+        The module.
+
+    Raises:
+        MissingDependencyError: the library is not installed; the message has the command for it.
+    """
     try:
         return importlib.import_module(name)
     except ImportError as error:

@@ -918,6 +918,6 @@ def test_pieces_make_no_difference(monkeypatch, dtype):
     whole = dumps_navgrid(grid)
     assert navbake.load(whole).user_data == user_data
     for size in (1, 2, 7, 100, 239):
-        monkeypatch.setattr(arrays, "PIECE", size)
-        monkeypatch.setattr("navbake.formats.navgrid.ENTRIES", size)
+        monkeypatch.setattr(arrays, "CHUNK_LENGTH", size)
+        monkeypatch.setattr("navbake.formats.navgrid.CELLS_AT_ONCE", size)
         assert dumps_navgrid(grid) == whole
