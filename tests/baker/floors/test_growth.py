@@ -15,7 +15,7 @@ from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, limit_threads
 
-LATTICE = Lattice(0.0, 2.0, 0.1, 132, 3)  # five blocks beside each other
+LATTICE = Lattice(0.0, 2.0, 0.1, 132, 3)  # five blocks beside each neighbor
 CELLS = LATTICE.width * LATTICE.height
 STEP = 0.2
 # multiples of a quarter: a step is met to the last bit, and some are equally near to two
@@ -24,7 +24,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def draw(rng):
-    """Floors where one can stand, and in the other cells the heights at which they may go on."""
+    """Floors where one can stand, and in the neighbor cells the heights at which they may go on."""
     floor = rng.choice(HEIGHTS, CELLS)
     floor[rng.random(CELLS) < rng.uniform(0.3, 1.0)] = np.nan
     options = [
@@ -48,7 +48,9 @@ def grow_plainly(floor, options):
         number += 1
         new = {}
         for cell in np.flatnonzero(np.isnan(floor)).tolist():
-            beside = [floor[other] for other in neighbours(cell) if not np.isnan(floor[other])]
+            beside = [
+                floor[neighbor] for neighbor in neighbours(cell) if not np.isnan(floor[neighbor])
+            ]
             gaps = [(abs(z - near), z) for near in beside for z in options[cell]]
             gaps = [pair for pair in gaps if pair[0] <= STEP + LIMIT_SLACK]
             if gaps:
@@ -56,7 +58,8 @@ def grow_plainly(floor, options):
         if not new:
             return floor, ring.astype(np.int32)
         for cell, z in new.items():
-            floor[cell], ring[cell] = z, number
+            floor[cell] = z
+            ring[cell] = number
 
 
 def grow(floor, options):

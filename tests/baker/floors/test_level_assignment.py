@@ -26,7 +26,8 @@ def two_storeys(under: float = 0.0) -> str:
     geoms = [box("", 0, 0, -0.2, 8.2, 6.2, 0), box("", 0, 0, 5.3, 8.2, 6.2, 5.5)]
     geoms += [box("", x0, y0, 2.6, x1, y1, 2.8) for x0, x1, y0, y1 in slabs]
     for k in range(14):
-        x, z = 1.5 + 0.25 * k, 0.2 * (k + 1)
+        x = 1.5 + 0.25 * k
+        z = 0.2 * (k + 1)
         geoms.append(box(f"tread{k}", x, 0.25 - under, z - 0.05, x + 0.25, 1.25 + under, z))
     for x0, y0, x1, y1 in [
         (0, 0, 8.2, 0.15), (0, 6.05, 8.2, 6.2), (0, 0, 0.15, 6.2), (8.05, 0, 8.2, 6.2),
@@ -69,16 +70,20 @@ def test_what_a_walk_needs_opens_a_level(tmp_path: Path, size):
     The floor under narrow treads is left out, as nobody needs it; that under wide ones is a floor
     as good as any.
     """
-    far, turn, top = 8 * size, 2 * size, 4.8
+    far = 8 * size
+    turn = 2 * size
+    top = 4.8
     geoms = [box("", -far, -far, -0.2, far, far, 0)]
     sides = [(-far, -far, -turn, far), (turn, -far, far, far)]
     sides += [(-turn, -far, turn, -turn), (-turn, turn, turn, far)]
     geoms += [box("", x0, y0, top - 0.2, x1, y1, top) for x0, y0, x1, y1 in sides]
-    around = [(0, -2), (1, -2), (1, -1), (1, 0), (1, 1), (0, 1)]
-    around += [(-1, 1), (-2, 1), (-2, 0), (-2, -1), (-2, -2), (-1, -2)]
+    cells_around = [(0, -2), (1, -2), (1, -1), (1, 0), (1, 1), (0, 1)]
+    cells_around += [(-1, 1), (-2, 1), (-2, 0), (-2, -1), (-2, -2), (-1, -2)]
     for k in range(24):
-        (i, j), z = around[k % 12], 0.2 * (k + 1)
-        x, y = i * size, j * size
+        i, j = cells_around[k % 12]
+        z = 0.2 * (k + 1)
+        x = i * size
+        y = j * size
         geoms.append(box("", x, y, z - 0.05, x + size, y + size, z))
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
     if size == 0.5:
@@ -110,7 +115,8 @@ def test_treads_that_lean_are_one_walk(tmp_path: Path, thickness):
     """
     geoms = [box("", -2, -6, -0.2, 2, 6, 0), box("block", -2, 3, 0, 2, 6, 0.45)]
     for k in range(12):
-        y, z = -4 + 0.285 * k, 0.19 * (k + 1)
+        y = -4 + 0.285 * k
+        z = 0.19 * (k + 1)
         geoms.append(box("", 0, y, max(z - thickness, 0), 1, y + 0.285, z))
     geoms.append(box("", 0, -0.58, 2.2, 1, 1, 2.4))
     leaning = f'<body euler="1 0 0">{"".join(geoms)}</body>'
@@ -130,51 +136,59 @@ def column(stages: Stages, x: float, y: float) -> list[tuple[float, int]]:
     lattice = columns.lattice
     row, col = (int(i[0]) for i in lattice.rows_cols([[x, y]]))
     first, end = columns.start[[row * lattice.width + col, row * lattice.width + col + 1]]
-    z, geom = columns.z[first:end], columns.geom[first:end]
+    z = columns.z[first:end]
+    geom = columns.geom[first:end]
     return list(zip(z.round(6).tolist(), geom.tolist(), strict=True))
 
 
 def test_line_in_a_common_face_belongs_to_the_eastern_and_northern_geom(tmp_path: Path):
     # of cells of 0.1 m that begin at 0, centres lie at 0.05, 0.15, …
-    west, east = box("", 0, 0, 0, 0.45, 1, 0.2), box("", 0.45, 0, 0, 1, 1, 0.7)
+    west = box("", 0, 0, 0, 0.45, 1, 0.2)
+    east = box("", 0.45, 0, 0, 1, 1, 0.7)
     stages = stages_of_xml(tmp_path, world(west + east))
     assert column(stages, 0.45, 0.95) == [(0.0, 1), (0.7, 1)]
     assert column(stages, 0.35, 0.95) == [(0.0, 0), (0.2, 0)]
-    south, north = box("", 0, 0, 0, 1, 0.45, 0.2), box("", 0, 0.45, 0, 1, 1, 0.7)
+    south = box("", 0, 0, 0, 1, 0.45, 0.2)
+    north = box("", 0, 0.45, 0, 1, 1, 0.7)
     stages = stages_of_xml(tmp_path, world(south + north))
     columns = stages.floor_columns.covering(np.arange(100))
     cell = 5 * 10 + 3  # of the row whose centre is at y = 0.45
-    first, end = columns.start[cell], columns.start[cell + 1]
+    first = columns.start[cell]
+    end = columns.start[cell + 1]
     assert columns.geom[first:end].tolist() == [1, 1]
 
 
 def test_line_in_an_outer_face_keeps_its_geom(tmp_path: Path):
-    west, floor = box("", 0, 0, 0, 0.45, 1, 0.2), box("", 0, 0, -0.2, 1, 1, -0.1)
+    west = box("", 0, 0, 0, 0.45, 1, 0.2)
+    floor = box("", 0, 0, -0.2, 1, 1, -0.1)
     stages = stages_of_xml(tmp_path, world(west + floor))
     assert (0.2, 0) in column(stages, 0.45, 0.95)
 
 
 def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
     boxes = stages_of_xml(tmp_path, two_storeys())
-    solids, mesh = boxes.scene.shapes.solids, tmp_path / "house.ply"
+    solids = boxes.scene.shapes.solids
+    mesh = tmp_path / "house.ply"
     trimesh.util.concatenate([
         trimesh.creation.box(2 * size, trimesh.transformations.translation_matrix(pos))
         for pos, size in zip(solids.pos, solids.size, strict=True)
     ]).export(mesh)  # fmt: skip
-    one, other = boxes, bake_stages({"scene": {"path": str(mesh), "up": "z"}})
+    box_stages = boxes
+    mesh_stages = bake_stages({"scene": {"path": str(mesh), "up": "z"}})
     settled = []
-    for stages in (one, other):
+    for stages in (box_stages, mesh_stages):
         columns = stages.floor_columns.covering(np.arange(3))
         raw = cast_columns(stages.floor_tile_index)
         settled.append(np.flatnonzero(np.diff(columns.start) != np.diff(raw.start)).tolist())
     assert settled[0] == settled[1] != []
-    assert grounds(one) == grounds(other) == [0, 2.8]
+    assert grounds(box_stages) == grounds(mesh_stages) == [0, 2.8]
 
 
 def test_splice_is_numpys_insert_and_delete():
     rng = np.random.default_rng(0)
     for _ in range(50):
-        old, new = rng.integers(0, 99, 30), rng.integers(100, 199, 12)
+        old = rng.integers(0, 99, 30)
+        new = rng.integers(100, 199, 12)
         cuts = np.sort(rng.choice(31, 8, replace=False)).reshape(4, 2)
         start = np.sort(rng.integers(0, 13, 5))
         start[[0, -1]] = 0, 12

@@ -26,7 +26,8 @@ def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, more: 
 
 def ramp(x0: float, x1: float, y0: float, y1: float, rise: float, start: float = 0.0) -> list[str]:
     """A plate whose upper side runs straight from `start` at x0 to `start + rise` at x1."""
-    length, angle = math.hypot(x1 - x0, rise), math.atan2(rise, x1 - x0)
+    length = math.hypot(x1 - x0, rise)
+    angle = math.atan2(rise, x1 - x0)
     thick = 0.05
     x = (x0 + x1) / 2 + thick * math.sin(angle)
     z = start + rise / 2 - thick * math.cos(angle)
@@ -38,7 +39,8 @@ def ramp(x0: float, x1: float, y0: float, y1: float, rise: float, start: float =
 
 def walls(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, door: bool) -> list:
     """Four walls 0.1 m thick; a door 1 m wide and 2 m high in the one at x1."""
-    t, middle = 0.1, (y0 + y1) / 2
+    t = 0.1
+    middle = (y0 + y1) / 2
     sides = [
         box(x0, x1, y0, y0 + t, z0, z1),
         box(x0, x1, y1 - t, y1, z0, z1),
@@ -125,8 +127,8 @@ def test_top_of_what_stands_on_a_floor_is_furniture_however_large(bake):
     assert floor_at(grid, 0, 4, 4) == 0
     row, col = grid.lattice.rows_cols([4, 4])
     assert grid.occupancy[row, col] == 1
-    kept = bake(scene, floors={"tops": True})
-    assert floor_at(kept, 0, 4, 4) == 3
+    with_tops = bake(scene, floors={"tops": True})
+    assert floor_at(with_tops, 0, 4, 4) == 3
 
 
 def test_bed_in_a_corner_is_furniture(bake):
@@ -235,11 +237,13 @@ def test_links_join_neighbours_a_step_apart(bake):
     step = 0.25 + 1e-6
     for level_a, cell_a, level_b, cell_b in grid.step_array.tolist():
         assert level_a < level_b
-        a, b = grid.levels[level_a], grid.levels[level_b]
+        a = grid.levels[level_a]
+        b = grid.levels[level_b]
         spot_a = a.lattice.positions(*divmod(cell_a, a.width))
         spot_b = b.lattice.positions(*divmod(cell_b, b.width))
         assert np.abs(spot_a - spot_b).sum() == pytest.approx(0.1)
-        height_a, height_b = a.floor_height.flat[cell_a], b.floor_height.flat[cell_b]
+        height_a = a.floor_height.flat[cell_a]
+        height_b = b.floor_height.flat[cell_b]
         assert abs(height_a - height_b) <= step
 
 
@@ -247,7 +251,8 @@ def test_spiral_stair_is_one_walk_and_loses_no_tread(bake):
     treads = []
     for i in range(36):
         turn = math.radians(20 * i)
-        x, y = 5 + 0.9 * math.cos(turn), 4 + 0.9 * math.sin(turn)
+        x = 5 + 0.9 * math.cos(turn)
+        y = 4 + 0.9 * math.sin(turn)
         pos = f"{x} {y} {0.167 * (i + 1) - 0.03}"
         angle = f'euler="0 0 {20 * i}"'
         treads.append(f'<geom type="box" pos="{pos}" size="0.6 0.25 0.03" {angle}/>')
@@ -255,7 +260,8 @@ def test_spiral_stair_is_one_walk_and_loses_no_tread(bake):
     assert len(grid.levels) >= 3  # two full turns over each other, and the floor
     for i in range(36):
         turn = math.radians(20 * i)
-        x, y = 5 + 0.9 * math.cos(turn), 4 + 0.9 * math.sin(turn)
+        x = 5 + 0.9 * math.cos(turn)
+        y = 4 + 0.9 * math.sin(turn)
         on = [k for k, level in enumerate(grid.levels) if _holds(level, x, y, 0.167 * (i + 1))]
         assert len(on) == 1, i
         assert island_at(grid, on[0], x, y) == island_at(grid, 0, 1, 1), i
@@ -322,7 +328,8 @@ def test_several_buildings_of_different_height_share_levels(bake):
 
 
 def test_hill_without_anything_over_it_is_one_level(bake, tmp_path):
-    size, rows = 10.0, 41
+    size = 10.0
+    rows = 41
     y, x = np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : rows * 1j]
     heights = np.exp(-4 * (x**2 + y**2))
     values = " ".join(f"{h:.5f}" for h in heights.ravel())
@@ -384,8 +391,8 @@ def test_boxes_of_levels_do_not_overlap_in_height(bake):
 
 def test_given_levels(bake):
     scene = [FLOOR, box(0, 10, 0, 8, 2.7, 3), box(0, 10, 0, 8, 5.7, 6)]
-    given = [{"ground": 0.0, "name": "ground floor"}, {"ground": 3.0, "top": 5.0}]
-    grid = bake(scene, levels=given)
+    levels = [{"ground": 0.0, "name": "ground floor"}, {"ground": 3.0, "top": 5.0}]
+    grid = bake(scene, levels=levels)
     assert grounds(grid) == [0, 3]
     names = [level["name"] for level in grid.metadata["navbake"]["levels"]]
     assert names == ["ground floor", "level 1"]

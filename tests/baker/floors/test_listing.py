@@ -25,7 +25,9 @@ def scene(seed):
     draw = np.random.default_rng(seed)
     boxes = []
     for _ in range(BOXES):
-        x, y, z = draw.uniform(-3, 3), draw.uniform(-3, 3), draw.choice([0.1, 0.4, 1.5, 3.0])
+        x = draw.uniform(-3, 3)
+        y = draw.uniform(-3, 3)
+        z = draw.choice([0.1, 0.4, 1.5, 3.0])
         half = draw.uniform(0.1, 0.8, 2)
         boxes.append(f'<geom type="box" size="{half[0]} {half[1]} .1" pos="{x} {y} {z}"/>')
     floor = '<geom type="box" size="3.3 3.3 .1" pos="0 0 -.1"/>'
@@ -34,10 +36,13 @@ def scene(seed):
 
 def list_plainly(columns, agent):
     """Cell, height and marks of all surfaces, column by column, where solids hold none of them."""
-    limits, found = agent_limits(agent), []
+    limits = agent_limits(agent)
+    rows = []
     for cell in range(len(columns.start) - 1):
-        here = slice(columns.start[cell], columns.start[cell + 1])
-        z, up, last = columns.z[here], columns.normal[here, 2], -np.inf
+        column = slice(columns.start[cell], columns.start[cell + 1])
+        z = columns.z[column]
+        up = columns.normal[column, 2]
+        last = -np.inf
         for i in np.flatnonzero(up >= limits.min_up):
             inside = np.where(up > 0, 1, -1)[z - z[i] > SAME_HEIGHT].sum()
             above = z[z - z[i] > SAME_HEIGHT].min(initial=np.inf)
@@ -45,18 +50,18 @@ def list_plainly(columns, agent):
             stands &= z[i] - last > SAME_HEIGHT  # of several at one height, the lowest
             last = z[i] if stands else last
             is_top = stands and z[-1] - z[i] <= LIMIT_SLACK
-            found.append((cell, z[i], bool(stands), bool(is_top)))
-    return found
+            rows.append((cell, z[i], bool(stands), bool(is_top)))
+    return rows
 
 
 def listed(surfaces):
-    """The same of surfaces that were found."""
-    found = []
+    """The same of surfaces that were rows."""
+    rows = []
     for cell in range(len(surfaces.first)):
         for j in range(surfaces.first[cell], surfaces.end[cell]):
             marks = int(surfaces.marks[j])
-            found.append((cell, surfaces.z[j], bool(marks & STANDABLE), bool(marks & UNCOVERED)))
-    return found
+            rows.append((cell, surfaces.z[j], bool(marks & STANDABLE), bool(marks & UNCOVERED)))
+    return rows
 
 
 def bake(tmp_path, seed=5):
@@ -92,9 +97,10 @@ def test_surfaces_are_those_of_a_plain_loop(tmp_path, threads):
     stages = bake(tmp_path)
     expected = list_plainly(stages.columns, stages.config.agent)
     assert sum(stands for _, _, stands, _ in expected) > 4000
-    whole, middle = stages.columns.valid_rows, RowChunk(0, 32)
+    all_rows = stages.columns.valid_rows
+    middle = RowChunk(0, 32)
     with limit_threads(threads):
-        for blocks in ([whole], [middle, RowChunk(middle.end, whole.end)]):
+        for blocks in ([all_rows], [middle, RowChunk(middle.end, all_rows.end)]):
             assert listed(surfaces_in(stages, blocks)) == expected
 
 
@@ -104,9 +110,10 @@ def check_regions(regions, step):
     rows = [row for row in listed(regions.surfaces) if row[2]]
     cell, z = (np.array(part) for part in list(zip(*rows, strict=True))[:2])
     at = [np.flatnonzero(cell == k) for k in range(lattice.width * lattice.height)]
-    ids, pairs = np.arange(len(at)).reshape(lattice.shape), [(0, 0)]
-    for one, other in NEIGHBOR_SLICES:
-        for a, b in zip(ids[one].ravel(), ids[other].ravel(), strict=True):
+    ids = np.arange(len(at)).reshape(lattice.shape)
+    pairs = [(0, 0)]
+    for first_slice, second_slice in NEIGHBOR_SLICES:
+        for a, b in zip(ids[first_slice].ravel(), ids[second_slice].ravel(), strict=True):
             pairs += [
                 (i, j) for i in at[a] for j in at[b] if abs(z[i] - z[j]) <= step + LIMIT_SLACK
             ]

@@ -30,20 +30,23 @@ EAST, SOUTH, WEST, NORTH = range(4)
 
 def wall(x0: float, x1: float, z0: float, z1: float) -> str:
     """A wall along y, over the block's length."""
-    size, pos = f"{(x1 - x0) / 2} 1 {(z1 - z0) / 2}", f"{(x0 + x1) / 2} 0 {(z0 + z1) / 2}"
+    size = f"{(x1 - x0) / 2} 1 {(z1 - z0) / 2}"
+    pos = f"{(x0 + x1) / 2} 0 {(z0 + z1) / 2}"
     return f'<geom type="box" size="{size}" pos="{pos}"/>'
 
 
 @pytest.fixture
 def endings_at(tmp_path: Path):
-    """Return a function that tells how the region at a height ends in the east, and in the west."""
+    """Return a function that finds how the region at a height ends in the east, and in the west."""
 
     def find(geoms: str, z: float) -> tuple[set[int], set[int]]:
         path = tmp_path / "scene.xml"
         path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
         config = {"scene": {"path": str(path)}, "grid": {"bounds": [-3, -3, 3, 3]}}
         stages = bake_stages(config)
-        agent, tiles, columns = stages.config.agent, stages.tile_index, stages.columns
+        agent = stages.config.agent
+        tiles = stages.tile_index
+        columns = stages.columns
         point = agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, stages.lattice.cell_size)
 
@@ -51,10 +54,11 @@ def endings_at(tmp_path: Path):
             volume = narrow if band is None else narrow.between(band)
             return check_occupancy(columns, tiles, volume, cells, floors).occupied
 
-        regions, settings = regions_of(stages), stages.config.floors
+        regions = regions_of(stages)
+        settings = stages.config.floors
         is_large = find_large_regions(regions, regions.size > 0, settings)
         members = [regions.surfaces_of(region) for region in range(regions.num)]
-        chosen = is_large & [np.isclose(own.z, z).any() for own in members]
+        at_height = is_large & [np.isclose(surfaces.z, z).any() for surfaces in members]
         context = make_region_context(
             regions=regions,
             is_large=is_large,
@@ -64,14 +68,14 @@ def endings_at(tmp_path: Path):
             settings=settings,
             is_occupied=is_occupied,
         )
-        edges = context.select_edges(chosen, 4)
+        edges = context.select_edges(at_height, 4)
         ending, landing, floor, _ = context.classify_edges(edges)
         assert ((floor >= 0) == (ending == DROP)).all()
         assert (np.isnan(landing) == (ending != DROP)).all()
         # not the corners: a wall along a side meets their other edge, too
         row = edges.cell // stages.lattice.width
         y = stages.lattice.center_y()[row]
-        at = [(edges.direction == way) & (abs(y) < 0.85) for way in (EAST, WEST)]
+        at = [(edges.direction == direction) & (abs(y) < 0.85) for direction in (EAST, WEST)]
         return set(ending[at[0]].tolist()), set(ending[at[1]].tolist())
 
     return find
@@ -128,10 +132,10 @@ def test_nobody_drops_through_a_slab_that_only_lacks_headroom(endings_at, height
     """A slab at 2.9 m over the ground: beyond x = 1, a beam leaves too little headroom."""
     slab = '<geom type="box" size="2.5 1 .1" pos="0 0 2.8"/>'
     beam = f'<geom type="box" size=".75 1 .1" pos="1.75 0 {2.9 + height + 0.1 - 0.3}"/>'
-    found = endings_at(GROUND + slab + beam, 2.9)[0]
-    assert (found == {DROP}) == (height == 2.0)
+    endings = endings_at(GROUND + slab + beam, 2.9)[0]
+    assert (endings == {DROP}) == (height == 2.0)
     if height == 1.2:
-        assert found == {OPEN}
+        assert endings == {OPEN}
 
 
 def test_one_does_not_look_past_a_parapet_on_a_frame(endings_at):

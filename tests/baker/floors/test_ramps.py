@@ -24,8 +24,10 @@ STEP = 0.02
 
 
 def scene(run: float, beside: str = "") -> str:
-    length, angle = math.hypot(run, 1.0), math.atan2(1.0, run)
-    x, z = run / 2 + 0.05 * math.sin(angle), 0.5 - 0.05 * math.cos(angle)
+    length = math.hypot(run, 1.0)
+    angle = math.atan2(1.0, run)
+    x = run / 2 + 0.05 * math.sin(angle)
+    z = 0.5 - 0.05 * math.cos(angle)
     turn = f'euler="0 {-math.degrees(angle)} 0"'
     return f"""<mujoco><worldbody>
       <geom type="box" size="1.5 2 .1" pos="-1.5 0 -.1"/>
@@ -126,19 +128,21 @@ def test_level_of_several_keeps_its_slopes(bake):
 @pytest.mark.parametrize("rise", [0.1, 0.3])
 def test_slopes_join_what_they_predict(rise):
     """Pairs of surfaces with slopes, against the rule spelled out."""
-    lattice, generator = Lattice(0.0, 1.0, 1.0, 2, 1), np.random.default_rng(7)
-    first, ids = np.arange(2, dtype=np.int32), np.zeros(2, dtype=np.int32)
+    lattice = Lattice(0.0, 1.0, 1.0, 2, 1)
+    generator = np.random.default_rng(7)
+    first = np.arange(2, dtype=np.int32)
+    ids = np.zeros(2, dtype=np.int32)
     marks = np.full(2, FLOOR_LIKE | STANDABLE, dtype=np.uint8)
     for _ in range(300):
-        one, other = generator.uniform(-rise, rise, 2)
+        rise_by_first, rise_by_second = generator.uniform(-rise, rise, 2)
         dz = generator.uniform(-0.5, 0.5)
-        normal = np.array([[-one, 0.3, 1], [-other, -0.2, 1]], dtype=np.float32)
+        normal = np.array([[-rise_by_first, 0.3, 1], [-rise_by_second, -0.2, 1]], dtype=np.float32)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         z = np.array([0.0, dz])
         surfaces = Surfaces(lattice, first, first + np.int32(1), z, ids, marks, normal)
         components = find_components(surfaces, JoinRule(0.12, by_slopes=True))
-        is_steep = max(abs(one), abs(other)) > 0.12
-        between = min(one, other) <= dz <= max(one, other)
-        near = max(abs(dz - one), abs(dz - other)) <= 0.12
+        is_steep = max(abs(rise_by_first), abs(rise_by_second)) > 0.12
+        between = min(rise_by_first, rise_by_second) <= dz <= max(rise_by_first, rise_by_second)
+        near = max(abs(dz - rise_by_first), abs(dz - rise_by_second)) <= 0.12
         expected = abs(dz) <= 0.12 or (is_steep and (between or near))
         assert components.num == (1 if expected else 2)

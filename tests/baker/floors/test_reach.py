@@ -84,7 +84,8 @@ def test_from_takes_a_roof_and_a_bed_for_floors(bake):
 
 
 def test_from_takes_furniture_only_at_its_own_height(bake):
-    ground, shelf = box("ground", -4, 4, -4, 4, -0.2, 0), box("shelf", -1, 1, 0, 0.4, 2.0, 2.1)
+    ground = box("ground", -4, 4, -4, 4, -0.2, 0)
+    shelf = box("shelf", -1, 1, 0, 0.4, 2.0, 2.1)
     settings = {"from": [[0, 0.2, 2.5]], "reach": "steps"}
     result = bake([ground, shelf], floors=settings)
     assert grounds(result) == [0] and result.warnings == []

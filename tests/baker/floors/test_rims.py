@@ -16,23 +16,24 @@ MASKS = arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=9))
 
 
 def edges_of(mask: np.ndarray, number: int) -> tuple[Lattice, list[np.ndarray]]:
-    """The edges of a region with the cells of a mask: its number, their cells and ways."""
+    """The edges of a region with the cells of a mask: its number, their cells and directions."""
     lattice = Lattice(0.0, float(mask.shape[0]), 1.0, mask.shape[1], mask.shape[0])
-    cell, way = (part.ravel() for part in np.meshgrid(np.flatnonzero(mask), np.arange(4)))
-    other = neighbor_cells(lattice, cell, way)
-    ends = (other < 0) | ~mask.ravel()[other]
-    return lattice, [np.full(ends.sum(), number, dtype=np.int32), cell[ends], way[ends]]
+    cell, direction = (part.ravel() for part in np.meshgrid(np.flatnonzero(mask), np.arange(4)))
+    neighbor = neighbor_cells(lattice, cell, direction)
+    ends = (neighbor < 0) | ~mask.ravel()[neighbor]
+    return lattice, [np.full(ends.sum(), number, dtype=np.int32), cell[ends], direction[ends]]
 
 
-def slow_holes(mask: np.ndarray, cell: np.ndarray, way: np.ndarray) -> np.ndarray:
+def slow_holes(mask: np.ndarray, cell: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The same by all pairs of cells beyond the edges, on a lattice with a margin."""
     inside = np.pad(mask, 2).ravel()
     width = mask.shape[1] + 4
     row, col = np.divmod(cell, mask.shape[1])
-    outer = (row + 2) * width + col + 2 + np.array([1, width, -1, -width])[way]
+    outer = (row + 2) * width + col + 2 + np.array([1, width, -1, -width])[direction]
     cells, where = np.unique(outer, return_inverse=True)
-    one, other = pairs = adjacent_pairs(cells, width)
-    low, high = cells[one], cells[other]
+    first, second = pairs = adjacent_pairs(cells, width)
+    low = cells[first]
+    high = cells[second]
     at_corner = ~np.isin(high - low, (1, width))
     pinched = at_corner & inside[high - width] & inside[low + width]
     return label_components(pairs[:, ~pinched], len(cells))[where] > 0
@@ -40,11 +41,15 @@ def slow_holes(mask: np.ndarray, cell: np.ndarray, way: np.ndarray) -> np.ndarra
 
 @given(mask=MASKS, twice=st.booleans())
 def test_edges_of_holes_are_those_that_no_cells_beyond_join_to_the_first(mask, twice) -> None:
-    lattice, (number, cell, way) = edges_of(mask, 3)
+    lattice, (number, cell, direction) = edges_of(mask, 3)
     if twice:  # two regions
-        number, cell, way = np.append(number, number + 2), np.tile(cell, 2), np.tile(way, 2)
+        number = np.append(number, number + 2)
+        cell = np.tile(cell, 2)
+        direction = np.tile(direction, 2)
     order = np.random.default_rng(0).permutation(len(cell))
     nothing = np.empty(0)
-    edges = RegionEdges(number[order], cell[order], nothing, way[order], nothing, nothing, nothing)
-    expected = slow_holes(mask, cell[order], way[order])
+    edges = RegionEdges(
+        number[order], cell[order], nothing, direction[order], nothing, nothing, nothing
+    )
+    expected = slow_holes(mask, cell[order], direction[order])
     np.testing.assert_array_equal(find_hole_edges(edges, lattice), expected)

@@ -236,18 +236,20 @@ def test_large_roof_is_told_of_and_can_be_kept(bake):
 
 def test_large_roof_on_no_walls_is_told_of(bake):
     """It is no larger than the floor under it."""
-    for size, told in ((7.2, 1), (6.8, 0)):
+    for size, num_warnings in ((7.2, 1), (6.8, 0)):
         result = bake([box(0, 9, 0, 9, -0.2, 0), box(0, size, 0, size, 2.8, 3)])
         assert grounds(result) == [0]
-        assert sum("the roof" in text for text in result.warnings) == told
+        assert sum("the roof" in text for text in result.warnings) == num_warnings
 
 
 @pytest.mark.parametrize(("size", "eaves"), [(8, 1.5), (3, 0.9), (3, 1.5)])
 @pytest.mark.parametrize("slope", [0, 20, 35])
 def test_wide_eaves_without_ground_are_no_level(bake, size, eaves, slope):
     """Most of the roof lies over nothing."""
-    house, half = [*ring(0, size, 0, 6, 0, 2.6), box(0, size, 0, 6, -0.2, 0)], (3 + eaves) / 2
-    tan, along = np.tan(np.radians(slope)), half / np.cos(np.radians(slope))
+    house = [*ring(0, size, 0, 6, 0, 2.6), box(0, size, 0, 6, -0.2, 0)]
+    half = (3 + eaves) / 2
+    tan = np.tan(np.radians(slope))
+    along = half / np.cos(np.radians(slope))
     for side in (-1, 1):
         pos = f"{size / 2} {3 + side * half} {2.65 + tan * (3 - half)}"
         turn = f"{size / 2 + eaves} {along} .05' euler='{-side * slope} 0 0'".replace("'", '"')

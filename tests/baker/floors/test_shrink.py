@@ -16,10 +16,11 @@ shrink = numba.njit(region_kernels.shrink.py_func)
 
 
 def count(mask, limit):
-    half = disc_half_widths(limit, int(min(mask.shape)))
-    left, reach = np.empty_like(mask), len(half) // 2
-    shrink(np.pad(mask, reach).astype(np.int32), AreaTest(0, reach, half), left)
-    return left.sum()
+    half_widths = disc_half_widths(limit, int(min(mask.shape)))
+    remaining = np.empty_like(mask)
+    radius = len(half_widths) // 2
+    shrink(np.pad(mask, radius).astype(np.int32), AreaTest(0, radius, half_widths), remaining)
+    return remaining.sum()
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -69,7 +69,8 @@ def storeys(number: int, well: tuple[float, float, float, float]) -> list[str]:
 
 def half_landing(z: float, landing: float) -> tuple[list[str], list[tuple[float, float, float]]]:
     """Two flights of open treads and a landing; and x, y, height of each tread."""
-    treads, at = [], []
+    treads = []
+    at = []
     for i in range(9):
         for y, height, x in [(1.0, i + 1, 2 + 0.28 * i), (2.2, 17 - i, 2 + 0.28 * i)]:
             top = z + RISE * height / 18
@@ -85,9 +86,11 @@ def spiral(z: float, turn: float) -> tuple[list[str], list[tuple[float, float, f
 
     The uppermost reaches over the edge of the floor above.
     """
-    treads, at = [], []
+    treads = []
+    at = []
     for i in range(18):
-        angle, length = turn * i / 18, 0.8 if i == 17 else 0.6
+        angle = turn * i / 18
+        length = 0.8 if i == 17 else 0.6
         radius = 0.3 + length
         x = 4 + radius * math.cos(math.radians(angle))
         y = 3 + radius * math.sin(math.radians(angle))
@@ -98,7 +101,7 @@ def spiral(z: float, turn: float) -> tuple[list[str], list[tuple[float, float, f
     return treads, at
 
 
-def found(grid: Grid, x: float, y: float, z: float) -> list[int]:
+def levels_at(grid: Grid, x: float, y: float, z: float) -> list[int]:
     """The levels whose floor at a position is at a height."""
     levels = []
     for number, level in enumerate(grid.levels):
@@ -111,15 +114,17 @@ def found(grid: Grid, x: float, y: float, z: float) -> list[int]:
 @pytest.mark.parametrize("number", [2, 3, 5])
 @pytest.mark.parametrize("landing", [1.2, 2.0])
 def test_half_landings_open_no_storeys(bake, number, landing):
-    geoms, treads = storeys(number, (2, 4.52 + landing, 1, 3.3)), []
+    geoms = storeys(number, (2, 4.52 + landing, 1, 3.3))
+    treads = []
     for k in range(number - 1):
         flights, at = half_landing(RISE * k, landing)
-        geoms, treads = [*geoms, *flights], [*treads, *at]
+        geoms = [*geoms, *flights]
+        treads = [*treads, *at]
     grid = bake(geoms)
     assert grounds(grid) == [RISE * k for k in range(number)]
     islands = find_islands(grid)
     for x, y, z in treads:  # every tread and landing is somewhere, once, on the one walk
-        [level] = found(grid, x, y, z)
+        [level] = levels_at(grid, x, y, z)
         row, col = grid.levels[level].lattice.rows_cols([x, y])
         assert islands[level][row, col] == 1
     for k, level in enumerate(grid.levels):  # no floor was moved off its level
@@ -130,14 +135,16 @@ def test_half_landings_open_no_storeys(bake, number, landing):
 
 @pytest.mark.parametrize("number", [2, 4])
 def test_a_spiral_of_one_turn_a_storey_opens_none(bake, number):
-    geoms, treads = storeys(number, (2.5, 5.5, 1.5, 4.5)), []
+    geoms = storeys(number, (2.5, 5.5, 1.5, 4.5))
+    treads = []
     for k in range(number - 1):
         flights, at = spiral(RISE * k, 360)
-        geoms, treads = [*geoms, *flights], [*treads, *at]
+        geoms = [*geoms, *flights]
+        treads = [*treads, *at]
     grid = bake(geoms)
     assert grounds(grid) == [RISE * k for k in range(number)]
     for x, y, z in treads:
-        assert len(found(grid, x, y, z)) == 1
+        assert len(levels_at(grid, x, y, z)) == 1
 
 
 def test_a_spiral_of_two_turns_opens_none(bake):
@@ -146,7 +153,7 @@ def test_a_spiral_of_two_turns_opens_none(bake):
     grid = bake([*storeys(2, (2.5, 5.5, 1.5, 4.5)), *flights])
     assert grounds(grid) == [0, 3]
     for x, y, z in treads:
-        assert len(found(grid, x, y, z)) == 1
+        assert len(levels_at(grid, x, y, z)) == 1
 
 
 def test_mezzanine_on_a_stair_of_its_own_is_a_level(bake):
@@ -160,15 +167,15 @@ def test_mezzanine_on_a_stair_of_its_own_is_a_level(bake):
 @pytest.mark.parametrize("off", [0.003, 0.019, -0.003])
 def test_given_ground_takes_in_floors_a_little_below_it(bake, off):
     geoms = storeys(2, (2, 5, 1, 3))
-    given = [{"ground": off}, {"ground": RISE + off, "top": 5.0}]
-    grid = bake(geoms, levels=given)
+    levels = [{"ground": off}, {"ground": RISE + off, "top": 5.0}]
+    grid = bake(geoms, levels=levels)
     assert grounds(grid) == [off, RISE + off]
-    assert found(grid, 8, 6, 0.0) == [0] and found(grid, 8, 6, RISE) == [1]
+    assert levels_at(grid, 8, 6, 0.0) == [0] and levels_at(grid, 8, 6, RISE) == [1]
 
 
 def test_given_ground_too_far_above_a_floor_does_not_take_it_in(bake):
     grid = bake(storeys(2, (2, 5, 1, 3)), levels=[{"ground": 0.0}, {"ground": 2.98, "top": 5.0}])
-    assert found(grid, 8, 6, RISE) == [1]
+    assert levels_at(grid, 8, 6, RISE) == [1]
     with pytest.raises(SceneError, match=r"no floor on level 1 \(ground 3.03 m"):
         bake(storeys(2, (2, 5, 1, 3)), levels=[{"ground": 0.0}, {"ground": 3.03, "top": 5.0}])
 
@@ -208,7 +215,8 @@ def cost_of(level: list[int], base: list[int], is_stair: list[bool]) -> int:
 def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     """The levels of the surfaces of one column, -1 where all are taken."""
     num = len(base)
-    z, none = np.array(base) + 0.01 * np.arange(num), np.empty((0, 3), dtype=np.float32)
+    z = np.array(base) + 0.01 * np.arange(num)
+    none = np.empty((0, 3), dtype=np.float32)
     ids = np.zeros(num, dtype=np.int32)
     surfaces = Surfaces(
         lattice=Lattice(0.0, 1.0, 1.0, 1, 1),
@@ -224,7 +232,8 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
         plateau=np.arange(num, dtype=np.int32),
         is_stair=np.array(is_stair),
     )
-    level, grounds = np.empty(num, dtype=np.int32), np.arange(num_levels, dtype=np.float64)
+    level = np.empty(num, dtype=np.int32)
+    grounds = np.arange(num_levels, dtype=np.float64)
     Blocks(surfaces.lattice).list_rows(
         assign_columns,
         HISTOGRAM_ROWS,
@@ -250,7 +259,8 @@ COLUMN = st.integers(1, 4).flatmap(
 @given(COLUMN)
 def test_places_are_the_best_in_order(column):
     surfaces, num_levels = column
-    base, is_stair = [b for b, _ in surfaces], [s for _, s in surfaces]
+    base = [b for b, _ in surfaces]
+    is_stair = [s for _, s in surfaces]
     level = place(base, is_stair, num_levels)
     used = [k for k in level if k >= 0]
     assert len(set(used)) == len(used)
@@ -264,7 +274,8 @@ def test_places_are_the_best_in_order(column):
 
 
 def test_columns_of_stairwells():
-    tread, floor = True, False
+    tread = True
+    floor = False
     # floor, then half-landings over each other: each goes one up
     assert place([0, 0, 1, 2], [floor, tread, tread, tread], 4) == [0, 1, 2, 3]
     # a tread between two floors goes to a level that is free, and no floor moves
@@ -287,14 +298,21 @@ def test_climbing_stairs_finds_the_largest_floor_above_and_below(graph):
     steps, area = graph
     edges = sorted({(min(a, b), max(a, b)) for a, b in steps if a != b})
     lower, upper = np.array(edges, dtype=np.int64).reshape(-1, 2).T
-    orders = np.argsort(lower, kind="stable"), np.argsort(upper, kind="stable")
-    above, below = find_largest_areas(lower, upper, np.array(area), *orders)
+    above, below = find_largest_areas(
+        lower,
+        upper,
+        np.array(area),
+        np.argsort(lower, kind="stable"),
+        np.argsort(upper, kind="stable"),
+    )
 
     def reach(part: int, up: bool) -> set[int]:
-        ways = edges if up else [(b, a) for a, b in edges]
-        following = {b for a, b in ways if a == part}
-        return following.union(*(reach(other, up) for other in following))
+        steps_onward = edges if up else [(b, a) for a, b in edges]
+        following = {b for a, b in steps_onward if a == part}
+        return following.union(*(reach(next_part, up) for next_part in following))
 
     for part in range(len(area)):
-        assert above[part] == max([area[other] for other in reach(part, True)], default=0)
-        assert below[part] == max([area[other] for other in reach(part, False)], default=0)
+        assert above[part] == max([area[upper_part] for upper_part in reach(part, True)], default=0)
+        assert below[part] == max(
+            [area[lower_part] for lower_part in reach(part, False)], default=0
+        )

@@ -21,7 +21,8 @@ def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float) -> str
 
 def house(slab: float, ends: float, wall: float, storeys: int) -> str:
     """Storeys of 6 x 5 m over a ground plane; walls end `ends` m past the slab above them."""
-    geoms, z = ['<geom type="plane" size="5 5 .1"/>', box(0, 6, 0, 5, 0, slab)], slab
+    geoms = ['<geom type="plane" size="5 5 .1"/>', box(0, 6, 0, 5, 0, slab)]
+    z = slab
     for _ in range(storeys):
         top = z + 2.5 + ends
         sides = [(0, 6, 0, wall), (0, 6, 5 - wall, 5), (0, wall, 0, 5), (6 - wall, 6, 0, 5)]
@@ -40,8 +41,10 @@ def find_floors_of(folder: Path, geoms: list[str], **settings: object) -> Floors
 @pytest.mark.parametrize("seed", range(24))
 def test_house_on_its_slab_keeps_its_floors(tmp_path: Path, seed):
     generator = np.random.default_rng(seed)
-    slab, ends = generator.uniform(0.02, 0.3), generator.choice([-0.002, -0.001, 0, 0.001, 0.002])
-    wall, step = generator.uniform(0.02, 0.3), generator.choice([0.01, 0.05, 0.25])
+    slab = generator.uniform(0.02, 0.3)
+    ends = generator.choice([-0.002, -0.001, 0, 0.001, 0.002])
+    wall = generator.uniform(0.02, 0.3)
+    step = generator.choice([0.01, 0.05, 0.25])
     path = tmp_path / "house.xml"
     geoms = house(float(slab), float(ends), float(wall), 2)
     path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")

@@ -71,33 +71,35 @@ def grounds(result: BakeResult) -> list[float]:
 
 
 @pytest.fixture(scope="module")
-def whole(path: Path) -> BakeResult:
+def whole_result(path: Path) -> BakeResult:
     return bake(path)
 
 
 def layers(result: BakeResult, part: Lattice) -> dict[float, np.ndarray]:
     """What the levels hold in the cells of a lattice, by ground: floor, occupied, solid."""
-    found = {}
+    layers_by_ground = {}
     for level in result.grid.levels:
         rows, _ = level.lattice.rows_cols(np.stack([part.center_y() * 0, part.center_y()], axis=1))
         _, cols = level.lattice.rows_cols(np.stack([part.center_x(), part.center_x() * 0], axis=1))
-        here = (rows >= 0) & (rows < level.height), (cols >= 0) & (cols < level.width)
+        has_row = (rows >= 0) & (rows < level.height)
+        has_col = (cols >= 0) & (cols < level.width)
         values = np.stack([np.full(part.shape, np.nan), *np.ones((2, *part.shape))])
         for out, layer in zip(values, ("floorHeight", "occupancy", "solid"), strict=True):
-            out[np.ix_(*here)] = level.attributes[layer][np.ix_(rows[here[0]], cols[here[1]])]
-        found[round(level.ground, 6)] = values
-    return found
+            cells = np.ix_(rows[has_row], cols[has_col])
+            out[np.ix_(has_row, has_col)] = level.attributes[layer][cells]
+        layers_by_ground[round(level.ground, 6)] = values
+    return layers_by_ground
 
 
 @settings(max_examples=30, deadline=None)
 @given(corners=st.lists(st.integers(0, 10_000), min_size=4, max_size=4))
-def test_a_window_is_cut_from_the_whole(path, whole, corners):
-    lattice = whole.grid.levels[0].lattice  # the yard's, so the whole scene's
+def test_a_window_is_cut_from_the_whole(path, whole_result, corners):
+    lattice = whole_result.grid.levels[0].lattice  # the yard's, so the whole scene's
     col, last_col = sorted(n % (lattice.width + 1) for n in corners[:2])
     row, last_row = sorted(n % (lattice.height + 1) for n in corners[2:])
     assume(col < last_col and row < last_row)
     part = lattice.cut(slice(row, last_row), slice(col, last_col))
-    expected = layers(whole, part)
+    expected = layers(whole_result, part)
     shown = {}
     with contextlib.suppress(SceneError):  # no floor lies in the window
         shown = layers(bake(path, list(part.bounds)), part)
@@ -107,9 +109,9 @@ def test_a_window_is_cut_from_the_whole(path, whole, corners):
     assert all(occupied.all() for _, occupied, _ in expected.values())
 
 
-def test_the_scene_is_what_its_comment_says(whole):
-    assert grounds(whole) == [0, 3]
-    top, unreached = whole.warnings
+def test_the_scene_is_what_its_comment_says(whole_result):
+    assert grounds(whole_result) == [0, 3]
+    top, unreached = whole_result.warnings
     assert "the top of 'block'" in top
     assert "no step leads to 16.9 m² of 'level 1' (most of it on 'landing'" in unreached
 
@@ -134,9 +136,10 @@ def test_windows_show_no_roofs_and_no_tops(path, bounds, expected, area):
     assert sum("no step leads" in text for text in result.warnings) == area
 
 
-def test_levels_of_a_window_are_numbered_anew_and_keep_their_links(path, whole):
+def test_levels_of_a_window_are_numbered_anew_and_keep_their_links(path, whole_result):
     stages = bake_stages({"scene": {"path": str(path)}, "grid": {"cell_size": CELL}})
-    lattice, links = stages.lattice, stages.floors.links
+    lattice = stages.lattice
+    links = stages.floors.links
     assert len(links)
     row, col = np.divmod(links[:, [1, 3]], lattice.width)
     rows = slice(int(row.min()) - 3, int(row.max()) + 2)
@@ -156,7 +159,8 @@ def test_levels_of_a_window_are_numbered_anew_and_keep_their_links(path, whole):
 def test_levels_and_links_of_a_window_are_numbered_anew():
     """On the second of four levels, the window shows no standable surface."""
     floor = np.arange(8.0).reshape(2, 4)
-    everywhere, first = np.ones((2, 4), dtype=bool), np.arange(4) < np.ones((2, 1))
+    everywhere = np.ones((2, 4), dtype=bool)
+    first = np.arange(4) < np.ones((2, 1))
     levels = [
         LevelFloor("level 0", 0.0, floor, everywhere),
         LevelFloor("level 1", 3.0, floor + 3, first),
@@ -167,15 +171,15 @@ def test_levels_and_links_of_a_window_are_numbered_anew():
     cells = np.array([[0, 4], [4, 5]])
     patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), cells[k]) for k in (0, 1)]
     unreached = [UnreachedFloors(level, patches[1], True) for level in (1, 2)]
-    whole = Floors(levels, links, patches, [], [], unreached, [], patches[:1], [], [], [])
-    window = crop_floors(whole, (slice(0, 2), slice(1, 4)))
+    scene_floors = Floors(levels, links, patches, [], [], unreached, [], patches[:1], [], [], [])
+    window = crop_floors(scene_floors, (slice(0, 2), slice(1, 4)))
     assert [level.name for level in window.levels] == ["level 0", "level 1", "attic"]
     assert [level.ground for level in window.levels] == [0, 6, 9]
     assert window.links.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
     assert window.tops == patches[1:] and window.enclosed_by_meshes == []
     assert [part.level for part in window.unreached] == [1]
     np.testing.assert_array_equal(window.levels[1].floor, floor[:, 1:] + 6)
-    nowhere = replace(whole, levels=[replace(level, standable=first) for level in levels])
+    nowhere = replace(scene_floors, levels=[replace(level, standable=first) for level in levels])
     with pytest.raises(SceneError, match="no floor lies inside"):
         crop_floors(nowhere, (slice(0, 2), slice(1, 4)))
 
@@ -213,9 +217,9 @@ def test_a_window_of_a_scene_beyond_the_limit_is_judged_by_what_fits(path):
 def test_the_whole_is_laid_around_the_window(max_cells, sides):
     """It goes on by whole cells, no farther to one side than to another where there is more."""
     window = Lattice(1.0, 3.0, 0.5, 4, 3)  # x 1 to 3, y 1.5 to 3
-    whole, (rows, cols) = extend_lattice(
+    extended, (rows, cols) = extend_lattice(
         window, np.array([[0.2, -1.0, 0], [3.4, 3.0, 1]]), max_cells
     )
-    assert whole.cut(rows, cols) == window
-    assert list(whole.bounds) == sides
+    assert extended.cut(rows, cols) == window
+    assert list(extended.bounds) == sides
     assert extend_lattice(window, None, max_cells)[0] == window
