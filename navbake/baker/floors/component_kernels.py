@@ -31,7 +31,7 @@ MAX_RANK = 4096
 
 
 class JoinRule(NamedTuple):
-    """When surfaces of neighboring cells are connected, and when they are only linked.
+    """The rule that says which surfaces of neighboring cells are connected, and which only linked.
 
     Attributes:
         step: the largest difference of height of connected surfaces of one group [m].

@@ -56,7 +56,7 @@ CONFIGURED_GROUND_TOLERANCE = 0.02
 UNEVENNESS = 0.005
 # Levels rarely begin farther above one another than this [m]. In a scene with more than so many
 # levels, the search for the next ground looks no higher at first, which saves time in towers.
-HIGH_STOREY = 8.0
+USUAL_LEVEL_HEIGHT = 8.0
 MANY_LEVELS = 4
 # A plateau is a part of a stair if the floors that it leads to are more than so many times larger
 STAIR_AREA_RATIO = 4
@@ -65,7 +65,7 @@ GROUND_DECIMALS = 9
 # Where no surface tells the ground of a further level, it is so much above the highest one [m]
 EXTRA_LEVEL_RISE = 1.0
 # Empty arrays of the rows of a histogram: counted numbers, and heights
-HISTOGRAM_ROWS = NO_ROWS, NO_HEIGHTS
+NO_HISTOGRAM_ROWS = NO_ROWS, NO_HEIGHTS
 # An area test that shrinks nothing and needs no cell
 NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
@@ -175,11 +175,11 @@ class HeightHistogram(NamedTuple):
     low: Float
 
     def select(self, mask: Bool) -> HeightHistogram:
-        """The rows that a mask marks, shape (n,)."""
+        """Return the rows that a mask of shape (n,) marks."""
         return HeightHistogram._make(column[mask] for column in self)
 
     def most_common_height(self) -> float:
-        """The lowest height in the bin with the most surfaces [m]."""
+        """Return the lowest height in the bin with the most surfaces [m]."""
         bins, bin_index = np.unique(self.height_bin, return_inverse=True)
         largest = int(np.bincount(bin_index, self.num_surfaces).argmax())
         return float(self.low[self.height_bin == bins[largest]].min())
@@ -275,7 +275,7 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
     # the histogram of each plateau's heights; a plateau's component lies in one of a region
     _, (rows, low) = regions.blocks.list_rows(
         cross_tabulate,
-        HISTOGRAM_ROWS,
+        NO_HISTOGRAM_ROWS,
         regions.surfaces,
         components.number,
         regions.components.number,
@@ -348,7 +348,7 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     while assignment_input.is_stacked:
         tops = [np.inf]
         if len(grounds) > MANY_LEVELS:
-            tops = [grounds[-1] + HIGH_STOREY, np.inf]
+            tops = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
         ground = _find_next_ground(assignment_input, grounds[-1], half_step, tops)
         if ground is None:
             break
@@ -406,7 +406,7 @@ def _count_heights(
     regions = assignment_input.regions
     _, (rows, low) = regions.blocks.list_rows(
         kernels.count_heights,
-        HISTOGRAM_ROWS,
+        NO_HISTOGRAM_ROWS,
         regions.surfaces,
         assignment_input.candidates,
         selection,
@@ -432,7 +432,7 @@ def _assign_surfaces(
     level = np.empty(len(regions.surfaces.z), dtype=np.int32)
     _, (rows, low) = regions.blocks.list_rows(
         kernels.assign_columns,
-        HISTOGRAM_ROWS,
+        NO_HISTOGRAM_ROWS,
         regions.surfaces,
         assignment_input.candidates,
         LevelRule(np.array(grounds), assignment_input.tolerance, skip_floors),
@@ -478,7 +478,7 @@ def _lower_grounds_once(
     num_parts = int(part_of_component.max(initial=-1)) + 1
     _, (rows, heights) = regions.blocks.list_rows(
         cross_tabulate,
-        HISTOGRAM_ROWS,
+        NO_HISTOGRAM_ROWS,
         regions.surfaces,
         components.number,
         candidates.plateau,

@@ -70,7 +70,7 @@ class HeightSelection(NamedTuple):
 
 
 class LevelRule(NamedTuple):
-    """How surfaces are assigned to levels.
+    """The grounds of the levels, and how surfaces are assigned to them.
 
     Attributes:
         grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
@@ -380,7 +380,7 @@ def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
 
 @kernel
 def find_largest_areas(lower, upper, area, by_lower, by_upper):
-    """Find the largest floors that lead from each plateau going only up, and going only down.
+    """Find the size of the largest floor that each plateau leads to, going only up and only down.
 
     Args:
         lower: the lower plateau of each step, (steps,) int64.

@@ -37,7 +37,7 @@ PROBE_HEIGHT = 0.01
 # An empty array of rows of `list_edges`
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
 # So many cells are worth a call on another thread
-LEAST_CELLS_BELOW = 1000
+MIN_CELLS_PER_THREAD = 1000
 
 OccupancyTest = Callable[[Int, Float, HeightRange | None], Bool]
 """Tests whether a geom meets a range of heights above the floor, over each cell's square.
@@ -171,9 +171,9 @@ class RegionContext(NamedTuple):
         # what meets the feet is a barrier; what meets the head, too, is a wall
         for heights, ending in ((at_feet, BARRIER), (at_head, WALL)):
             is_met = self.is_occupied(edges.cell[candidates], edges.z[candidates], heights)
-            not_met = np.flatnonzero(~is_met & (outer[candidates] >= 0))
-            cells = outer[candidates[not_met]]
-            is_met[not_met] = self.is_occupied(cells, edges.z[candidates[not_met]], heights)
+            unmet = np.flatnonzero(~is_met & (outer[candidates] >= 0))
+            cells = outer[candidates[unmet]]
+            is_met[unmet] = self.is_occupied(cells, edges.z[candidates[unmet]], heights)
             candidates = candidates[is_met]
             kind[candidates] = ending
         return kind
@@ -219,14 +219,14 @@ class RegionContext(NamedTuple):
                 continued_z[candidates],
                 agent.traversable_floor_height,
             )
-            has_floor = candidates[~np.isnan(edges.floors_below[candidates, k])]
-            floors = edges.floors_below[has_floor, k]
-            is_covered = continued_z[has_floor] > floors + agent.height + LIMIT_SLACK
-            is_full = self.is_occupied(edges.cells_beyond[has_floor, k], floors, None)
-            drops = has_floor[~is_covered & ~is_full]
-            kind[drops] = DROP
-            floor_height[drops] = edges.floors_below[drops, k]
-            floor_region[drops] = edges.regions_below[drops, k]
+            with_floor = candidates[~np.isnan(edges.floors_below[candidates, k])]
+            floors = edges.floors_below[with_floor, k]
+            is_covered = continued_z[with_floor] > floors + agent.height + LIMIT_SLACK
+            is_full = self.is_occupied(edges.cells_beyond[with_floor, k], floors, None)
+            drop_edges = with_floor[~is_covered & ~is_full]
+            kind[drop_edges] = DROP
+            floor_height[drop_edges] = edges.floors_below[drop_edges, k]
+            floor_region[drop_edges] = edges.regions_below[drop_edges, k]
             candidates = candidates[kind[candidates] == OPEN]
         is_known = self.mark_known(kind, edges.direction)
         return EdgeEndings(kind, floor_height, floor_region, is_known)
@@ -330,7 +330,7 @@ def find_highest_below(
         limits,
         below,
         regions_below,
-        least=LEAST_CELLS_BELOW,
+        least=MIN_CELLS_PER_THREAD,
     )
     return below, regions_below
 
@@ -366,15 +366,15 @@ def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
     """
     order = np.argsort(edges.region, kind="stable")
     start = np.append(np.flatnonzero(np.diff(edges.region[order], prepend=-1)), len(order))
-    in_hole_in_order = np.empty(len(order), dtype=np.bool_)
-    mark_hole_edges(edges.cell[order], edges.direction[order], start, lattice, in_hole_in_order)
+    in_hole_sorted = np.empty(len(order), dtype=np.bool_)
+    mark_hole_edges(edges.cell[order], edges.direction[order], start, lattice, in_hole_sorted)
     in_hole = np.empty(len(order), dtype=np.bool_)
-    in_hole[order] = in_hole_in_order
+    in_hole[order] = in_hole_sorted
     return in_hole
 
 
 def neighbor_cells(lattice: Lattice, cell: Int, direction: Int | int, steps: int = 1) -> Int:
-    """Return the cells so many steps from others in a direction.
+    """Return the cells that lie a number of steps away from others in one direction.
 
     Args:
         lattice: the lattice.

@@ -24,7 +24,7 @@ from navbake.baker.floors.regions import (
     find_nearest_position,
     find_regions,
 )
-from navbake.baker.floors.rejected import LARGE_TOP, LEAST_LINES, RejectedRegions
+from navbake.baker.floors.rejected import LARGE_TOP, MIN_LINES_PER_THREAD, RejectedRegions
 from navbake.baker.floors.surface_kernels import ENCLOSED, Surfaces
 from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
@@ -179,7 +179,7 @@ def count_low_surfaces(context: RegionContext) -> Int:
         surfaces.z[surface_ids] + ADULT_HEADROOM,
         context.columns.covering(cell).hits,
         is_low,
-        least=LEAST_LINES,
+        least=MIN_LINES_PER_THREAD,
     )
     return np.bincount(region[has_region][is_low], minlength=regions.num)
 

@@ -53,7 +53,7 @@ class RegionSurfaces(NamedTuple):
     surface_id: Int
 
     def select(self, mask: Bool) -> "RegionSurfaces":
-        """The surfaces that a mask of shape (n,) marks."""
+        """Return the surfaces that a mask of shape (n,) marks."""
         return RegionSurfaces._make(array[mask] for array in self)
 
 
@@ -81,7 +81,7 @@ class RegionEdges(NamedTuple):
     regions_below: Int32
 
     def select(self, selection: Bool | Int) -> "RegionEdges":
-        """Some of the edges, by a mask of shape (edges,) or by their indices."""
+        """Return some of the edges, by a mask of shape (edges,) or by their indices."""
         return RegionEdges._make(array[selection] for array in self)
 
 

@@ -63,7 +63,7 @@ class Components(NamedTuple):
         return len(self.measures)
 
     def pairs_of_kind(self, kind: int) -> Int:
-        """The rows of the pairs of one kind: JOINED, LINKED or STACKED."""
+        """Return the rows of the pairs of one kind: JOINED, LINKED or STACKED."""
         rows: Int = self.pairs[self.pairs[:, 2] == kind]
         return rows
 
@@ -296,7 +296,7 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
 
 @dataclass(frozen=True)
 class Patch:
-    """A description of surfaces that lie side by side, such as a region that is no floor.
+    """A summary of surfaces that lie side by side, such as a region that is no floor.
 
     Attributes:
         geom: id of the geom that most of them belong to.
@@ -312,7 +312,7 @@ class Patch:
 
 
 def describe_surfaces(lattice: Lattice, surfaces: RegionSurfaces) -> Patch:
-    """Describe some surfaces.
+    """Summarize some surfaces as a patch: their main geom, area, position and cells.
 
     Args:
         lattice: of their cells.
@@ -351,7 +351,7 @@ def find_nearest_position(
 def describe_regions(
     regions: Regions, mask: Bool, height_ranges: Sequence[HeightRange] = ()
 ) -> list[Patch]:
-    """Describe some regions, the largest first.
+    """Summarize some regions as patches, the largest first.
 
     Args:
         regions: all regions.

@@ -62,7 +62,7 @@ SHELF_DEPTH = 2.5
 # A shelf drops along more than this share of its outline
 SHELF_DROP_SHARE = 0.5
 # So many cells are worth a call on another thread
-LEAST_LINES = 1000
+MIN_LINES_PER_THREAD = 1000
 
 
 class RejectedRegions(NamedTuple):
@@ -123,7 +123,7 @@ def find_rejected_regions(
 
 
 class TopDrops(NamedTuple):
-    """How a region that may be a top drops to others.
+    """How many edges of a region drop to which other regions.
 
     Attributes:
         drops_to: by region, how many edges drop to it; empty where `_find_tops` rules out a top by
@@ -159,13 +159,13 @@ def _find_tops(context: RegionContext) -> Bool:
         height = regions.box[:, 2] - regions.box[:, 0]
         width = regions.box[:, 3] - regions.box[:, 1]
         may_be_top &= num_drops >= MIN_DROP_SHARE * 2 * (height + width)
-    drops_of = _count_drops(context, may_be_top)
+    drops_by_region = _count_drops(context, may_be_top)
     drops_from_all = Counter[int]()  # to each region
-    for drops in drops_of.values():
+    for drops in drops_by_region.values():
         drops_from_all.update(drops.drops_to)
     is_top = np.zeros(regions.num, dtype=np.bool_)
     is_too_large = np.zeros(regions.num, dtype=np.bool_)
-    for region, drops in drops_of.items():
+    for region, drops in drops_by_region.items():
         if not drops.drops_to:
             continue
         size = regions.size[region]
@@ -179,10 +179,10 @@ def _find_tops(context: RegionContext) -> Bool:
         is_wound_through = max(drops_around_floor, default=0) > drops.outline
         is_top[region] = is_small or is_wound_through
         is_too_large[region] = not is_top[region]
-    return is_top | (is_too_large & ~_mark_wider(context, is_too_large, WALL_TOP_WIDTH))
+    return is_top | (is_too_large & ~_mark_wider_than(context, is_too_large, WALL_TOP_WIDTH))
 
 
-def _mark_wider(context: RegionContext, candidates: Bool, width: float) -> Bool:
+def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> Bool:
     """Mark those of some regions that are somewhere wider than a width [m]."""
     if not candidates.any():
         return candidates
@@ -192,7 +192,7 @@ def _mark_wider(context: RegionContext, candidates: Bool, width: float) -> Bool:
 
 
 def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops]:
-    """Count how some regions drop to others, by region."""
+    """Count the drops of some regions to others, by region."""
     if not candidates.any():
         return {}
     regions = context.regions
@@ -212,7 +212,7 @@ def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops
     # other holes are where things stand on the region, such as pillows
     is_known = endings.is_known & (~in_hole | drops)
     may_be_top = context.share_of_edges(edges, drops, is_known) >= MIN_DROP_SHARE
-    drops_of = {}
+    drops_by_region = {}
     for region in np.flatnonzero(candidates).tolist():
         is_of_region = edges.region == region
         floor_heights = np.sort(endings.floor_height[is_of_region & drops])
@@ -221,16 +221,22 @@ def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops
         if may_be_top[region] and len(floor_heights):
             # the median, the lower one of two
             floor = float(floor_heights[(len(floor_heights) - 1) // 2])
-            if _count_over_room(context, region, floor) <= MEZZANINE_SHARE * regions.size[region]:
+            if (
+                _count_cells_over_room(context, region, floor)
+                <= MEZZANINE_SHARE * regions.size[region]
+            ):
                 drops_to.update(endings.floor_region[is_of_region & drops].tolist())
                 drops_in_holes.update(endings.floor_region[is_of_region & drops & in_hole].tolist())
         outline = int(np.count_nonzero(~in_hole[is_of_region]))
-        drops_of[region] = TopDrops(drops_to, drops_in_holes, outline)
-    return drops_of
+        drops_by_region[region] = TopDrops(drops_to, drops_in_holes, outline)
+    return drops_by_region
 
 
-def _count_over_room(context: RegionContext, region: int, floor: float) -> int:
-    """Count a region's cells with room for an agent below, on the `floor` beside [m] or higher."""
+def _count_cells_over_room(context: RegionContext, region: int, floor: float) -> int:
+    """Count a region's cells with room for an agent below them.
+
+    The room is at the height of the floor beside the region [m], or higher.
+    """
     members = context.regions.surfaces_of(region)
     cells = members.cell
     step = context.agent.traversable_floor_height
@@ -246,7 +252,7 @@ def _count_over_room(context: RegionContext, region: int, floor: float) -> int:
         np.full(len(cells), floor + context.agent.height - TOUCH_DEPTH),
         context.columns.covering(cells).hits,
         is_blocked,
-        least=LEAST_LINES,
+        least=MIN_LINES_PER_THREAD,
     )
     return int(np.count_nonzero(has_floor | ~is_blocked))
 
@@ -287,11 +293,11 @@ def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
     is_known = context.mark_known(kind, edges.direction)
     # `classify_barriers` has tested the cells at the edge and beyond it
     for cells in cells_near[-3::-1]:
-        near_wall = np.flatnonzero(is_known & (kind != WALL) & (cells >= 0))
+        edges_near = np.flatnonzero(is_known & (kind != WALL) & (cells >= 0))
         for heights in probe_ranges(agent):
-            is_met = context.is_occupied(cells[near_wall], edges.z[near_wall], heights)
-            near_wall = near_wall[is_met]
-        kind[near_wall] = WALL
+            is_met = context.is_occupied(cells[edges_near], edges.z[edges_near], heights)
+            edges_near = edges_near[is_met]
+        kind[edges_near] = WALL
     return candidates & (context.share_of_edges(edges, kind == WALL, is_known) <= WALL_SHARE)
 
 
@@ -307,7 +313,7 @@ def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
     A shelf is nowhere deeper than 2.5 m, as a mezzanine is, and more than half of its outline drops
     to a floor, unlike that of a gallery from wall to wall.
     """
-    candidates = candidates & ~_mark_wider(context, candidates, SHELF_DEPTH)
+    candidates = candidates & ~_mark_wider_than(context, candidates, SHELF_DEPTH)
     if not candidates.any():
         return candidates
     edges = _select_outer_edges(context, candidates, context.reach)
@@ -358,8 +364,8 @@ def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool
     is_over = np.zeros(len(cell), dtype=np.bool_)
     # pairs of hits next above each other
     for k in range(int((end - first).max(initial=0)) - 1):
-        has_pair = np.flatnonzero(first + k + 1 < end)
-        lower = first[has_pair] + k
+        cell_with_pair = np.flatnonzero(first + k + 1 < end)
+        lower = first[cell_with_pair] + k
         lower_z = columns.z[lower]
         gap = columns.z[lower + 1] - lower_z
         lower_faces_up = columns.normal[lower, 2] > 0
@@ -367,7 +373,7 @@ def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool
         # at one height, the roof's lower side may stand before the wall's top
         limit = np.where(lower_faces_up, context.agent.traversable_floor_height, SAME_HEIGHT)
         is_wall_top = (gap < limit) & (lower_faces_up | upper_faces_up)
-        is_over[has_pair] |= is_wall_top & (lower_z < members.z[has_pair] - SAME_HEIGHT)
+        is_over[cell_with_pair] |= is_wall_top & (lower_z < members.z[cell_with_pair] - SAME_HEIGHT)
     return is_over
 
 

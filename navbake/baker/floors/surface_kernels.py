@@ -201,13 +201,15 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
                     num_meshes, num_solids = _count_enclosing(hits, i, last)
                     num_planes, plane_geom = find_planes_above(planes, lattice, cells[n], z)
                     # inside of meshes alone, or of planes alone
-                    is_hollowable = num_solids <= 0 and (num_meshes <= 0 or num_planes == 0)
+                    in_meshes_or_planes_alone = num_solids <= 0 and (
+                        num_meshes <= 0 or num_planes == 0
+                    )
                     if num_meshes + num_solids + num_planes <= 0:
                         marks[num] |= STANDABLE
                         standable_z = z
                         if hits.z[last - 1] - z <= LIMIT_SLACK:
                             marks[num] |= UNCOVERED
-                    elif is_hollowable and z - enclosed_z > SAME_HEIGHT:
+                    elif in_meshes_or_planes_alone and z - enclosed_z > SAME_HEIGHT:
                         marks[num] |= ENCLOSED
                         enclosed_z = z
                         mesh_geom = _find_enclosing_mesh(hits, i, last)

@@ -34,11 +34,11 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
         uppermost surface is steeper than `agent.max_slope`.
     """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
-    has_hit = np.flatnonzero(np.diff(columns.start))
-    uppermost = columns.start[has_hit + 1] - 1
+    hit_cells = np.flatnonzero(np.diff(columns.start))
+    uppermost = columns.start[hit_cells + 1] - 1
     is_gentle = columns.normal[uppermost, 2] >= agent_limits(agent).min_up
     top = np.full(lattice.shape, np.nan)
-    top.ravel()[has_hit[is_gentle]] = columns.z[uppermost[is_gentle]]
+    top.ravel()[hit_cells[is_gentle]] = columns.z[uppermost[is_gentle]]
     return top
 
 

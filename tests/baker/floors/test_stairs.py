@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.core.blocks import Blocks
-from navbake.baker.floors.level_assignment import HISTOGRAM_ROWS
+from navbake.baker.floors.level_assignment import NO_HISTOGRAM_ROWS
 from navbake.baker.floors.level_kernels import (
     MOVE_FLOOR,
     MOVE_STAIR,
@@ -236,7 +236,7 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     grounds = np.arange(num_levels, dtype=np.float64)
     Blocks(surfaces.lattice).list_rows(
         assign_columns,
-        HISTOGRAM_ROWS,
+        NO_HISTOGRAM_ROWS,
         surfaces,
         candidates,
         LevelRule(grounds, tolerance=1e-6, skip_floors=False),
