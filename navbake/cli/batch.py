@@ -7,9 +7,10 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from typer import BadParameter, Exit
 
@@ -36,61 +37,89 @@ else:  # --help loads neither MuJoCo nor numpy
     workers = lazy("navbake.batch.workers")
 
 INDEX = "index.jsonl"
-MOST_NAMED = 5  # scenes that a line of --plan names
+MAX_NAMES = 5  # of scenes in a line of --plan
 
 
-def batch(
+@dataclass(frozen=True)
+class SceneOptions:
+    """Which scenes a batch bakes, and with which settings."""
+
     sources: list[str] = argument(
         "SOURCE",
         "Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl, also with "
         ".gz, or .parquet; paths or URLs such as s3://.",
-    ),
+    )
+    config: str | None = option("YAML", "Settings that all scenes share.")
+    column: list[str] | None = option(
+        "NAME=COLUMN",
+        "A list's column for scene, config, id or a setting; all others are then ignored. May be "
+        "repeated.",
+    )
+    allow_hosts: list[str] | None = option(
+        "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
+    )
+    overrides: Overrides = None
+    piece: str | None = option("K/N", "Every N-th scene from the K-th; then --merge.", "--slice")
+
+
+@dataclass(frozen=True)
+class ProductOptions:
+    """What a batch writes."""
+
     output: str = option(
         "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT, default=...
-    ),
-    config: str | None = option("YAML", "Settings that all scenes share."),
+    )
     make: list[str] | None = option(
         "WHAT",
         "What to make of each scene, too: inflated:RADIUS[:CLEARANCE], nav2[:RADIUS], report, "
         "voxels:EDGE[:ENDING], picture[:LAYER...], episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be "
         "repeated.",
-    ),
-    column: list[str] | None = option(
-        "NAME=COLUMN",
-        "A list's column for scene, config, id or a setting; all others are then ignored. May be "
-        "repeated.",
-    ),
-    allow_hosts: list[str] | None = option(
-        "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
-    ),
-    overrides: Overrides = None,
-    count: int | None = option(
-        "N", "Worker processes: 1 unless given, on a cluster one a CPU.", "-j", "--jobs", min=1
-    ),
-    max_failures: int | None = option("N", "Stop when more than N scenes failed.", min=0),
-    as_json: bool = flag("--json", "Print what happens as lines of JSON, as --log writes them."),
-    log: Path | None = option("FILE", "Add what happens to a file, a line of JSON each."),
+    )
     has_page: bool = flag(
         "--page", "Write FOLDER/index.html: all scenes, their failures and times."
-    ),
-    parquet: bool = flag("--parquet", "Write the index as index.parquet as well."),
-    time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001),
+    )
+    parquet: bool = flag("--parquet", "Write the index as index.parquet as well.")
+    shards: int | None = option("N", "Pack the scenes into N tar files (WebDataset).", min=1)
+
+
+@dataclass(frozen=True)
+class WorkerOptions:
+    """The worker processes of a batch, and the limits of a scene."""
+
+    count: int | None = option(
+        "N", "Worker processes: 1 unless given, on a cluster one a CPU.", "-j", "--jobs", min=1
+    )
+    max_failures: int | None = option("N", "Stop when more than N scenes failed.", min=0)
+    time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
     memory_limit: float | None = option(
         "GIB",
         "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
         min=0.01,
-    ),
-    retries: int = option("N", "How often a crash or a limit is tried again.", default=0, min=0),
-    preview: bool = flag("--plan", "Bake nothing: say what would be baked, why, and its size."),
-    piece: str | None = option("K/N", "Every N-th scene from the K-th; then --merge.", "--slice"),
-    merge: bool = flag("--merge", "Bake nothing: merge the indexes of slices into one."),
-    shards: int | None = option("N", "Pack the scenes into N tar files (WebDataset).", min=1),
+    )
+    retries: int = option("N", "How often a crash or a limit is tried again.", default=0, min=0)
     executor: Literal["embedded", "ray"] = option(
         "embedded|ray", "Run workers on this machine, or on a Ray cluster.", default="embedded"
-    ),
+    )
     ray_address: str | None = option(
         "ADDRESS", "Of the Ray cluster; local starts one here.  [default: RAY_ADDRESS, else local]"
-    ),
+    )
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Whether a batch bakes at all, and what it prints."""
+
+    preview: bool = flag("--plan", "Bake nothing: say what would be baked, why, and its size.")
+    merge: bool = flag("--merge", "Bake nothing: merge the indexes of slices into one.")
+    as_json: bool = flag("--json", "Print what happens as lines of JSON, as --log writes them.")
+    log: Path | None = option("FILE", "Add what happens to a file, a line of JSON each.")
+
+
+def batch(
+    scene_options: SceneOptions,
+    product_options: ProductOptions,
+    worker_options: WorkerOptions,
+    run_options: RunOptions,
 ) -> None:
     """Bake many scenes in several processes.
 
@@ -99,64 +128,114 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
-    is_ray = executor == "ray"
-    part = _read_slice(piece)
-    whole = "the whole batch, as with --merge"
-    options.refuse_unused(
-        ("--ray-address", ray_address is not None, is_ray, "--executor ray"),
-        ("--merge", merge, part is None, "all slices"),
-        ("--page", has_page, part is None, whole),
-        ("--parquet", parquet, part is None, whole),
-        ("--shards", shards is not None, part is None, whole),
-    )
-    if not output:
-        raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
-    if log == STDOUT:
-        raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
-    hosts = tuple(allow_hosts or ())
+    batch_slice = _read_slice(scene_options.piece)
+    _check_options(batch_slice, product_options, worker_options, run_options)
+    hosts = tuple(scene_options.allow_hosts or ())
     store.allow_hosts(hosts)
-    jobs = scenes.list_jobs(sources, options.read_pairs(column, "--column", "NAME=COLUMN"))
-    if log is not None:
-        own = (os.path.join(output, name) for name in (index.NAME, page.NAME, index.TABLE))
-        given = (*sources, *filter(None, [config]), *(each.source for each in jobs), *own)
-        inputs = map(Path, given)
-        options.check_output(log, inputs=inputs, may_make_folder=True, option="--log")
-    settings = {} if config is None else scenes.read_shared(config)
-    folder = store.as_folder(output)
-    made = products.parse_products(make or [])
-    witness = folder / index.LOCK if isinstance(folder, Path) else None
-    on_ray = partial(workers.do_on_ray, address=ray_address, witness=witness)
-    given = tuple(overrides or [])
-    plan = job.Plan(folder, settings, given, made, has_page, parquet, hosts)
-    if preview:
-        _print_preview(plan, jobs[part.number - 1 :: part.total] if part else jobs, as_json)
+    columns = options.read_pairs(scene_options.column, "--column", "NAME=COLUMN")
+    jobs = scenes.list_jobs(scene_options.sources, columns)
+    if run_options.log is not None:
+        _check_log(run_options.log, jobs, scene_options, product_options.output)
+    config = scene_options.config
+    plan = job.Plan(
+        folder=store.as_folder(product_options.output),
+        settings={} if config is None else scenes.read_shared(config),
+        overrides=tuple(scene_options.overrides or []),
+        products=products.parse_products(product_options.make or []),
+        thumbnail=product_options.has_page,
+        has_table=product_options.parquet,
+        hosts=hosts,
+    )
+    if run_options.preview:
+        if batch_slice is not None:
+            jobs = jobs[batch_slice.number - 1 :: batch_slice.total]
+        _print_preview(plan, jobs, run_options.as_json)
         return
-    names = [part.file if part else index.NAME, *[index.TABLE] * parquet]
-    names += ["shard-*.tar"] if shards else []
     with ExitStack() as stack:
-        watch = _Watch(stack, folder, as_json=as_json, log=log, has_page=has_page)
+        watch = _Watch(
+            stack,
+            plan.folder,
+            as_json=run_options.as_json,
+            log=run_options.log,
+            has_page=product_options.has_page,
+        )
         try:
             result = run.run_batch(
                 plan,
                 jobs,
                 watch,
-                workers=count,
-                limits=workers.JobLimits(time_limit, memory_limit, retries),
-                max_failures=max_failures,
-                executor=on_ray if is_ray else None,
-                part=part,
-                only_merge=merge,
-                shards=shards,
+                workers=worker_options.count,
+                limits=workers.JobLimits(
+                    worker_options.time_limit, worker_options.memory_limit, worker_options.retries
+                ),
+                max_failures=worker_options.max_failures,
+                executor=_ray_executor(worker_options, plan.folder),
+                part=batch_slice,
+                only_merge=run_options.merge,
+                shards=product_options.shards,
             )
         except BaseException as error:
             watch.interrupt(error)
             raise
-        watch.end(result, names)
+        watch.end(result, _written_names(batch_slice, product_options))
     if result.count("failed") or result.stopped:
         raise Exit(1)
 
 
+def _check_options(
+    batch_slice: index.Slice | None,
+    product_options: ProductOptions,
+    worker_options: WorkerOptions,
+    run_options: RunOptions,
+) -> None:
+    """Refuse options that contradict each other or have no effect."""
+    has_address = worker_options.ray_address is not None
+    is_ray = worker_options.executor == "ray"
+    is_complete = batch_slice is None
+    complete_batch = "the whole batch, as with --merge"
+    options.refuse_unused(
+        ("--ray-address", has_address, is_ray, "--executor ray"),
+        ("--merge", run_options.merge, is_complete, "all slices"),
+        ("--page", product_options.has_page, is_complete, complete_batch),
+        ("--parquet", product_options.parquet, is_complete, complete_batch),
+        ("--shards", product_options.shards is not None, is_complete, complete_batch),
+    )
+    if not product_options.output:
+        raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
+    if run_options.log == STDOUT:
+        raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
+
+
+def _check_log(log: Path, jobs: list[scenes.Job], scene_options: SceneOptions, output: str) -> None:
+    """Refuse a log that is an input, or a file that the batch writes."""
+    written = [os.path.join(output, name) for name in (index.NAME, page.NAME, index.TABLE)]
+    config = [] if scene_options.config is None else [scene_options.config]
+    sources = [listed.source for listed in jobs]
+    inputs = map(Path, [*scene_options.sources, *config, *sources, *written])
+    options.check_output(log, inputs=inputs, may_make_folder=True, option="--log")
+
+
+def _ray_executor(worker_options: WorkerOptions, folder: store.Folder) -> run.Executor | None:
+    """Runs worker processes on a Ray cluster; None for this machine."""
+    if worker_options.executor != "ray":
+        return None
+    # workers of a cluster stop when the lock of this process is gone
+    witness = folder / index.LOCK if isinstance(folder, Path) else None
+    return partial(workers.do_on_ray, address=worker_options.ray_address, witness=witness)
+
+
+def _written_names(batch_slice: index.Slice | None, product_options: ProductOptions) -> list[str]:
+    """The names of the files that a batch writes beside its scenes."""
+    names = [index.NAME if batch_slice is None else batch_slice.file]
+    if product_options.parquet:
+        names.append(index.TABLE)
+    if product_options.shards:
+        names.append("shard-*.tar")
+    return names
+
+
 def _read_slice(text: str | None) -> index.Slice | None:
+    """Read ``K/N``."""
     if text is None:
         return None
     number, _, total = text.partition("/")
@@ -168,36 +247,53 @@ def _read_slice(text: str | None) -> index.Slice | None:
 
 def _print_preview(plan: job.Plan, jobs: list[scenes.Job], as_json: bool) -> None:
     """Print what a batch would bake: a line for each reason, or of JSON for each scene."""
-    found = run.preview(plan, jobs)
+    previews = run.preview(plan, jobs)
     if as_json:
-        for scene in found:
+        for scene in previews:
             printing.print_json_line(scene)
         return
-    by_why: dict[str, list[Json]] = {}
-    for scene in found:
-        kind = scene["why"].partition(":")[0]
-        by_why.setdefault("equal" if kind.startswith("equal to ") else kind, []).append(scene)
-    for kind, own in by_why.items():
-        some = [
-            scene["id"] + (f" ({scene['why'].removeprefix(f'{kind}: ')})" * (kind != scene["why"]))
-            for scene in own[: 0 if kind == run.DONE_BEFORE else MOST_NAMED]
-        ]
-        more = [f"{len(own) - len(some)} more"] if some and own[len(some) :] else []
-        names = f": {', '.join([*some, *more])}" if some else ""
-        size = filesize.decimal(sum(scene["bytes"] for scene in own))
-        say(f"{kind}: {count_of(len(own), 'scene')}, {size}{names}")
-    unbaked = run.DONE_BEFORE, run.BROKEN
-    baked = [scene for kind, some in by_why.items() for scene in some if kind not in unbaked]
-    copied = len(by_why.get("equal", ()))
-    line = f"{len(baked) - copied} of {count_of(len(found), 'scene')} would be baked"
-    line += f", and {copied} copied" if copied else ""
+    scenes_by_reason: dict[str, list[Json]] = {}
+    for scene in previews:
+        reason = scene["why"].partition(":")[0]
+        if reason.startswith("equal to "):
+            reason = "equal"
+        scenes_by_reason.setdefault(reason, []).append(scene)
+    for reason, scenes_of_reason in scenes_by_reason.items():
+        size = filesize.decimal(sum(scene["bytes"] for scene in scenes_of_reason))
+        names = _name_scenes(reason, scenes_of_reason)
+        say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size}{names}")
+    not_baked = (run.DONE_BEFORE, run.BROKEN)
+    num_baked = sum(
+        len(scenes_of_reason)
+        for reason, scenes_of_reason in scenes_by_reason.items()
+        if reason not in not_baked
+    )
+    num_copied = len(scenes_by_reason.get("equal", ()))
+    num_baked -= num_copied
+    line = f"{num_baked} of {count_of(len(previews), 'scene')} would be baked"
+    if num_copied:
+        line += f", and {num_copied} copied"
     cost = run.measure_cost(index.read_index(plan.folder).values())
-    if cost is not None and len(baked) > copied:
-        share = (len(baked) - copied) / cost["scenes"]
+    if cost is not None and num_baked > 0:
+        share = num_baked / cost["scenes"]
         seconds = cost["seconds"]["sum"] * share
         size = filesize.decimal(int(cost["bytes"]["sum"] * share))
         line += f", by those done here in about {seconds:.3g} s of a worker, into {size}"
     say(line)
+
+
+def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
+    """The ids of the first scenes with a reason, and what it says of each; for a line of --plan."""
+    if reason == run.DONE_BEFORE:
+        return ""
+    names = []
+    for scene in scenes_of_reason[:MAX_NAMES]:
+        detail = scene["why"].removeprefix(f"{reason}: ")
+        names.append(scene["id"] if detail == reason else f"{scene['id']} ({detail})")
+    num_more = len(scenes_of_reason) - len(names)
+    if num_more:
+        names.append(f"{num_more} more")
+    return f": {', '.join(names)}"
 
 
 class _Watch:
@@ -216,72 +312,91 @@ class _Watch:
         self._folder = folder
         self._as_json = as_json
         self._has_page = has_page
-        printers: Any = [printing.print_json_line]
-        self._takers: list[Callable[[Json], None]] = printers if as_json else []
+        self._line_writers: list[Callable[[Json], None]] = []
+        if as_json:
+            self._line_writers.append(printing.print_json_line)
         if log is not None:
-            lines = index.LineFile(log, f"the log {log}")
-            stack.callback(lines.close)
-            self._takers.append(lines.add)
+            log_file = index.LineFile(log, f"the log {log}")
+            stack.callback(log_file.close)
+            self._line_writers.append(log_file.add)
         self._begin = time.perf_counter()
         self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
         self._total = 0
-        self._show: Callable[..., None] = lambda *given: None
+        self._show_progress: Callable[..., None] = lambda *progress: None
         self._page: page.LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
-        """Handle an event."""
-        counts = self._counts
+        """Handle an event of the batch, see `run.OnEvent`."""
         if event == "begin":
-            from navbake import compiled  # loads numba
-
-            if compiled.cache_folder() is None:
-                lost = "no folder for compiled code can be written: each worker compiles its own"
-                print_warnings([f"{lost}: {compiled.REMEDY}"])
-            compiled.ensure_compiled()  # once for all workers
-            counts["skipped"] = values["skipped"]
-            self._total = counts["left"] = values["scenes"] - values["skipped"]
+            self._prepare(values)
         self._log(event, values)
         if event == "begin":
-            self._page = page.LivePage(self._folder, self._total) if self._has_page else None
-            # on a terminal, lines and a bar would mix
-            is_mixed = self._as_json and printing.is_terminal(sys.stdout)
-            bars = printing.progress_bars("batch", VOLUME.quiet or is_mixed)
-            self._show = self._stack.enter_context(bars)
+            self._open_views()
         if event == "scene":
-            counts["failed" if values["status"] == "failed" else "baked"] += 1
-            counts["left"] -= 1
-            if values["status"] == "failed" and not self._as_json:
+            is_failure = values["status"] == "failed"
+            self._counts["failed" if is_failure else "baked"] += 1
+            self._counts["left"] -= 1
+            if is_failure and not self._as_json:
                 print_error(f"{values['id']}: {values['how']}: {values['error']}")
         if event in ("begin", "scene"):
-            done = self._total - counts["left"]
-            rate = done / max(time.perf_counter() - self._begin, 1e-3)
-            note = f"{done}/{self._total}, {rate:.3g}/s, {counts['failed']} failed"
-            self._show("", done / self._total, note)
-            if self._page is not None and done:
-                self._page.refresh(done)
+            self._refresh()
+
+    def _prepare(self, values: Json) -> None:
+        """Compile the kernels, and count the scenes that are to be baked."""
+        from navbake import compiled  # loads numba
+
+        if compiled.cache_folder() is None:
+            problem = "no folder for compiled code can be written: each worker compiles its own"
+            print_warnings([f"{problem}: {compiled.REMEDY}"])
+        compiled.ensure_compiled()  # once for all workers
+        self._total = values["scenes"] - values["skipped"]
+        self._counts["skipped"] = values["skipped"]
+        self._counts["left"] = self._total
+
+    def _open_views(self) -> None:
+        """Open the page and the progress bar."""
+        if self._has_page:
+            self._page = page.LivePage(self._folder, self._total)
+        # on a terminal, lines and a bar would mix
+        is_mixed = self._as_json and printing.is_terminal(sys.stdout)
+        bars = printing.progress_bars("batch", VOLUME.quiet or is_mixed)
+        self._show_progress = self._stack.enter_context(bars)
+
+    def _refresh(self) -> None:
+        """Show on the progress bar and the page how many scenes are done."""
+        num_done = self._total - self._counts["left"]
+        rate = num_done / max(time.perf_counter() - self._begin, 1e-3)
+        note = f"{num_done}/{self._total}, {rate:.3g}/s, {self._counts['failed']} failed"
+        self._show_progress("", num_done / self._total, note)
+        if self._page is not None and num_done:
+            self._page.refresh(num_done)
 
     def _log(self, event: str, values: Json) -> None:
         if event == "end":
             values = {**values, "seconds": round(time.perf_counter() - self._begin, 3)}
         line = run.line_of_event(event, values)
-        for take in self._takers:
-            take(line)
+        for write_line in self._line_writers:
+            write_line(line)
 
     def interrupt(self, error: BaseException) -> None:
         """Log that the batch ended early, by a signal or an error."""
-        why = str(error) if isinstance(error, Exception) else "interrupted"
-        if self._total and why == "interrupted" and not self._as_json:
-            say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
+        reason = str(error) if isinstance(error, Exception) else "interrupted"
+        if self._total and reason == "interrupted" and not self._as_json:
+            counts = _describe_counts(self._counts)
+            say_unless_quiet(f"interrupted: {counts}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the first error counts
-            self._log("end", {**self._counts, "stopped": why})
+            self._log("end", {**self._counts, "stopped": reason})
             if self._page is not None:
                 page.write_page(self._folder)
 
     def end(self, result: run.BatchResult, names: list[str]) -> None:
         """Print the result, and the names of the files that were written."""
-        baked, failed, left = map(result.count, ("ok", "failed", "left"))
-        self._counts = {"baked": baked - result.skipped, "skipped": result.skipped}
-        self._counts |= {"failed": failed, "left": left}
+        self._counts = {
+            "baked": result.count("ok") - result.skipped,
+            "skipped": result.skipped,
+            "failed": result.count("failed"),
+            "left": result.count("left"),
+        }
         try:
             self._log("end", {**self._counts, "stopped": result.stopped})
         except NavbakeError as error:  # of the log; the result is printed anyway
@@ -300,11 +415,13 @@ class _Watch:
             return
         if result.stopped:
             print_error(f"stopped: {result.stopped}")
-        warned = sum(bool(row.get("warnings")) for row in result.rows)
-        notes = f", {warned} with warnings" if warned else ""
+        num_warned = sum(bool(row.get("warnings")) for row in result.rows)
+        notes = f", {num_warned} with warnings" if num_warned else ""
         files = ", ".join(store.shown(os.path.join(self._folder, name)) for name in names)
-        say_unless_quiet(f"{_in_words(self._counts)}{notes} in {seconds:.1f} s: {files}")
-        if cost := run.measure_cost(result.rows):
+        counts = _describe_counts(self._counts)
+        say_unless_quiet(f"{counts}{notes} in {seconds:.1f} s: {files}")
+        cost = run.measure_cost(result.rows)
+        if cost:
             times = cost["seconds"]
             sizes = {key: filesize.decimal(count) for key, count in cost["bytes"].items()}
             say_unless_quiet(
@@ -314,7 +431,8 @@ class _Watch:
             )
 
 
-def _in_words(counts: Json) -> str:
+def _describe_counts(counts: Json) -> str:
+    """Counts of scenes in words."""
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no scene"
 
 
@@ -322,12 +440,12 @@ def draw_missing_thumbnails(folder: store.Folder) -> None:
     """Draw the missing thumbnails of a batch's page."""
     try:
         with printing.progress_bars("page", VOLUME.quiet) as show:
-            lacking = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
+            num_missing = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
     except store.FullError as error:
         print_warnings([str(error)])
     else:
-        if lacking:
-            print_warnings([f"{lacking} thumbnails can't be made of their grids"])
+        if num_missing:
+            print_warnings([f"{num_missing} thumbnails can't be made of their grids"])
 
 
 def warm_up() -> None:

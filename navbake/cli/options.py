@@ -5,6 +5,7 @@ Places have one syntax in all commands: ``x,y``, ``x,y,z`` or ``x,y,L1``.
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import json
 import math
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
@@ -29,9 +30,17 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
 
-def option(metavar: str, text: str, *names: str, default: Any = None, **more: Any) -> Any:
-    """An option with a value, None unless given; `metavar` and `text` are for its help."""
-    return Option(default, *names, metavar=metavar, help=text, **more)
+def option(metavar: str, text: str, *names: str, default: Any = None, **limits: Any) -> Any:
+    """An option with a value.
+
+    Args:
+        metavar: what help shows in place of the value.
+        text: what help says.
+        names: ``--name`` and others; those of the parameter unless given.
+        default: the value unless the option is given; ``...`` for an option that has to be given.
+        limits: `min` and `max` of a number.
+    """
+    return Option(default, *names, metavar=metavar, help=text, **limits)
 
 
 def argument(metavar: str, text: str, default: Any = ...) -> Any:
@@ -45,7 +54,7 @@ def flag(name: str, text: str, *names: str) -> Any:
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
-    """Refuse overrides that are not KEY=VALUE; the settings refuse unknown keys."""
+    """Check that overrides are KEY=VALUE; the settings check the keys."""
     for override in overrides or []:
         if "=" not in override:
             raise BadParameter(f"expected KEY=VALUE, got {override!r}")
@@ -59,12 +68,23 @@ def override_model_path(folders: list[Path] | None) -> list[str]:
 
 
 def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
-    """Values by key, from texts as ``KEY=VALUE``."""
-    pairs = [text.partition("=") for text in texts or ()]
-    for key, mark, _ in pairs:
-        if not mark:
+    """Read values by key from texts as ``KEY=VALUE``.
+
+    Args:
+        texts: the values of an option that may be repeated.
+        option: its name, for errors.
+        form: the form that errors expect, as ``NAME=COLUMN``.
+
+    Raises:
+        BadParameter: a text has no ``=``.
+    """
+    values = {}
+    for text in texts or ():
+        key, equals_sign, value = text.partition("=")
+        if not equals_sign:
             raise BadParameter(f"expected {form}, got {key!r}", param_hint=option)
-    return {key: value for key, _, value in pairs}
+        values[key] = value
+    return values
 
 
 GridFile = Annotated[Path, Argument(metavar="GRID", help="A NavGrid file.")]
@@ -105,7 +125,7 @@ PLACE = "X,Y[,Z|,LEVEL]"
 """How help texts show a place."""
 PLACE_HELP = "in metres; a third number is z, L0 is the lowest level"
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-SPELLED = re.compile(  # also 1.5 -2, (1.5, -2) and 1.5, -2, level 1
+PLACE_PATTERN = re.compile(  # also 1.5 -2, (1.5, -2) and 1.5, -2, level 1
     rf"[(\[]?({NUMBER})[\s,;]+({NUMBER})(?:[\s,;]+(?:({NUMBER})|(?i:l|level)\s*(\d+)))?[)\]]?"
 )
 PYTHON_TYPE = re.compile(r" <[^<>]*>$")
@@ -119,18 +139,28 @@ def check_output(
     may_make_folder: bool = False,
     option: str = "-o",
 ) -> None:
-    """Refuse an output that can't be written, or would do harm, before any work is done.
+    """Check that an output can be written and does no harm, before any work is done.
 
-    Its name must end in one of `suffixes`, it must be none of `inputs`, and its folder may be
-    missing only with `may_make_folder`. ``-``, which is stdout, is always valid. `option` is for
-    messages.
+    Args:
+        path: of the file; ``-``, which is stdout, is always valid.
+        suffixes: one of these must end its name.
+        inputs: files that it must not be.
+        may_make_folder: whether its folder may be missing.
+        option: which names it, for errors.
+
+    Raises:
+        BadParameter: its name ends in another suffix.
+        ConfigError: it is an input, or can't be written.
     """
     if path == STDOUT:
         return
-    own = os.path.realpath(path)
-    others = [os.path.realpath(file) for file in inputs]
-    there = filter(os.path.exists, others if os.path.exists(own) else [])  # hard links
-    if own in others or any(os.path.samefile(own, file) for file in there):
+    real_path = os.path.realpath(path)
+    real_inputs = [os.path.realpath(file) for file in inputs]
+    is_input = real_path in real_inputs
+    if os.path.exists(real_path):  # it may be a hard link
+        present_inputs = filter(os.path.exists, real_inputs)
+        is_input = is_input or any(os.path.samefile(real_path, file) for file in present_inputs)
+    if is_input:
         raise ConfigError(f"expected an output apart from the inputs, got {path}")
     if suffixes and not path.name.lower().endswith(suffixes):
         endings = ", ".join(suffixes)
@@ -144,12 +174,18 @@ def check_output(
         raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
 
-def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
-    """Write a picture of a grid, or a PNG to stdout; for the arguments see `render_picture`."""
+def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
+    """Write a picture of a grid.
+
+    Args:
+        grid: the grid.
+        output: a file, SVG if its name says so, else PNG; or stdout, which gets a PNG.
+        content: arguments of `navbake.views.plot.render_picture`.
+    """
     from navbake.views.plot import render_picture  # loads numpy
 
     form = "svg" if output.name.lower().endswith(".svg") else "png"
-    write_output(render_picture(grid, form, **drawn), output)
+    write_output(render_picture(grid, form, **content), output)
 
 
 def write_output(content: bytes, output: Path) -> None:
@@ -163,21 +199,32 @@ def write_output(content: bytes, output: Path) -> None:
     sys.stdout.buffer.flush()
 
 
-def beside_output(path: Path | None) -> AbstractContextManager[Any]:
-    """Redirect a command's prints to stderr if its output goes to stdout."""
+def beside_output(path: Path | None) -> AbstractContextManager[object]:
+    """A context in which prints go to stderr if the command's output goes to stdout."""
     return redirect_stdout(sys.stderr) if path == STDOUT else nullcontext()
 
 
 def say_if_sample(path: Path) -> None:
     """Print on stderr that a bare name is an installed sample's; with --quiet nothing."""
-    if not VOLUME.quiet and (found := samples.find(path)) not in (path, Path(f"{path}.yaml")):
-        print_error(f"{path} is the installed sample {found}: `navbake samples {path}` copies it")
+    if VOLUME.quiet:
+        return
+    sample = samples.find(path)
+    if sample not in (path, Path(f"{path}.yaml")):
+        print_error(f"{path} is the installed sample {sample}: `navbake samples {path}` copies it")
 
 
 def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
-    """Refuse options without effect: name, whether it is given, whether it applies, its purpose."""
-    for name, is_given, applies, purpose in uses:
-        if is_given and not applies:
+    """Refuse options that would have no effect.
+
+    Args:
+        uses: of each option its name, whether it is given, whether it has an effect, and what it is
+            for.
+
+    Raises:
+        BadParameter: an option is given and has no effect.
+    """
+    for name, is_given, has_effect, purpose in uses:
+        if is_given and not has_effect:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
@@ -193,77 +240,138 @@ class Command(TyperCommand):
             return list(super().parse_args(ctx, args))
         except BadParameter as error:
             for name in error.param.opts if error.param else ():
-                given = words[words.index(name) + 1] if name in words[:-1] else ""
-                if given not in error.message:
-                    error.message += f", got {given!r}"
+                value = words[words.index(name) + 1] if name in words[:-1] else ""
+                if value not in error.message:
+                    error.message += f", got {value!r}"
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         for title, kind in (("Arguments", "argument"), ("Options", "option")):
-            shown = [each for each in self.get_params(ctx) if each.param_type_name == kind]
-            shown.sort(key=lambda each: "--output" not in each.opts)
-            records = filter(None, (each.get_help_record(ctx) for each in shown))
-            lines = [(PYTHON_TYPE.sub("", name), text) for name, text in records]
+            parameters = [
+                parameter for parameter in self.get_params(ctx) if parameter.param_type_name == kind
+            ]
+            parameters.sort(key=lambda parameter: "--output" not in parameter.opts)
+            records = [parameter.get_help_record(ctx) for parameter in parameters]
+            lines = [(PYTHON_TYPE.sub("", record[0]), record[1]) for record in records if record]
             if lines:
                 with formatter.section(title):
                     formatter.write_dl(lines)
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:
-    """Prepare a command for typer, which makes an option of each parameter: add -q and -v."""
+    """Prepare a command for typer, which makes an option of each parameter.
+
+    The options -q and -v are added. A parameter whose type is a dataclass is a group of options:
+    its fields become options of the command, which receives the dataclass.
+    """
+    # `get_type_hints` of Python 3.10 would hide the options whose default is None
+    hints = inspect.get_annotations(command, eval_str=True)
+    groups: dict[str, Any] = {
+        name: hint for name, hint in hints.items() if dataclasses.is_dataclass(hint)
+    }
 
     @wraps(command)
-    def run(quiet: bool, verbose: bool, **values: Any) -> None:
+    def run(quiet: bool, verbose: bool, **values: object) -> None:
         if quiet and verbose:
             raise BadParameter("expected one of them", param_hint="--quiet, --verbose")
+        for name, group in groups.items():
+            fields = {field.name: values.pop(field.name) for field in dataclasses.fields(group)}
+            values[name] = group(**fields)
         with volume(quiet=quiet, verbose=verbose):
             command(**values)
 
-    # `get_type_hints` of Python 3.10 would hide the options whose default is None
-    hints = inspect.get_annotations(command, eval_str=True) | {"quiet": bool, "verbose": bool}
-    kind = inspect.Parameter.KEYWORD_ONLY
-    parameters = [*inspect.signature(command).parameters.values()]
-    parameters += [inspect.Parameter("quiet", kind, default=QUIET)]
-    parameters += [inspect.Parameter("verbose", kind, default=VERBOSE)]
-    parameters = [each.replace(kind=kind, annotation=hints[each.name]) for each in parameters]
+    parameters = []
+    for parameter in inspect.signature(command).parameters.values():
+        if parameter.name in groups:
+            parameters += _parameters_of(groups[parameter.name])
+        else:
+            parameters.append(_keyword(parameter.name, parameter.default, hints[parameter.name]))
+    parameters.append(_keyword("quiet", QUIET, bool))
+    parameters.append(_keyword("verbose", VERBOSE, bool))
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
+
+
+def _parameters_of(group: Any) -> list[inspect.Parameter]:
+    """The parameters of a group of options: the fields of its dataclass."""
+    hints = inspect.get_annotations(group, eval_str=True)
+    return [
+        _keyword(field.name, field.default, hints[field.name])
+        for field in dataclasses.fields(group)
+    ]
+
+
+def _keyword(name: str, default: object, annotation: object) -> inspect.Parameter:
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=default, annotation=annotation)
 
 
 # --- places -----------------------------------------------------------------------------------
 
 
-GivenPlace: TypeAlias = tuple[float, float, float | None, int | None]
-"""A place as it was given: world x, y [m], and either z [m], or a level, or neither."""
+class Place(NamedTuple):
+    """A place as an option states it: either z, or a level, or neither."""
+
+    x: float  # world [m]
+    y: float
+    z: float | None
+    level: int | None
 
 
-def parse_place(text: str, option: str) -> GivenPlace:
-    """Parse a place given to an option; raises a BadParameter."""
-    found = SPELLED.fullmatch(text)
-    if not found:
+def parse_place(text: str, option: str) -> Place:
+    """Parse a place.
+
+    Args:
+        text: ``x,y``, ``x,y,z`` or ``x,y,L1``.
+        option: which has it, for errors.
+
+    Raises:
+        BadParameter: it is written otherwise, or has numbers that are not finite.
+    """
+    match = PLACE_PATTERN.fullmatch(text)
+    if not match:
         name = text if text.isidentifier() else "NAME"
         hint = f"; a room is written room:{name}" if option != "--at" else ""
         message = f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}"
         raise BadParameter(message, param_hint=option)
-    x, y, z = (None if number is None else float(number) for number in found.groups()[:3])
-    if not all(math.isfinite(number or 0.0) for number in (x, y, z)):
+    x = float(match[1])
+    y = float(match[2])
+    z = None if match[3] is None else float(match[3])
+    level = None if match[4] is None else int(match[4])
+    if not all(map(math.isfinite, (x, y, z or 0.0))):
         raise BadParameter(f"expected finite numbers, got {text!r}", param_hint=option)
-    return x or 0.0, y or 0.0, z, None if found[4] is None else int(found[4])
+    return Place(x or 0.0, y or 0.0, z, level)  # no -0.0
 
 
-def position_of_place(grid: NavGrid, given: GivenPlace, option: str) -> list[float]:
-    """World x, y, z [m] of a place, on the floor of its level if it has no z.
+def position_of_place(grid: NavGrid, place: Place, option: str) -> list[float]:
+    """The position of a place, on the floor of its level if it has no z.
 
-    A place without a level is on the only level with a floor there; with none or several, it is a
-    BadParameter, as is one on a level that is open to the one below. On a grid of one level it
-    stays x, y. An unknown level is a QueryError.
+    A place without a level is on the only level with a floor there. On a grid of one level it stays
+    x, y.
+
+    Args:
+        grid: the grid.
+        place: the place.
+        option: which has it, for errors.
+
+    Returns:
+        World x, y and maybe z [m].
+
+    Raises:
+        BadParameter: no level has a floor there, or several have one and none is stated, or the
+            level is open to the one below.
+        QueryError: the grid has no such level.
     """
-    x, y, z, level = given
-    if z is not None or (level is None and len(grid.levels) == 1):
-        return [x, y] if z is None else [x, y, z]
-    asked = range(len(grid.levels)) if level is None else [level]
-    places = {number: grid.at((x, y), number) for number in asked}
-    floors = {number: at.floor for number, at in places.items() if at and at.floor is not None}
+    x, y, z, level = place
+    if z is not None:
+        return [x, y, z]
+    if level is None and len(grid.levels) == 1:
+        return [x, y]
+    floors = {}
+    for number in range(len(grid.levels)) if level is None else [level]:
+        cell = grid.at((x, y), number)
+        if cell and cell.floor is not None:
+            floors[number] = cell.floor
     if level is None and not floors:
         raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
     if level is None and len(floors) > 1:
@@ -271,9 +379,10 @@ def position_of_place(grid: NavGrid, given: GivenPlace, option: str) -> list[flo
         hint = " or ".join(f"{x:g},{y:g},L{number}" for number in floors)
         message = f"expected a place with a level or z, got {got}: write {hint}"
         raise BadParameter(message, param_hint=option)
-    level = next(iter(floors)) if level is None else level
+    if level is None:
+        level = next(iter(floors))
     z = float(floors.get(level, grid.levels[level].ground))
-    found = grid.cell_at((x, y, z))
-    if found is not None and found.level != level:
+    cell_there = grid.cell_at((x, y, z))
+    if cell_there is not None and cell_there.level != level:
         raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
     return [x, y, z]
