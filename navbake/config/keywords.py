@@ -25,7 +25,7 @@ from navbake.yaml_text import read_yaml
 
 
 class SettingKeywords(TypedDict, total=False):
-    """The settings as keywords: the sections of a YAML file, see `docs/settings.md`."""
+    """The settings as keywords: the sections of a YAML file, see docs/settings.md."""
 
     scene: Mapping[str, Any]
     agent: Mapping[str, Any]
@@ -46,88 +46,125 @@ class SettingKeywords(TypedDict, total=False):
 def merge(
     below: Mapping[str, Any], above: Mapping[str, Any], place: str, section: str = ""
 ) -> dict[str, Any]:
-    """Merge settings key by key, `above` over `below`; a section without keys changes nothing.
+    """Merge settings key by key; a section without keys changes nothing.
 
-    Raises a ConfigError, with the `place`, for keys below a value of `below`, as ``rooms: none``.
+    Args:
+        below: Nested mappings.
+        above: Nested mappings, whose values replace those of `below`.
+        place: Where `above` is from, for messages.
+        section: Dotted key of the section that both are.
+
+    Raises:
+        ConfigError: `above` has keys below a value of `below`, as below ``rooms: none``.
     """
     merged = dict(below)
     for key, value in above.items():
-        under = merged.get(key)
+        value_below = merged.get(key)
         name = f"{section}.{key}".lstrip(".")
-        if isinstance(under, Mapping) and (value is None or isinstance(value, Mapping)):
-            merged[key] = merge(under, value or {}, place, name)
-        elif under is None or not isinstance(value, Mapping):
+        if isinstance(value_below, Mapping) and (value is None or isinstance(value, Mapping)):
+            merged[key] = merge(value_below, value or {}, place, name)
+        elif value_below is None or not isinstance(value, Mapping):
             merged[key] = value
         elif value:
+            hint = "write the first as keys, too, or leave one of the two out"
+            key_above = f"{name}.{next(iter(value))}"
             raise ConfigError(
-                f"`{name}` is {show_value(under)}, so there is no key for "
-                f"`{shorten(f'{name}.{next(iter(value))}')}` in {place}: write the first as keys, "
-                "too, or leave one of the two out"
+                f"`{name}` is {show_value(value_below)}, so there is no key for "
+                f"`{shorten(key_above)}` in {place}: {hint}",
+                path=place,
+                key=key_above,
+                hint=hint,
             )
     return merged
 
 
-def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
-    """Settings in any form of `as_config`, with keywords over them, see `merge`.
+def config_with(config: object, keywords: Mapping[str, Any]) -> BakeConfig:
+    """Merge keywords over settings, and validate the result.
 
-    Tuples count as lists, and NumPy's numbers as Python's. Raises a ConfigError for wrong settings.
+    Args:
+        config: Settings in any form of `as_config`.
+        keywords: Settings as nested mappings; tuples and arrays count as lists, and NumPy's numbers
+            as Python's.
+
+    Raises:
+        ConfigError: A setting is wrong, or `config` has another type.
     """
     if not isinstance(config, BakeConfig | str | PathLike | Mapping):
+        expected = (
+            "a scene (mujoco.MjModel or MjSpec, trimesh.Scene or Trimesh), the path of a scene or "
+            "of a YAML file, or settings"
+        )
+        hint = _attribute_hint(config)
         raise ConfigError(
-            "expected a scene (mujoco.MjModel or MjSpec, trimesh.Scene or Trimesh), the path of "
-            f"a scene or of a YAML file, or settings; got {type(config).__name__}{_hint(config)}"
+            f"expected {expected}; got {type(config).__name__}{hint}",
+            expected=expected,
+            hint=hint.removeprefix(": ") or None,
         )
     if not keywords:
         return as_config(config)
     source = "the settings with the keywords"
     folder = Path()
+    settings: Mapping[str, Any]
     if isinstance(config, BakeConfig):
-        config = config.model_dump(by_alias=True, exclude_unset=True)
-    elif not isinstance(config, Mapping):
+        settings = config.model_dump(by_alias=True, exclude_unset=True)
+    elif isinstance(config, Mapping):
+        settings = config
+    else:
         path = find_source(config)
         source = f"{path} with the keywords"
-        config = defaults_of(path)
+        settings = defaults_of(path)
         if is_settings(path):
-            config = read_yaml(path)
+            settings = read_yaml(path)
             folder = path.parent
-            if not isinstance(config, Mapping):
-                return as_config(path)  # raises
-    return parse_config(merge(config, _checked(keywords), source), source, folder=folder)
+            if not isinstance(settings, Mapping):
+                return as_config(path)  # raises the error
+    return parse_config(merge(settings, _check_keywords(keywords), source), source, folder=folder)
 
 
 def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
-    """The settings of a scene in memory.
+    """Return the settings of a scene in memory.
 
-    A `scene.path` in the keywords becomes the grid's, but isn't read.
+    Args:
+        name: The name of the scene.
+        keywords: Settings as nested mappings. A `scene.path` among them becomes that of the grid,
+            but is not read.
+
+    Raises:
+        ConfigError: A setting is wrong.
     """
     settings: Mapping[str, Any] = {"scene": {"path": memory_path(name)}}
-    return parse_config(merge(settings, _checked(keywords), "the keywords"), "the keywords")
+    source = "the keywords"
+    return parse_config(merge(settings, _check_keywords(keywords), source), source)
 
 
-def _checked(keywords: Mapping[str, Any]) -> Any:
+def _check_keywords(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords as YAML values; a ConfigError suggests the section of a setting outside one."""
     for key in keywords.keys() - BakeConfig.model_fields:
         for section, model in SECTIONS.items():
             name = key.removeprefix(f"{section}_")
             if name in model.model_fields and section in BakeConfig.model_fields:
-                raise ConfigError(f'write `{section}={{"{name}": …}}` in place of `{key}`')
-    return _plain(keywords)
+                hint = f'write `{section}={{"{name}": …}}`'
+                raise ConfigError(f"{hint} in place of `{key}`", key=key, hint=hint)
+    return {key: _as_yaml_value(value) for key, value in keywords.items()}
 
 
-def _plain(value: Any) -> Any:
-    """A value as in YAML: lists for tuples and arrays, Python's own numbers."""
+def _as_yaml_value(value: object) -> object:
+    """A value as YAML has it: lists for tuples and arrays, Python's own numbers."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _as_yaml_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_as_yaml_value(item) for item in value]
     return value
 
 
-def _hint(given: Any) -> str:
-    """A remedy for objects similar to a scene."""
-    if type(given).__name__ == "MjData":
+def _attribute_hint(scene: object) -> str:
+    """What to give in place of an object that has a scene."""
+    if type(scene).__name__ == "MjData":
         return ": give its model first, then the data"
-    # dm_control's models; then environments, and dm_control's Physics
-    return next((f": give its `{name}`" for name in ("ptr", "model") if hasattr(given, name)), "")
+    # `ptr` is of dm_control's models, `model` of environments and of dm_control's Physics
+    for attribute in ("ptr", "model"):
+        if hasattr(scene, attribute):
+            return f": give its `{attribute}`"
+    return ""

@@ -1,8 +1,9 @@
-"""Settings of who may go where, how, and at what price: named agents, areas and links."""
+"""Settings of named agents, and of the areas and links that they may use and what these cost."""
 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -40,8 +41,8 @@ if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
 AT_MOST = "that of `agent`, which is the most"
-AUTO_ONLY = ("height", "gap", "patterns")
-GIVEN_ONLY = ("name", "kind", "one_way", "width")
+RULE_ONLY = ("height", "gap", "patterns")  # fields of a rule that finds links, with `auto`
+LINK_ONLY = ("name", "kind", "one_way", "width")  # fields of a single link
 
 OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
 OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
@@ -49,7 +50,7 @@ Agents = Annotated[list[Name] | None, OneOrMore, expects("a list of names of `ag
 
 
 class NamedAgent(Settings):
-    """An agent that plans on the grid, with sizes of its own."""
+    """An entry of ``agents``: an agent that plans on the grid, with sizes of its own."""
 
     radius: OptionalLength = setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
     height: OptionalPositive = setting(None, "its height [m], > 0", AT_MOST)
@@ -58,7 +59,7 @@ class NamedAgent(Settings):
 
 
 class AreaSettings(Settings):
-    """A part of the floor that costs more, slows down, or keeps agents out."""
+    """An entry of ``areas``: a part of the floor that costs more, slows down, or bars agents."""
 
     name: Name = Field(description="its name; no default")
     room: OptionalName = setting(None, "the room whose cells it is, by id or name, or null")
@@ -72,7 +73,7 @@ class AreaSettings(Settings):
         Annotated[
             list[Position],
             Field(min_length=2, max_length=2),
-            AfterValidator(refuse_if(lambda b: any(p >= q for p, q in zip(*b, strict=True)))),
+            AfterValidator(refuse_if(lambda box: any(map(operator.ge, *box)))),
         ]
         | None,
         expects("[[x, y, z], [x, y, z]], lower corner first, or null"),
@@ -88,20 +89,21 @@ class AreaSettings(Settings):
 
     @property
     def keeps_out(self) -> bool:
-        """Whether it bars any agent, and so takes every cell that it touches."""
+        """Whether it bars an agent, and so includes every cell that it touches."""
         return self.cost == "inf" or self.agents is not None
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:
-        given = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
-        if len(given) != 1:
-            got = " and ".join(given) or f"none for {self.name!r}"
+        """Refuse an area with no place, or with several."""
+        places = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
+        if len(places) != 1:
+            got = " and ".join(places) or f"none for {self.name!r}"
             raise expected_error("one of room, polygon, box and geoms", got=got)
         return self
 
 
 class LinkSettings(Settings):
-    """A way between places that no step joins, or a rule by which such ways are found."""
+    """An entry of ``links``: a connection of places, or a rule by which the bake finds some."""
 
     name: OptionalName = setting(None, "its name, unique; not with `auto`", "required")
     kind: Name = setting("link", "what it is: lift, drop, jump, ladder, or any other word")
@@ -132,11 +134,12 @@ class LinkSettings(Settings):
 
     @model_validator(mode="after")
     def _check_form(self) -> Self:
-        own, unused = ("auto", GIVEN_ONLY) if self.auto else ("a given link", AUTO_ONLY)
-        fields = type(self).model_fields
-        wrong = [name for name in unused if getattr(self, name) != fields[name].default]
-        if wrong:
-            raise expected_error(f"no `{wrong[0]}` with {own}", got=f"`{wrong[0]}`")
+        """Refuse fields that a link, or a rule, does not have, and a link without stops."""
+        kind = "auto" if self.auto else "a given link"
+        unused_fields = LINK_ONLY if self.auto else RULE_ONLY
+        for name in unused_fields:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise expected_error(f"no `{name}` with {kind}", got=f"`{name}`")
         if self.auto:
             if self.stops:
                 raise expected_error("no `stops` with auto, which finds them", got="`stops`")
@@ -152,15 +155,16 @@ def _check_names(
     entries: Sequence[AreaSettings | LinkSettings], info: ValidationInfo
 ) -> Sequence[AreaSettings | LinkSettings]:
     """Refuse names that stand twice, and agents that `agents`, if it is valid, doesn't have."""
-    known = info.data.get("agents")
-    taken = set[str]()
+    agents = info.data.get("agents")
+    names: set[str] = set()
     for number, entry in enumerate(entries):
-        if entry.name in taken:
+        if entry.name in names:
             raise expected_error("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")
-        taken |= {entry.name} if entry.name else set()
+        if entry.name:
+            names.add(entry.name)
         for name in entry.agents or ():
-            if known is not None and name not in known:
-                text = f"a name of `agents` ({suggest(name, known)})"
+            if agents is not None and name not in agents:
+                text = f"a name of `agents` ({suggest(name, agents)})"
                 raise expected_error(text, got=f'"{name}"', at=f"[{number}].agents")
     return entries
 

@@ -1,5 +1,6 @@
 """The settings of a bake, read from YAML and validated.
 
+Each section is a class; the description of a field has its meaning, unit, range and default.
 Lengths are in metres, positions in the world frame (z up), unless a description says otherwise.
 """
 
@@ -63,7 +64,7 @@ MeshMode = Literal["auto", "hull", "surface", "shell"]
 
 
 def memory_path(name: str) -> Path:
-    """The path of a scene in memory, from its name: ``<apartment>``."""
+    """Return the path that stands for a scene in memory, from its name: ``<apartment>``."""
     name = "".join(char if char.isprintable() and char not in "/\\" else "_" for char in name)
     return Path(f"<{name if name.strip('. ') else 'scene'}>")
 
@@ -74,7 +75,7 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
 
 
 def stem_of(path: str | PathLike[str]) -> str:
-    """The stem of a scene file's name, or the name of a scene in memory."""
+    """Return the stem of a scene file's name, or the name of a scene in memory."""
     if is_memory_path(path):
         return str(path)[1:-1]
     stem = readable_stem(path)
@@ -83,16 +84,20 @@ def stem_of(path: str | PathLike[str]) -> str:
 
 Folder = Annotated[FilePath, AfterValidator(resolve)]
 ScenePath = Annotated[Folder, expects("the path of a scene file")]
-IsNoId = refuse_if(lambda v: v in (".", "..") or not v.isprintable() or set(v) & set("/\\"))
+refuse_no_id = refuse_if(
+    lambda text: text in (".", "..") or not text.isprintable() or set(text) & set("/\\")
+)
 SceneId = Annotated[
     str,
     Field(min_length=1),
-    AfterValidator(IsNoId),
+    AfterValidator(refuse_no_id),
     expects("text without / and \\ (a number needs quotes)"),
 ]
 
 
 class ExcludeSettings(Settings):
+    """The section ``scene.exclude``: bodies and geoms that a bake leaves out."""
+
     bodies: Patterns = setting([], "body name patterns (*, ?, [...]), with child bodies")
     geoms: Patterns = setting([], "geom name patterns")
     movable: bool = setting(
@@ -101,17 +106,21 @@ class ExcludeSettings(Settings):
 
 
 SCAN_HOLES = 2.0  # `floors.fill` of scans [m²]
-IsSome = AfterValidator(refuse_if(lambda way: sum(value * value for value in way) < 1e-12))
+RefuseZero = AfterValidator(
+    refuse_if(lambda vector: sum(value * value for value in vector) < 1e-12)
+)
 
 
 class SceneSettings(Settings):
+    """The section ``scene``: the scene's file, how it is read, its pose, and what of it counts."""
+
     id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
     path: ScenePath = Field(
         description="MJCF, MJB, URDF, USD, SDF, OBJ, PLY, STL, GLB or DAE, relative to this file; "
         "no default"
     )
     up: Annotated[
-        Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"] | Annotated[Point3, IsSome],
+        Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"] | Annotated[Point3, RefuseZero],
         expects("auto, level, an axis (x, -x, y, -y, z, -z) or a direction [x, y, z]"),
     ] = setting(
         "auto",
@@ -151,12 +160,13 @@ class SceneSettings(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_id_from_path(cls, data: Any) -> Any:
-        if isinstance(data, Mapping) and data.get("id") is None:
-            path = data.get("path")
+    def _default_id(cls, settings: object) -> object:
+        """Set the default of `id`, the stem of the path."""
+        if isinstance(settings, Mapping) and settings.get("id") is None:
+            path = settings.get("path")
             stem = stem_of(path) if isinstance(path, str | PathLike) else ""
-            return {**data, "id": stem or "scene"}
-        return data
+            return {**settings, "id": stem or "scene"}
+        return settings
 
 
 DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
@@ -167,7 +177,7 @@ OnceEach = AfterValidator(refuse_if(lambda value: len(set(value)) < len(value)))
 
 
 class RoomPolygon(Settings):
-    """A room with a given outline."""
+    """An entry of ``rooms.polygons``: a room with its outline."""
 
     name: OptionalName = setting(None, "its name, or null")
     level: LevelKey = setting(0, "its level: a number, 0 is the lowest, or a name")
@@ -177,6 +187,8 @@ class RoomPolygon(Settings):
 
 
 class RoomSettings(Settings):
+    """The section ``rooms``: how rooms are told apart."""
+
     # `from` is a keyword of Python, so it is an alias of `sources`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
@@ -207,19 +219,22 @@ class RoomSettings(Settings):
     min_area: NotNegative = setting(1.0, "auto, sites: smallest area of a room [m2], >= 0")
 
 
-def expand_rooms(value: Any) -> Any:
+def expand_rooms(value: object) -> object:
     """Expand the short forms ``auto``, ``none`` and null to the sections that they stand for."""
-    for short, full in ((None, {}), ("auto", {"from": ["auto"]}), ("none", {"from": []})):
-        if value == short:
-            return full
+    if value is None:
+        return {}
+    if value == "auto":
+        return {"from": ["auto"]}
+    if value == "none":
+        return {"from": []}
     if not isinstance(value, Mapping | RoomSettings):
         raise expected_error("auto, none or a mapping")
     return value
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
-LIFTS = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)  # of a building
-MAP_KEYS = frozenset({"image", "resolution", "origin"})  # of the YAML of a nav2 map
+LIFTS = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)  # in the YAML of a building that has lifts
+MAP_KEYS = frozenset({"image", "resolution", "origin"})  # in the YAML of a nav2 map
 
 
 def _check_below_height(value: float, info: ValidationInfo) -> float:
@@ -237,6 +252,8 @@ def _check_above_ground(value: float | None, info: ValidationInfo) -> float | No
 
 
 class AgentSettings(Settings):
+    """The section ``agent``: the dimensions of the robot, and what it can climb."""
+
     height: Positive = setting(1.14, "height of the agent [m], > 0")
     radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
     traversable_floor_height: Annotated[NotNegative, AfterValidator(_check_below_height)] = setting(
@@ -248,12 +265,14 @@ class AgentSettings(Settings):
 
 
 class GridSettings(Settings):
+    """The section ``grid``: the size and the extent of the cells."""
+
     cell_size: Positive = setting(0.1, "edge of a cell [m], > 0")
     bounds: Annotated[
         Annotated[
             list[float],
             Field(min_length=4, max_length=4),
-            AfterValidator(refuse_if(lambda b: b[0] >= b[2] or b[1] >= b[3])),
+            AfterValidator(refuse_if(lambda box: box[0] >= box[2] or box[1] >= box[3])),
         ]
         | None,
         expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
@@ -265,7 +284,7 @@ class GridSettings(Settings):
 
 
 class LevelSettings(Settings):
-    """One given level."""
+    """An entry of ``levels``: one storey."""
 
     ground: float = Field(description="height of the level's ground, world z [m]; no default")
     top: Annotated[
@@ -275,6 +294,8 @@ class LevelSettings(Settings):
 
 
 class FloorSettings(Settings):
+    """The section ``floors``: which surfaces are floors."""
+
     # as of `RoomSettings.sources`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
@@ -302,11 +323,15 @@ class FloorSettings(Settings):
 
 
 class NameSettings(Settings):
+    """The section ``names``: names of what stands in the cells."""
+
     enabled: bool = setting(True, "write them: true or false")
     walls: Patterns = setting([], "patterns of walls: bodies, geoms or meshes", "[], by shape")
 
 
 class DoorSettings(Settings):
+    """The section ``doors``: which bodies are doors, and their state."""
+
     patterns: Patterns = setting([], "body name patterns of doors (*, ?, [...])")
     find: bool = setting(True, "find doors between rooms by shape and joint: true or false")
     state: Literal["modelled", "open", "closed", "removed"] = setting(
@@ -315,17 +340,21 @@ class DoorSettings(Settings):
 
 
 class VerifySettings(Settings):
+    """The section ``verify``: comparing the grid with the scene after the bake."""
+
     sample: Annotated[int | None, Field(ge=1), expects("a whole number >= 1, or null")] = setting(
         None, "how many cells to look at after the bake, or null for none"
     )
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
+    """Refuse levels that overlap, that are not lowest first, or that have one name."""
     names: set[str] = set()
     for index, level in enumerate(levels):
         if level.name in names:
             raise expected_error("no name twice", got=f'"{level.name}"', at=f"[{index}].name")
-        names |= {level.name} if level.name else set()
+        if level.name:
+            names.add(level.name)
     for index, (below, level) in enumerate(itertools.pairwise(levels)):
         if level.ground <= below.ground:
             text = f"a ground above that of the level before ({below.ground:g})"
@@ -337,7 +366,12 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
 
 
 class BakeConfig(Settings):
-    """All settings of a bake."""
+    """All settings of a bake; see docs/settings.md.
+
+    Example:
+        >>> config = BakeConfig.model_validate({"scene": {"path": "house.xml"}})
+        >>> grid = navbake.bake(config)
+    """
 
     scene: Section[SceneSettings] = Field(description="the scene: what of it counts, its pose")
     agent: Section[AgentSettings] = section(AgentSettings, "the agent that must fit")
@@ -386,50 +420,52 @@ class BakeConfig(Settings):
     ] = setting([], "further layers to write: island, clearance")
     verify: Section[VerifySettings] = section(VerifySettings, "comparing grid and scene")
     output: FilePath | None = setting(None, "file, from the current folder on", "<id>.grid.json")
-    _named: tuple[Path, ...] = PrivateAttr(())
+    _input_files: tuple[Path, ...] = PrivateAttr(())
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_scans(cls, data: Any) -> Any:
+    def _default_fill(cls, settings: object) -> object:
         """Set the default of `floors.fill` for scans."""
-        if isinstance(data, Mapping):
-            scene = data.get("scene")
-            floors = data.get("floors") or {}
+        if isinstance(settings, Mapping):
+            scene = settings.get("scene")
+            floors = settings.get("floors") or {}
             is_scan = isinstance(scene, Mapping) and scene.get("scan") is True
             if is_scan and isinstance(floors, Mapping) and "fill" not in floors:
-                return {**data, "floors": {**floors, "fill": SCAN_HOLES}}
-        return data
+                return {**settings, "floors": {**floors, "fill": SCAN_HOLES}}
+        return settings
 
     @property
     def inputs(self) -> tuple[Path, ...]:
         """The input files of the settings: the scene, outlines, areas and links."""
-        return (Path(self.scene.path), *self._named)
+        return (Path(self.scene.path), *self._input_files)
 
     def __eq__(self, other: object) -> bool:
-        """Whether all settings are equal, from whatever files."""
+        """Whether all settings are equal, whatever files they are read from."""
         return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
 
 
 def find_source(path: str | PathLike[str]) -> Path:
-    """The scene or settings at a path; of a sample's bare name, what `samples.find` gives.
+    """Return the path of a scene or of settings; for a sample's bare name, see `samples.find`.
 
-    Raises a ConfigError for a grid.
+    Raises:
+        ConfigError: The path is that of a grid.
     """
     if str(path).lower().endswith((".grid.json", ".json.gz")):
-        raise ConfigError(
-            f"{path} is a grid, not a scene: `navbake info {path}` describes it, `navbake inflate "
-            f"{path} RADIUS -o FILE` makes another one of it, navbake.load reads it in Python"
+        hint = (
+            f"`navbake info {path}` describes it, `navbake inflate {path} RADIUS -o FILE` makes "
+            "another one of it, navbake.load reads it in Python"
         )
+        raise ConfigError(f"{path} is a grid, not a scene: {hint}", path=str(path), hint=hint)
     return samples.find(path)
 
 
 def is_settings(path: str | PathLike[str]) -> bool:
-    """Whether a file is settings by its name, and no scene."""
+    """Whether a file holds settings, not a scene, by its name."""
     return scene_suffix(path) in YAML_SUFFIXES
 
 
 def defaults_of(scene: Path) -> dict[str, Any]:
-    """The settings of a scene that comes without: lifts of a building are links."""
+    """Return the settings for a scene without a settings file; lifts of a building are links."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
     if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
         settings["links"] = [{"auto": "lift"}] if LIFTS.search(scene.read_bytes()) else []
@@ -439,9 +475,14 @@ def defaults_of(scene: Path) -> dict[str, Any]:
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml, or that of a building, is a scene, or the bare name
-    of a sample as `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each
-    override, ``a.b=value``, replaces a setting of the file. Raises a ConfigError for any fault.
+    Args:
+        path: A path that ends in .yaml or .yml; any other one, and that of a building, is a scene,
+            or the bare name of a sample as `navbake.samples.find` takes it. `scene.path` is
+            relative to the YAML file.
+        overrides: Texts ``a.b=value``, each of which replaces a setting of the file.
+
+    Raises:
+        ConfigError: The file cannot be read, or a setting is wrong.
     """
     path = find_source(path)
     if not is_settings(path):
@@ -450,33 +491,51 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
 
 
 def parse_config(
-    data: Any,
+    settings: object,
     source: str = "the settings",
     overrides: Sequence[str] = (),
     folder: str | PathLike[str] = "",
 ) -> BakeConfig:
-    """Validate settings in nested mappings; raises as `load_config`.
+    """Validate settings.
 
-    Messages name the `source`. `scene.path` is relative to `folder`.
+    Args:
+        settings: Nested mappings, as read from YAML.
+        source: What messages say that the settings are read from.
+        overrides: Texts ``a.b=value``, each of which replaces a setting.
+        folder: The folder that `scene.path` and other paths are relative to.
+
+    Raises:
+        ConfigError: A setting is wrong.
     """
-    if not isinstance(data, Mapping):
-        raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
-    if data.keys() >= MAP_KEYS:
-        text = f"expected settings in {source}, got a map of nav2"
-        raise ConfigError(f"{text}: `navbake convert` makes a grid of it, to .xml a scene")
+    if not isinstance(settings, Mapping):
+        expected = "a mapping of settings"
+        raise ConfigError(
+            f"expected {expected} in {source}: `scene: {{path: …}}`",
+            path=source,
+            value=settings,
+            expected=expected,
+        )
+    if settings.keys() >= MAP_KEYS:
+        hint = "`navbake convert` makes a grid of it, to .xml a scene"
+        raise ConfigError(
+            f"expected settings in {source}, got a map of nav2: {hint}",
+            path=source,
+            expected="settings",
+            hint=hint,
+        )
     # null is a section's defaults, so that a file without `scene` lacks `scene.path`
-    data = {"scene": None, **apply_overrides(data, overrides)}
+    settings = {"scene": None, **apply_overrides(settings, overrides)}
     context: dict[str, Any] = {"folder": folder, "inputs": []}
     try:
-        config = BakeConfig.model_validate(data, context=context)
+        config = BakeConfig.model_validate(settings, context=context)
     except ValidationError as error:
         raise make_config_error(error, SECTIONS, source, overrides) from error
-    config._named = tuple(context["inputs"])
+    config._input_files = tuple(context["inputs"])
     return config
 
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:
-    """Settings from any form: `BakeConfig`, a YAML or scene file, or a mapping."""
+    """Convert settings of any form: `BakeConfig`, a YAML or scene file, or a mapping."""
     if isinstance(config, str | PathLike):
         return load_config(config)
     return config if isinstance(config, BakeConfig) else parse_config(config)
@@ -496,20 +555,25 @@ def settings_digest(config: BakeConfig) -> str:
 
 
 def settings_to_state(config: BakeConfig) -> Json:
-    """The settings that a grid states: scene, agent, cells and floors that aren't the default.
+    """Return the settings that a grid's file states: those of some sections that are no defaults.
 
-    The scene's file is stated without its folder, so that grids don't depend on it; a scene in
-    memory has none. The grid itself has the states of doors.
+    The sections are scene, agent, grid, levels and floors. The scene's file is stated without its
+    folder, so that grids don't depend on it; a scene in memory has no file. The states of doors are
+    in the grid itself.
     """
-    sections = {"scene", "agent", "grid", "levels", "floors"}
-    form: Any = {"mode": "json", "by_alias": True, "exclude_defaults": True}
-    stated: Json = config.model_dump(include=sections, **form)
-    scene = stated["scene"] = dict(stated.get("scene", {}))
+    settings: Json = config.model_dump(
+        include={"scene", "agent", "grid", "levels", "floors"},
+        mode="json",
+        by_alias=True,
+        exclude_defaults=True,
+    )
+    scene = dict(settings.get("scene", {}))
     scene["path"] = Path(config.scene.path).name
     scene.pop("model_path", None)
     if is_memory_path(config.scene.path):
         del scene["path"]
-    return {key: value for key, value in stated.items() if value != {}}
+    settings["scene"] = scene
+    return {key: value for key, value in settings.items() if value != {}}
 
 
 SECTIONS: dict[str, type[BaseModel]] = {

@@ -7,7 +7,6 @@ import re
 import textwrap
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel
 
@@ -28,7 +27,7 @@ COMMENT_COLUMN = 34
 
 
 def render_template(config: BakeConfig) -> str:
-    """Write settings as a commented YAML document, which reads back as the same settings."""
+    """Write settings as a YAML document with comments, which reads back as the same settings."""
     lines = [
         "# Settings of a navbake bake: metres, world frame with z up.",
         "# Every key but scene.path may be left out.",
@@ -39,32 +38,62 @@ def render_template(config: BakeConfig) -> str:
 def write_template(
     scene: str | PathLike[str], path: str | PathLike[str] | None = None, *, force: bool = False
 ) -> Path:
-    """Write the commented default settings for a scene; returns the path.
+    """Write the default settings for a scene, with comments.
 
-    The path is ``<scene id>.yaml`` in the current folder if None; `force` overwrites a file.
+    Args:
+        scene: The path of the scene.
+        path: The path to write, which ends in .yaml or .yml; None for ``<scene id>.yaml`` in the
+            current folder.
+        force: Overwrite an existing file.
+
+    Returns:
+        The path of the written file.
+
+    Raises:
+        ConfigError: The path exists or cannot be written, or `scene` is settings or a grid.
+        SceneError: There is no such scene.
     """
     name, text = template_for(Path(scene), Path() if path is None else Path(path).parent)
     path = Path(name if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
-        raise ConfigError(f"expected a name that ends in .yaml, got {path}")
+        expected = "a name that ends in .yaml"
+        raise ConfigError(f"expected {expected}, got {path}", path=str(path), expected=expected)
     if os.path.exists(path) and not force:
-        raise ConfigError(f"{path} exists; --force overwrites it")
+        hint = "--force overwrites it"
+        raise ConfigError(f"{path} exists; {hint}", path=str(path), hint=hint)
     try:
         write_whole(text.encode(), path)
     except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}") from error
+        message = f"cannot write {path}: {error.strerror}"
+        raise ConfigError(message, path=str(path)) from error
     return path
 
 
 def template_for(scene: Path, folder: Path) -> tuple[str, str]:
-    """The name and the text of a scene's YAML template, for a folder."""
-    found = find_source(scene)
-    if is_settings(found):
-        hint = "" if found == scene else f": `navbake samples {scene}` copies the sample"
-        raise ConfigError(f"expected a scene, got the settings file {found}{hint}")
+    """Make the YAML template of a scene.
+
+    Args:
+        scene: The path of the scene.
+        folder: The folder that the template is for; its `scene.path` is relative to it.
+
+    Returns:
+        The name of the file, ``<scene id>.yaml``, and its text.
+
+    Raises:
+        ConfigError: `scene` is settings or a grid.
+        SceneError: There is no such scene.
+    """
+    source = find_source(scene)
+    if is_settings(source):
+        message = f"expected a scene, got the settings file {source}"
+        hint = None
+        if source != scene:
+            hint = f"`navbake samples {scene}` copies the sample"
+            message += f": {hint}"
+        raise ConfigError(message, path=str(source), expected="a scene", hint=hint)
     scene_id = load_config(scene).scene.id
     if not os.path.isfile(scene):
-        raise SceneError(f"no such file: {scene}")
+        raise SceneError(f"no such file: {scene}", path=str(scene))
     scene = scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))
@@ -82,24 +111,28 @@ def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
         name = field.alias or key
         value = getattr(section, key)
         comment = field.description or ""
-        lines += [] if indent else [""]
+        if not indent:
+            lines.append("")
         if isinstance(value, BaseModel):
-            lines += [f"{indent}{name}:  # {comment}", *_section_lines(value, indent + "  ")]
+            lines.append(f"{indent}{name}:  # {comment}")
+            lines += _section_lines(value, indent + "  ")
             continue
-        line = f"{indent}{name}: {_flow(value)}"
+        line = f"{indent}{name}: {_to_flow_style(value)}"
         commented = f"{line:<{COMMENT_COLUMN}}  # {comment}"
         if len(commented) <= LINE_LENGTH:
             lines.append(commented)
         else:
-            parts = textwrap.wrap(comment, LINE_LENGTH - len(indent) - 2)
-            lines += [*(f"{indent}# {part}" for part in parts), line]
+            comment_lines = textwrap.wrap(comment, LINE_LENGTH - len(indent) - 2)
+            lines += [f"{indent}# {comment_line}" for comment_line in comment_lines]
+            lines.append(line)
     return lines
 
 
-def _flow(value: Any) -> str:
+def _to_flow_style(value: object) -> str:
     """A value as JSON (YAML's flow style), text without quotes if YAML allows it."""
-    value = value.as_posix() if isinstance(value, Path) else value
+    if isinstance(value, Path):
+        value = value.as_posix()
     is_word = isinstance(value, str) and re.fullmatch(r"[A-Za-z_.][\w./-]*", value, re.ASCII)
-    if is_word and parse_yaml(value, "a word") == value:
+    if is_word and parse_yaml(str(value), "a word") == value:
         return str(value)
     return json.dumps(value, ensure_ascii=False, default=BaseModel.model_dump)
