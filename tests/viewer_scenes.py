@@ -6,8 +6,8 @@ from typing import Any
 import mujoco
 
 import navbake
-from navbake.views.viewer.exhibit import Exhibit
-from navbake.views.viewer.view import make_exhibit
+from navbake.views.viewer.view import make_view_state
+from navbake.views.viewer.view_state import ViewState
 
 # 4 x 3 m: a wall with an opening of 0.8 m, a table beside it, a mesh that only viewers see
 ROOM = """<mujoco model="room">
@@ -24,11 +24,11 @@ ROOM = """<mujoco model="room">
 </worldbody></mujoco>"""  # noqa: E501
 
 
-def room_exhibit() -> Exhibit:
+def room_view_state() -> ViewState:
     """The room, baked at 0.1 m for a point."""
     model = mujoco.MjModel.from_xml_string(ROOM)
     grid = navbake.bake(model, agent={"radius": 0.0}, grid={"cell_size": 0.1})
-    return make_exhibit(grid, model)
+    return make_view_state(grid, model)
 
 
 def write_room(folder: Path, **more: Any) -> Path:

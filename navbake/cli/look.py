@@ -148,17 +148,17 @@ def view(
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
     from navbake.config.settings import load_config
-    from navbake.views.viewer.exhibit import Exhibit
     from navbake.views.viewer.server import PageServer
-    from navbake.views.viewer.view import Viewer, Watch, find_files, watch_grid
+    from navbake.views.viewer.view import Viewer, Watch, find_watched_files, watch_grid
+    from navbake.views.viewer.view_state import ViewState
 
     def find() -> list[Path]:
         try:
-            return find_files([source, *load_config(source, overrides or []).inputs])
+            return find_watched_files([source, *load_config(source, overrides or []).inputs])
         except NavbakeError:  # broken for now; the next write is tried again
-            return find_files([source])
+            return find_watched_files([source])
 
-    def bake() -> Exhibit:
+    def bake() -> ViewState:
         from navbake.baker.bake.pipeline import run_bake
         from navbake.baker.scene.scene import load_scene, load_scene_file
 
@@ -168,7 +168,7 @@ def view(
             grid = run_bake(config, progress=progress, opened=opened).grid
         print_warnings(list(grid.warnings))
         baked = load_scene(config, opened=opened)
-        return Exhibit(grid, baked, config)
+        return ViewState(grid, baked, config)
 
     is_grid = source.name.lower().endswith(GRIDS)
     options.refuse_unused(
@@ -181,8 +181,9 @@ def view(
     # before the bake, which may be slow
     with PageServer(host, port, allowed=allow_origin or ()) as server:
         if is_grid:
-            runs = {"episodes": episodes, "trajectories": trajectories or ()}
-            watch = watch_grid(source, scene, force=force, **runs)
+            watch = watch_grid(
+                source, scene, force=force, episodes=episodes, trajectories=trajectories or ()
+            )
         else:
             options.say_if_sample(source)
             watch = Watch(bake, find)

@@ -1,4 +1,4 @@
-"""Describes a grid and its cells as JSON, and its links and stairs as pictures show them."""
+"""Describes a grid and its cells as JSON, and lists links and stairs for pictures."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions, place_at
-from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands, group_steps
 from navbake.navgrid.links import Area, Link
 from navbake.navgrid.user_data import NAMES, names_in
-from navbake.types import Float, Json
+from navbake.types import Float, Int, Int32, Json
 from navbake.views.tables import Table, make_table
 
+# keys of a file's metadata, and what `describe` calls them
 MADE_BY = {
     "version": "navbake",
     "mujoco": "mujoco",
@@ -32,93 +33,121 @@ AGENT = {
 INFLATION = ("radius", "clearance", "mode")
 STAIR = "stair"
 STEEP = "steep"
-BULGE = 0.15  # how far an arc bends from the straight line, by its length
-ARC = 17  # points of an arc
-
-Place = tuple[int, float, float, float]
-"""A level, and world x, y, z [m]."""
+BULGE = 0.15  # how far an arc is from the straight line, by that line's length
+NUM_ARC_POINTS = 17
 
 
 def describe(grid: NavGrid) -> Json:
     """Summarise a grid as JSON.
 
-    ``agent`` and ``made_by`` are the agent's settings, and the versions and digests, as far as the
-    file has them; ``levels`` begin with the lowest, in cells, m and m2, heights are world z, None
-    without floor; ``links``, ``areas`` and ``agents`` are as in the file, areas with their ``m2``;
-    ``inflated`` has radius and clearance [m] and mode of each inflation since the
-    bake. For ``doors`` see `navbake.navgrid.rooms.Door.to_json`.
+    Args:
+        grid: a grid of one or several levels.
+
+    Returns:
+        - ``type``, ``scene_id``, ``cell_size`` [m], ``num_islands``, ``num_steps``, ``warnings``
+        - ``agent``, ``made_by``: settings of the agent, and versions and digests, as far as the
+          file has them
+        - ``levels``: the lowest first; lengths in cells, areas in m2, heights as world z [m], None
+          without a floor
+        - ``links``, ``areas``, ``agents``: as in the file; areas with their size as ``m2``
+        - ``doors``: see `navbake.navgrid.rooms.Door.to_json`
+        - ``inflated``: radius and clearance [m] and mode of each inflation since the bake
     """
+    metadata = {**grid.metadata, **grid.navbake}
     islands = find_islands(grid)
     levels = []
-    stated = {**grid.metadata, **grid.navbake}
-    noted = grid.metadata.get("inflation")
     for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True):
-        area = level.lattice.cell_size**2
-        floor = level.floor[np.isfinite(level.floor)]
-        sizes = np.bincount(island.ravel())[1:]
-        levels.append(
-            {
-                "name": name,
-                "width": level.width,
-                "height": level.height,
-                "ground": _rounded(level.ground),
-                "floor_min": _rounded(floor.min()) if floor.size else None,
-                "floor_max": _rounded(floor.max()) if floor.size else None,
-                "floor_area": _rounded(floor.size * area),
-                "free_area": _rounded(np.count_nonzero(level.free) * area),
-                "num_islands": int(np.count_nonzero(sizes)),
-                "largest_island_area": _rounded(sizes.max(initial=0) * area),
-                "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
-            }
-        )
-    sizes_of_areas = np.sum(
-        [
-            np.bincount(level.area_index.ravel(), minlength=256) * level.lattice.cell_size**2
-            for level in grid.levels
-        ],
-        axis=0,
-    )
+        levels.append(_describe_level(name, level, island))
     return {
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
         "cell_size": grid.levels[0].lattice.cell_size,
-        "agent": {name: stated[key] for key, name in AGENT.items() if key in stated},
-        "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
+        "agent": {name: metadata[key] for key, name in AGENT.items() if key in metadata},
+        "made_by": {name: metadata[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": levels,
         "num_islands": max(int(island.max(initial=0)) for island in islands),
         "num_steps": len(grid.step_array),
         "links": [link.to_json() for link in grid.links],
-        "areas": [
-            {**area.to_json(), "m2": _rounded(sizes_of_areas[number])}
-            for number, area in enumerate(grid.areas, start=1)
-        ],
+        "areas": _describe_areas(grid),
         "agents": {name: agent.to_json() for name, agent in grid.agents.items()},
         "doors": [door.to_json() for door in grid.doors],
-        # what `inflate` noted; a file of another program may have anything there
-        "inflated": [
-            {key: entry[key] for key in INFLATION}
-            for entry in (noted if isinstance(noted, list) else [])
-            if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
-        ],
+        "inflated": _list_inflations(grid),
         "warnings": list(grid.warnings),
     }
 
 
+def _describe_level(name: str, level: SceneGrid2D, island: Int32) -> Json:
+    """Summarise a level; `island` has the number of each cell's island, 0 for none."""
+    cell_area = level.lattice.cell_size**2
+    floor = level.floor[np.isfinite(level.floor)]
+    island_sizes = np.bincount(island.ravel())[1:]
+    return {
+        "name": name,
+        "width": level.width,
+        "height": level.height,
+        "ground": _rounded(level.ground),
+        "floor_min": _rounded(floor.min()) if floor.size else None,
+        "floor_max": _rounded(floor.max()) if floor.size else None,
+        "floor_area": _rounded(floor.size * cell_area),
+        "free_area": _rounded(np.count_nonzero(level.free) * cell_area),
+        "num_islands": int(np.count_nonzero(island_sizes)),
+        "largest_island_area": _rounded(island_sizes.max(initial=0) * cell_area),
+        "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
+    }
+
+
+def _describe_areas(grid: NavGrid) -> list[Json]:
+    """The areas of a grid with their sizes on all levels together."""
+    sizes_of_levels = [
+        np.bincount(level.area_index.ravel(), minlength=256) * level.lattice.cell_size**2
+        for level in grid.levels
+    ]
+    sizes = np.sum(sizes_of_levels, axis=0)
+    return [
+        {**area.to_json(), "m2": _rounded(sizes[number])}
+        for number, area in enumerate(grid.areas, start=1)
+    ]
+
+
+def _list_inflations(grid: NavGrid) -> list[Json]:
+    """The inflations that `inflate` has noted; files of other programs may have anything there."""
+    entries = grid.metadata.get("inflation")
+    if not isinstance(entries, list):
+        return []
+    return [
+        {key: entry[key] for key in INFLATION}
+        for entry in entries
+        if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
+    ]
+
+
 def _rounded(value: float) -> float:
-    """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
+    """Round to a millionth, so that the float32 of 2.8 is not shown as 2.799999952."""
     return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
 def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> Json:
-    """Describe the cell at a position; the grid's method says what it takes and raises.
+    """Describe the cell at a position.
+
+    Args:
+        grid: a grid of one or several levels.
+        x: world x [m].
+        y: world y [m].
+        level: number of the level, 0 is the lowest; None only for a grid of one level.
 
     Returns:
-        ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
-        (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
-        ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
-        (from 1, the largest; None where it isn't free), ``area`` (its name, None for none) and
-        ``links`` (names of those with a stop in it); names of what stands in the cell: ``doors``,
-        ``objects``, ``walls``, and of what blocks it, if stated: ``blockers``.
+        - ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m])
+        - ``floor``: world z [m], None for none
+        - ``free``, ``occupied``, ``weight`` (None for infinite)
+        - ``room``: its entry in the grid's `rooms`, else its index, None for none
+        - ``island``: number, the largest is 1; None where the cell isn't free
+        - ``area``: its name, None for none
+        - ``links``: names of those with a stop in the cell
+        - ``doors``, ``objects``, ``walls``: names of what stands in the cell
+        - ``blockers``: names of what blocks the cell, as far as they are known
+
+    Raises:
+        QueryError: the position lies beside the level.
     """
     place = place_at(grid, (x, y), level)
     if place is None:
@@ -126,24 +155,26 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         span = f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {span}")
     number, row, col = place.cell
-    here = grid.levels[number]
-    cell = row * here.width + col
-    index = int(here.room_index[row, col])
-    entry = here.user_data.get(cell, {})
-    names = {key: sorted(names_in(entry, key)) for key in NAMES}
-    standing = sorted(set().union(*names.values()))
-    rooms = (room.to_json() for room in grid.rooms if (room.level, room.index) == (number, index))
+    level_grid = grid.levels[number]
+    cell = row * level_grid.width + col
+    user_data = level_grid.user_data.get(cell, {})
+    occupants = {kind: sorted(names_in(user_data, kind)) for kind in NAMES}
+    blockers = []
+    if not place.free:
+        # a file lists blockers only where they differ from all occupants of the cell
+        blockers = sorted(names_in(user_data, "blockers"))
+        blockers = blockers or sorted(set().union(*occupants.values()))
     return {
         "level": number,
         "row": row,
         "col": col,
         "cell": cell,
-        "center": [float(v) for v in here.lattice.positions(row, col)],
+        "center": [float(coordinate) for coordinate in level_grid.lattice.positions(row, col)],
         "floor": place.floor,
         "free": place.free,
         "occupied": place.occupied,
         "weight": place.weight if place.free else None,
-        "room": next(rooms, index or None),
+        "room": _describe_room(grid, number, int(level_grid.room_index[row, col])),
         "island": place.island,
         "area": place.area,
         "links": [
@@ -151,40 +182,78 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
             for link in grid.links
             if any((stop.level, stop.cell) == (number, cell) for stop in link.stops)
         ],
-        **names,
-        # a file lists blockers only where they differ from all that stands in the cell
-        "blockers": [] if place.free else sorted(names_in(entry, "blockers")) or standing,
+        **occupants,
+        "blockers": blockers,
     }
 
 
-def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
-    """Describe the cell at a world position [m] on each level that spans it, lowest first.
+def _describe_room(grid: NavGrid, level: int, index: int) -> Json | int | None:
+    """A room's entry in the grid's rooms, else its index, None for the index 0."""
+    for room in grid.rooms:
+        if (room.level, room.index) == (level, index):
+            return room.to_json()
+    return index or None
 
-    Raises a QueryError if the position is no number, or beside all levels.
+
+def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
+    """Describe the cells at a position on all levels that span it.
+
+    Args:
+        grid: a grid of one or several levels.
+        x: world x [m].
+        y: world y [m].
+
+    Returns:
+        What `describe_cell` returns of each, the lowest first.
+
+    Raises:
+        QueryError: the position is no number, or beside all levels.
     """
     check_positions((x, y), 1)
-    found = []
-    beside = []
+    cells = []
+    reasons = []
     for level in range(len(grid.levels)):
         try:
-            found.append(describe_cell(grid, x, y, level))
+            cells.append(describe_cell(grid, x, y, level))
         except QueryError as error:
-            beside.append(str(error))
-    if not found:
-        raise QueryError("; ".join(beside))
-    return found
+            reasons.append(str(error))
+    if not cells:
+        raise QueryError("; ".join(reasons))
+    return cells
 
 
 # --- links and stairs -----------------------------------------------------------------------------
 
 
-class Way(NamedTuple):
-    """A named link, or the steps side by side that make a stair or a steep ramp."""
+class StopPoint(NamedTuple):
+    """A point where a link or stair begins, stops or ends."""
+
+    level: int
+    x: float  # world frame [m]
+    y: float
+    z: float
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """World x, y, z [m]."""
+        return self.x, self.y, self.z
+
+
+class Connection(NamedTuple):
+    """A named link, or the steps side by side that make a stair or a steep ramp.
+
+    Attributes:
+        name: of the link, or such as ``stair 1``.
+        kind: of the link, `STAIR` or `STEEP`.
+        stops: of the link, or the middles of the steps' two ends.
+        link: None for steps.
+        num_steps: steps side by side, 0 for a link.
+    """
 
     name: str
     kind: str
-    places: tuple[Place, ...]  # its stops, or the middles of the steps' two ends
-    link: Link | None  # None for steps
+    stops: tuple[StopPoint, ...]
+    link: Link | None
     num_steps: int = 0
 
     @property
@@ -196,65 +265,102 @@ class Way(NamedTuple):
         return self.link is not None and self.link.one_way
 
     def label(self) -> str:
-        """What stands at its stops."""
+        """The name that pictures write at its stops."""
         return f"{self.name} (closed)" if self.is_closed else self.name
 
 
-def find_ways(grid: NavGrid) -> list[Way]:
-    """The named links in the file's order, then stairs, then steep ramps, by level."""
-    stops = [tuple((stop.level, *stop.position) for stop in link.stops) for link in grid.links]
-    links = [Way(one.name, one.kind, at, one) for one, at in zip(grid.links, stops, strict=True)]
-    return [*links, *_find_stairs(grid)]
+def find_connections(grid: NavGrid) -> list[Connection]:
+    """List the named links in the file's order, then stairs, then steep ramps, by level."""
+    connections = []
+    for link in grid.links:
+        stops = tuple(StopPoint(stop.level, *stop.position) for stop in link.stops)
+        connections.append(Connection(link.name, link.kind, stops, link))
+    return [*connections, *_find_stairs(grid)]
 
 
-def _find_stairs(grid: NavGrid) -> Iterator[Way]:
-    """Steps from one level to another that begin side by side are one stair."""
-    count = {STAIR: 0, STEEP: 0}
+def _find_stairs(grid: NavGrid) -> Iterator[Connection]:
+    """Find stairs and steep ramps: steps between two levels that begin side by side are one stair.
+
+    Steps within one level are a steep ramp.
+    """
+    num_of_kind = {STAIR: 0, STEEP: 0}
+    # rows of steps: level and cell of one end, level and cell of the other end
     groups = group_steps(grid, grid.step_array)
-    for some in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
-        pair = some[0, ::2].tolist()
-        kind = STEEP if pair[0] == pair[1] else STAIR
-        count[kind] += 1
-        ends: list[Place] = []
-        for on, at in zip(pair, (some[:, 1], some[:, 3]), strict=True):
-            rows, cols = np.divmod(at, grid.levels[on].width)
-            x, y = grid.levels[on].lattice.positions(rows, cols).mean(axis=0).tolist()
-            ends.append((on, x, y, float(grid.levels[on].floor_or_ground[rows, cols].mean())))
-        yield Way(f"{kind} {count[kind]}", kind, tuple(ends), None, len(some))
+    for steps in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
+        first_level = int(steps[0, 0])
+        second_level = int(steps[0, 2])
+        kind = STEEP if first_level == second_level else STAIR
+        num_of_kind[kind] += 1
+        stops = (
+            _middle_of_cells(grid, first_level, steps[:, 1]),
+            _middle_of_cells(grid, second_level, steps[:, 3]),
+        )
+        yield Connection(f"{kind} {num_of_kind[kind]}", kind, stops, None, len(steps))
 
 
-def bend(start: Float, end: Float) -> Float:
-    """An arc from one position to another, shape (`ARC`, 3) [m].
+def _middle_of_cells(grid: NavGrid, level: int, cells: Int) -> StopPoint:
+    """The mean position of cells of a level, on their floor."""
+    rows, cols = np.divmod(cells, grid.levels[level].width)
+    x, y = grid.levels[level].lattice.positions(rows, cols).mean(axis=0).tolist()
+    z = float(grid.levels[level].floor_or_ground[rows, cols].mean())
+    return StopPoint(level, x, y, z)
 
-    Between heights it bends to the side, else up.
+
+def arc_between(start: Float, end: Float) -> Float:
+    """An arc from one position to another.
+
+    It bulges upward; between positions above each other, to the side.
+
+    Args:
+        start: x, y, z [m].
+        end: x, y, z [m].
+
+    Returns:
+        Points of the arc, shape (`NUM_ARC_POINTS`, 3) [m].
     """
     along = end - start
-    side = np.array([0.0, 0.0, 1.0])
-    flat = float(np.hypot(along[0], along[1]))
-    if abs(along[2]) > flat:
-        side = np.array([-along[1], along[0], 0.0]) / flat if flat > 1e-6 else -np.eye(3)[1]
-    t = np.linspace(0.0, 1.0, ARC)[:, None]
-    arc: Float = start + t * along + 4 * t * (1 - t) * BULGE * np.linalg.norm(along) * side
+    bulge = np.array([0.0, 0.0, 1.0])
+    horizontal = float(np.hypot(along[0], along[1]))
+    if abs(along[2]) > horizontal:
+        if horizontal > 1e-6:
+            bulge = np.array([-along[1], along[0], 0.0]) / horizontal
+        else:
+            bulge = np.array([0.0, -1.0, 0.0])
+    t = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
+    # 4 t (1 - t) is a parabola: 0 at both ends, 1 in the middle
+    arc: Float = start + t * along + 4 * t * (1 - t) * BULGE * np.linalg.norm(along) * bulge
     return arc
 
 
 def describe_area(area: Area) -> str:
     """An area in a few words: ``lab: keep-out``, ``lobby: price 2, at most 0.6 m/s``."""
-    facts = ["keep-out"] if math.isinf(area.cost) else []
-    facts += [f"price {area.cost:g}"] if not facts and area.cost != 1 else []
-    facts += [f"at most {area.speed:g} m/s"] if area.speed is not None else []
-    facts += [] if area.agents is None else [f"for {', '.join(area.agents) or 'nobody'}"]
+    facts = []
+    if math.isinf(area.cost):
+        facts.append("keep-out")
+    elif area.cost != 1:
+        facts.append(f"price {area.cost:g}")
+    if area.speed is not None:
+        facts.append(f"at most {area.speed:g} m/s")
+    if area.agents is not None:
+        facts.append(f"for {', '.join(area.agents) or 'nobody'}")
     return f"{area.name}: {', '.join(facts)}" if facts else area.name
 
 
 def stair_table(grid: NavGrid) -> Table:
-    """A row for each stair, and each steep ramp: its steps side by side, and their middle."""
-    names = grid.level_names
+    """A row for each stair and each steep ramp: its steps side by side, and their mean position."""
     rows = []
-    for way in find_ways(grid):
-        if way.link is None:
-            (one, x, y, _), (other, *_) = way.places
-            place = f"{x:.2f}, {y:.2f}"
-            rows.append((way.name, names[one], names[other], way.num_steps, place))
+    for connection in find_connections(grid):
+        if connection.link is not None:
+            continue
+        start, end = connection.stops
+        rows.append(
+            (
+                connection.name,
+                grid.level_names[start.level],
+                grid.level_names[end.level],
+                connection.num_steps,
+                f"{start.x:.2f}, {start.y:.2f}",
+            )
+        )
     headings = ("name", "from", "to", "steps", "mean place x, y [m]")
     return make_table(headings, rows, numbers=("steps",))

@@ -66,9 +66,9 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     tables = {
         "Cells that changed": make_table((*names, *CHANGES), cells, numbers=CHANGES),
         "Levels that only one has": make_table(columns, alone),
-        "Rooms that changed": make_table(columns, list_rooms(first, second, levels)),
-        "Doors that changed": make_table(columns, list_differing(*doors)),
-        "Settings that changed": make_table(columns, list_differing(*map(settings_of, grids))),
+        "Rooms that changed": make_table(columns, list_changed_rooms(first, second, levels)),
+        "Doors that changed": make_table(columns, list_differences(*doors)),
+        "Settings that changed": make_table(columns, list_differences(*map(settings_of, grids))),
     }
     if first.scene_id != second.scene_id:
         warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
@@ -91,11 +91,11 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
 
 
 def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
-    place = describe_place(" / ".join(dict.fromkeys(names)), level.lattice)
+    place = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
     change = level.change[:: place["every"], :: place["every"]]
     colors = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
     legend = [entry for n, entry in enumerate(COLORS.items()) if (change == n).any()]
-    layer: Json = {"name": "changes", "title": "", "png": to_url(colors[change]), "legend": legend}
+    layer: Json = {"name": "changes", "title": "", "png": png_url(colors[change]), "legend": legend}
     return {
         **place,
         "of": [[0, level.first], [1, level.second]],
@@ -106,7 +106,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     }
 
 
-def describe_place(name: str, lattice: Lattice) -> Json:
+def describe_extent(name: str, lattice: Lattice) -> Json:
     """Where a map lies in the world, and every which row and column of it a page shows."""
     every = 1
     while -(-lattice.height // every) * -(-lattice.width // every) > MAX_SHOWN:
@@ -115,7 +115,7 @@ def describe_place(name: str, lattice: Lattice) -> Json:
     return place | {"cellSize": lattice.cell_size, "xMin": lattice.x_min, "yMax": lattice.y_max}
 
 
-def to_url(rgb: NDArray[np.uint8]) -> str:
+def png_url(rgb: NDArray[np.uint8]) -> str:
     """A picture, shape (rows, cols, 3), as the URL of a PNG that holds all of it."""
     return "data:image/png;base64," + b64encode(encode_png(Image.fromarray(rgb))).decode("ascii")
 
@@ -223,7 +223,7 @@ def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
     return sorted(pair for pair in best_of_one.values() if best_of_other[pair[1]] == pair)
 
 
-def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Row]:
+def list_changed_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Row]:
     """The rooms that changed: names and areas."""
     rows = []
     rooms = [{(room.level, room.index): room for room in grid.rooms} for grid in (first, second)]
@@ -252,7 +252,7 @@ def settings_of(grid: NavGrid) -> dict[str, str]:
     return flatten({**own, "cell size": f"{grid.cell_size * grid.unit:g} m"})
 
 
-def list_differing(one: dict[str, str], other: dict[str, str]) -> list[Row]:
+def list_differences(one: dict[str, str], other: dict[str, str]) -> list[Row]:
     """The entries that only one has, or that are others."""
     keys = sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
     return [(key, one.get(key, ""), other.get(key, "")) for key in keys]

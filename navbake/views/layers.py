@@ -19,7 +19,7 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.door_states import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.views.describe import Way, describe_area, find_ways
+from navbake.views.describe import Connection, describe_area, find_connections
 
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
@@ -102,7 +102,7 @@ class Panel(NamedTuple):
     legend: Legend = ()
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorLine, ...] = ()
-    ways: tuple[Way, ...] = ()  # links and stairs that are drawn, of all levels
+    connections: tuple[Connection, ...] = ()  # links and stairs that are drawn, of all levels
     relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
 
 
@@ -138,7 +138,7 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     shown = np.isfinite(panel.values)
     painted = panel.scale.color(panel.values[shown])
     if panel.relief:
-        lit = light_of(panel.values, panel.relief)[shown][:, None]
+        lit = relief_shading(panel.values, panel.relief)[shown][:, None]
         share = np.where(lit > 0, lit * LIT, -lit * SHADED)
         painted = np.round(painted * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
     rgb = panel.rgb.copy()
@@ -146,7 +146,7 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     return rgb
 
 
-def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
+def relief_shading(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
     """Relief shading of floors, from -1, in shade, to 1, lit: shape (height, width).
 
     The light comes from the upper left, as on maps. A cell that is higher than its neighbours
@@ -381,14 +381,14 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
     for color, sign in zip(colored.values(), (1, -1, 0), strict=True):
         cells = ends[np.sign(ends[:, 2] - number) == sign, 1]
         rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
-    ways = find_ways(grid)
+    ways = find_connections(grid)
     labels = []
     for place, way in enumerate(ways, 1):
-        here = [(x, y) for level, x, y, _ in way.places if level == number]
+        here = [(x, y) for level, x, y, _ in way.stops if level == number]
         labels += [Label(way.label(), str(place), *at, 0.0, 0.0, place) for at in here[:1]]
     drawn = (*colored.items(), *legend)
     drawn = (("link", colors.LINK), *drawn) if grid.links else drawn
-    return Panel("links", rgb, legend=drawn, labels=tuple(labels), ways=tuple(ways))
+    return Panel("links", rgb, legend=drawn, labels=tuple(labels), connections=tuple(ways))
 
 
 def _show_areas(grid: NavGrid, number: int) -> Panel:
@@ -413,7 +413,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
     """Show the cells where a verification found that grid and scene disagree, by kind."""
     level = grid.levels[number]
     rgb, legend = _occupancy(level)
-    kinds = color_kinds(finding.kind for finding in findings)
+    kinds = colors_of_kinds(finding.kind for finding in findings)
     here = [finding for finding in findings if finding.level == number]
     for finding in here:
         row, col = finding.cell or level.lattice.rows_cols(finding.position)
@@ -422,7 +422,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
     return Panel(count_of(len(here), "disagreement"), rgb, legend=(*kinds.items(), *legend))
 
 
-def color_kinds(kinds: Iterable[str]) -> dict[str, str]:
+def colors_of_kinds(kinds: Iterable[str]) -> dict[str, str]:
     """A colour for each kind of mark."""
     return {kind: colors.MARKS[n % len(colors.MARKS)] for n, kind in enumerate(sorted(set(kinds)))}
 

@@ -21,8 +21,8 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
-from navbake.views.describe import Way
-from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
+from navbake.views.describe import Connection
+from navbake.views.layers import Label, Panel, colors_of_kinds, make_panel, paint
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
@@ -131,7 +131,7 @@ def render_picture(
         raise QueryError("expected at least one layer to draw, got none")
     shown = [(number, make_panel(grid, layer, number)) for number in chosen for layer in layers]
     panels = [panel for _, panel in shown]
-    kinds = color_kinds(kind for *_, kind in marks)
+    kinds = colors_of_kinds(kind for *_, kind in marks)
     bounds = np.array([grid.levels[number].lattice.bounds for number in chosen])
     view = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
     texts = [grid.scene_id or "", *kinds, *(panel.title for panel in panels)]
@@ -175,7 +175,11 @@ def render_picture(
         facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
         text = wrap("   ".join([facts, *entries]), figure.get_figwidth() * 1.2, lines=99)
         legend.set_title(text, {"size": LEGEND_POINTS})
-        own = [(ax, number) for ax, (number, panel) in zip(axes, shown, strict=True) if panel.ways]
+        own = [
+            (ax, number)
+            for ax, (number, panel) in zip(axes, shown, strict=True)
+            if panel.connections
+        ]
         _draw_ways(figure, {number: ax for ax, number in own}, panels)
         content = io.BytesIO()
         metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
@@ -287,10 +291,10 @@ def _draw_ways(figure: Any, axes: dict[int, Any], panels: Sequence[Panel]) -> No
     """Draw links and stairs from stop to stop, also from storey to storey; axes are by level."""
     from matplotlib.patches import ConnectionPatch
 
-    for way in next((panel.ways for panel in panels if panel.ways), ()):
+    for way in next((panel.connections for panel in panels if panel.connections), ()):
         style = _strokes(_way_line(way))
         color = STROKES[_way_line(way)][1][0]
-        places = way.places
+        places = way.stops
         for level, x, y, _ in places[: 1 if way.one_way else None]:
             if level in axes and way.link is not None:
                 axes[level].plot(x, y, "o", color=color, markeredgecolor="white", markersize=6)
@@ -305,7 +309,7 @@ def _draw_ways(figure: Any, axes: dict[int, Any], panels: Sequence[Panel]) -> No
                 figure.add_artist(arc)
 
 
-def _way_line(way: Way) -> str:
+def _way_line(way: Connection) -> str:
     """The name of the line of a link or stair in `STROKES`."""
     if way.link is None:
         return "stairs"
@@ -384,7 +388,7 @@ def _draw_legend(
 
     meanings = dict(entry for panel in panels for entry in panel.legend)
     lines = {_door_line(door.state) for panel in panels for door in panel.doors}
-    lines |= {_way_line(way) for panel in panels for way in panel.ways}
+    lines |= {_way_line(way) for panel in panels for way in panel.connections}
     if lines:  # they stand for doors and links in the legend
         meanings = {name: c for name, c in meanings.items() if c not in (DOOR, DOORWAY, LINK)}
     lines |= {"path, from o to x"} if with_route else set()

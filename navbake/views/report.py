@@ -20,7 +20,7 @@ from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables
 from navbake.views.describe import describe, stair_table
-from navbake.views.difference import describe_changes, describe_place, flatten, to_url
+from navbake.views.difference import describe_changes, describe_extent, flatten, png_url
 from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.page import make_page, pack, show_table
 from navbake.views.tables import Table, make_table, summarize
@@ -218,7 +218,7 @@ def describe_map(grid: NavGrid, number: int) -> Json:
     none: the names of what stands in a cell, and of what blocks it, by `KINDS`.
     """
     level = grid.levels[number]
-    place = describe_place(grid.level_names[number], level.lattice)
+    place = describe_extent(grid.level_names[number], level.lattice)
     names, name_lists = _number_names(level)
     layers: dict[str, Any] = {
         "floor": np.round(level.floor, DIGITS),
@@ -273,7 +273,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
     return {
         "name": layer,
         "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
-        "png": to_url(paint(panel)[::every, ::every]),
+        "png": png_url(paint(panel)[::every, ::every]),
         "legend": [*rooms, *panel.legend],
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],
@@ -281,11 +281,11 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "ways": [
             {
                 # in order, null on another level
-                "stops": [[x, y] if level == number else None for level, x, y, _ in way.places],
+                "stops": [[x, y] if level == number else None for level, x, y, _ in way.stops],
                 "link": way.link is not None,
                 "closed": way.is_closed,
                 "oneWay": way.one_way,
             }
-            for way in panel.ways
+            for way in panel.connections
         ],
     }

@@ -16,8 +16,8 @@ from navbake.views.difference import (
     COLORS,
     SAME_FLOOR,
     compare_levels,
-    list_differing,
-    list_rooms,
+    list_changed_rooms,
+    list_differences,
     match_levels,
     settings_of,
 )
@@ -146,8 +146,8 @@ def doors(tmp_path_factory):
 def test_a_door_in_another_state(doors):
     first, second, name = doors
     states = lambda grid: {door.id: door.state for door in grid.doors}  # noqa: E731
-    assert list_differing(*map(states, (first, first))) == []
-    assert list_differing(*map(states, (first, second))) == [(name, "modelled", "closed")]
+    assert list_differences(*map(states, (first, first))) == []
+    assert list_differences(*map(states, (first, second))) == [(name, "modelled", "closed")]
     level = compare_levels(first.levels[0], second.levels[0], (0, 0))
     blocked = np.count_nonzero(first.levels[0].free & ~second.levels[0].free)
     assert np.count_nonzero(level.change == NAMES.index("became blocked")) == blocked
@@ -172,7 +172,7 @@ def test_rooms_that_changed_are_listed():
         return house_from([level], rooms=rooms)
 
     def listed(first, second):
-        return list_rooms(
+        return list_changed_rooms(
             first, second, [compare_levels(first.levels[0], second.levels[0], (0, 0))]
         )
 
@@ -186,8 +186,10 @@ def test_rooms_that_changed_are_listed():
 def test_settings_that_changed_are_listed(doors):
     grid, _, _ = doors
     other = grid.inflate(0.3)
-    assert list_differing(settings_of(grid), settings_of(grid)) == []
-    changed = {what: second for what, _, second in list_differing(*map(settings_of, (grid, other)))}
+    assert list_differences(settings_of(grid), settings_of(grid)) == []
+    changed = {
+        what: second for what, _, second in list_differences(*map(settings_of, (grid, other)))
+    }
     assert changed["inflation.0.radius"] == "0.3"
     assert all(key.startswith("inflation.0.") for key in changed)
 

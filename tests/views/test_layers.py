@@ -17,7 +17,7 @@ from navbake.navgrid.colors import (
 )
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
-from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, light_of, make_panel, paint
+from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint, relief_shading
 from navbake.views.plot import render_picture
 
 ROOMS = """
@@ -230,12 +230,12 @@ def test_light_comes_from_the_upper_left():
     heights = np.zeros((4, 4), dtype=np.float32)
     heights[1:3, 1:3] = 0.02
     heights[3, 3] = np.nan
-    lit = light_of(heights, 0.04)
+    lit = relief_shading(heights, 0.04)
     assert (lit[1, 1:3] > 0).all() and (lit[1:3, 1] > 0).all()  # its upper and left edge
     assert (lit[3, 1:3] < 0).all() and (lit[1:3, 3] < 0).all()  # below and right of it
     assert lit[0].tolist() == [0] * 4 and lit[3, 3] == 0
     assert lit[1, 2] == pytest.approx(np.tanh(0.5))
-    assert light_of(np.float32([[0, 0.04]]), 0.04)[0, 1] == pytest.approx(np.tanh(1))
+    assert relief_shading(np.float32([[0, 0.04]]), 0.04)[0, 1] == pytest.approx(np.tanh(1))
 
 
 def test_a_panel_of_colours_is_painted_as_it_is():

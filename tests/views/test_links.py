@@ -11,11 +11,11 @@ import navbake
 from color_vision import VISIONS, contrast, difference
 from navbake.navgrid import colors
 from navbake.navgrid.colors import rgb_of
-from navbake.views.describe import bend, find_ways, stair_table
+from navbake.views.describe import arc_between, find_connections, stair_table
 from navbake.views.layers import make_panel
 from navbake.views.plot import render_picture
 from navbake.views.report import describe_map, render_report
-from navbake.views.viewer.exhibit import Choices, Exhibit
+from navbake.views.viewer.view_state import Choices, ViewState
 from project_paths import GOLDEN
 from report_pages import content_of
 
@@ -25,31 +25,32 @@ def tower():
     return navbake.load(GOLDEN / "tower.grid.json.gz")
 
 
-def test_links_and_stairs_are_ways_of_their_own(tower):
-    ways = find_ways(tower)
-    assert [(way.name, way.kind, len(way.places)) for way in ways] == [
+def test_links_and_stairs_are_connections(tower):
+    connections = find_connections(tower)
+    assert [(each.name, each.kind, len(each.stops)) for each in connections] == [
         ("lift_a", "lift", 3),
         ("lift_b", "lift", 2),
         ("drop 1", "drop", 2),
         ("stair 1", "stair", 2),
         ("stair 2", "stair", 2),
     ]
-    assert sum(way.num_steps for way in ways) == len(tower.steps)
-    assert [way.one_way for way in ways] == [False, False, True, False, False]
+    assert sum(each.num_steps for each in connections) == len(tower.steps)
+    assert [each.one_way for each in connections] == [False, False, True, False, False]
 
 
 def test_the_two_stairs_of_a_house_are_two_rows():
     house = navbake.load(GOLDEN / "house.grid.json.gz")
-    first, second = find_ways(house)
+    first, second = find_connections(house)
     assert (first.name, second.name) == ("stair 1", "stair 2")
-    apart = [np.array(way.places[0][1:3]) for way in (first, second)]
+    apart = [np.array(stair.stops[0].position[:2]) for stair in (first, second)]
     assert np.linalg.norm(apart[0] - apart[1]) > 3.0
-    for way in (first, second):
-        (one, *start), (other, *end) = way.places
-        assert {one, other} == {0, 1} and np.linalg.norm(np.subtract(end, start)[:2]) < 0.3
+    for stair in (first, second):
+        start, end = stair.stops
+        assert {start.level, end.level} == {0, 1}
+        assert np.linalg.norm(np.subtract(end.position, start.position)[:2]) < 0.3
     assert [row[:3] for row in stair_table(house).rows] == [
-        [way.name, *(house.level_names[way.places[k][0]] for k in (0, 1))]
-        for way in (first, second)
+        [stair.name, *(house.level_names[stop.level] for stop in stair.stops)]
+        for stair in (first, second)
     ]
 
 
@@ -98,16 +99,16 @@ def test_a_report_has_their_tables_and_stops(tower):
 
 
 def test_the_viewer_bends_links_between_shown_storeys(tower):
-    exhibit = Exhibit(tower)
-    assert "area" in exhibit.layers
-    assert exhibit.arcs(Choices((0, 1, 2))) == []
-    arcs = exhibit.arcs(Choices((0, 1, 2), layer="links"))
+    view_state = ViewState(tower)
+    assert "area" in view_state.layers
+    assert view_state.arcs(Choices((0, 1, 2))) == []
+    arcs = view_state.arcs(Choices((0, 1, 2), layer="links"))
     assert len(arcs) == 6 and sum(color == colors.LINK for _, color in arcs) == 4
     for arc, _ in arcs:
         middle = (arc[0] + arc[-1]) / 2
         assert np.linalg.norm(arc[len(arc) // 2] - middle) > 0.1 * np.linalg.norm(arc[-1] - arc[0])
-    assert len(exhibit.arcs(Choices((0, 1), layer="links"))) == 4
-    up = bend(np.zeros(3), np.array([2.0, 0.0, 0.5]))
+    assert len(view_state.arcs(Choices((0, 1), layer="links"))) == 4
+    up = arc_between(np.zeros(3), np.array([2.0, 0.0, 0.5]))
     assert up[:, 2].max() > 0.5 and not up[:, 1].any()
 
 

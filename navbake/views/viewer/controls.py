@@ -1,4 +1,4 @@
-"""The panel of the page: what can be chosen, and what is said, as Markdown and HTML.
+"""The panel of the page: its inputs, and its texts as Markdown and HTML.
 
 Names from files are escaped.
 """
@@ -9,376 +9,527 @@ import html
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from navbake.episodes.episode import Episode
 from navbake.runtime.paths import Path
-from navbake.types import Json
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.tables import cell_facts
-from navbake.views.viewer.exhibit import (
+from navbake.views.viewer.view_state import (
     CLICKS,
     GOAL,
     INSPECT,
     START,
     TRAJECTORY,
     Choices,
-    Counts,
-    Exhibit,
+    FreeSpace,
+    Inspection,
+    ViewState,
 )
 
 if TYPE_CHECKING:
     import viser
 
-Change = Callable[[Choices], Choices]
+Change: TypeAlias = Callable[[Choices], Choices]
+"""Makes new choices of the present ones."""
 
 ALL_LEVELS = "all levels"
 ALL_DOORS = "all doors"
 AS_BAKED = "as baked"
 NO_EPISODE = "none"
-MOST_EPISODES = 500
+MAX_EPISODES = 500  # that the panel lists
 RADIUS_STEP = 0.01  # [m]
 MAX_RADIUS = 1.0  # [m], or twice the grid's own
-MOST_SWITCHES = 12  # levels that have a switch each
+MAX_CHECKBOXES = 12  # with more levels, levels have no checkboxes
 CUT_STEP = 0.05  # [m]
 INFLATED = "The grid was inflated when it was made: its doors stay as they are."
-MARKED = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
+MARKDOWN_SIGNS = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START = "Click where the path starts."
 HINT_GOAL = "Click where it goes to."
-NAMES_SHOWN = 6
-SCALES_SHOWN = 3
+MAX_LISTED_NAMES = 6
+MAX_SCALES = 3  # in the legend
 
 
 class Controls:
-    """The panel for an exhibit; calls `change` with how the reader changes choices, or `verify`."""
+    """The panel of a page: inputs that change the user's choices, and texts that follow them."""
 
     def __init__(
         self,
         gui: viser.GuiApi,
-        exhibit: Exhibit,
-        chosen: Choices,
+        view_state: ViewState,
+        choices: Choices,
         change: Callable[[Change], None],
         verify: Callable[[], None],
     ) -> None:
+        """Fill the panel anew.
+
+        Args:
+            gui: viser's panel.
+            view_state: the grid and its scene.
+            choices: the present ones.
+            change: is called with the change when the user sets an input.
+            verify: is called when the user wants to compare the grid with the scene.
+        """
         self._gui = gui
-        self._exhibit = exhibit
+        self._view_state = view_state
         self._change = change
+        # viser's inputs and texts by name; their types differ
         self._handles: dict[str, Any] = {}
         gui.reset()
         self._status = gui.add_markdown("", visible=False)
-        grid = exhibit.grid
-        size = plain(f"{exhibit.grid.levels[0].lattice.cell_size:g}")
-        storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
-        text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {size} m"
-        gui.add_markdown(f"{text}\n\n{plain(exhibit.note)}")
+        gui.add_markdown(_heading(view_state))
         with gui.add_folder("Layer"):
-            self._add_layers(chosen, verify)
+            self._add_layers(choices, verify)
         with gui.add_folder("Agent"):
-            self._add_agent(chosen)
+            self._add_agent(choices)
         with gui.add_folder("Click"):
-            click = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
-            self._keep("click", click, _set("click"))
-            self._keep("told", gui.add_markdown(""))
-            self._keep("route", gui.add_markdown(""))
-            self._keep("clear", gui.add_button("Clear", visible=False))
-            self._handles["clear"].on_click(lambda _: change(Choices.without_clicks))
-        if exhibit.grid.doors:
+            self._add_click(choices)
+        if view_state.grid.doors:
             with gui.add_folder("Doors"):
                 self._add_doors()
-        if exhibit.runs:
+        if view_state.runs:
             with gui.add_folder("Episode"):
-                names = [NO_EPISODE, *list(exhibit.runs)[:MOST_EPISODES]]
-                first = chosen.episode if chosen.episode in names else NO_EPISODE
-                which = gui.add_dropdown("Episode", names, initial_value=first)
-
-                def choose(name: str) -> Change:
-                    return _set("episode")("" if name == NO_EPISODE else name)
-
-                self._keep("episode", which, choose)
-                self._keep("task", gui.add_markdown(""))
+                self._add_episodes(choices)
         with gui.add_folder("Picture"):
-            self._add_picture(chosen)
+            self._add_picture(choices)
 
-    def _keep(self, name: str, handle: Any, make: Callable[[Any], Change] | None = None) -> None:
-        """Keep an input, whose value makes a change when the reader, not this program, sets it."""
+    def _add_input(
+        self, name: str, handle: viser.GuiInputHandle[Any], make: Callable[[Any], Change]
+    ) -> None:
+        """Register an input; `make` makes a change of its value when the user sets it."""
         self._handles[name] = handle
 
-        def update(event: Any) -> None:
-            if event.client is not None and make is not None:
+        def on_update(event: viser.GuiEvent[viser.GuiInputHandle[Any]]) -> None:
+            # without a client, the program itself has set the input
+            if event.client is not None:
                 self._change(make(event.target.value))
 
-        if make is not None:
-            handle.on_update(update)
+        handle.on_update(on_update)
 
-    def _add_layers(self, chosen: Choices, verify: Callable[[], None]) -> None:
+    def _add_layers(self, choices: Choices, verify: Callable[[], None]) -> None:
         gui = self._gui
-        grid = self._exhibit.grid
-        layers = self._exhibit.layers
-        layer = gui.add_dropdown("Layer", layers, initial_value=chosen.layer)
-        self._keep("layer", layer, _set("layer"))
-        if grid.levels[1:]:
-            names = [ALL_LEVELS, *_unique(grid.level_names)]
+        grid = self._view_state.grid
+        layers = self._view_state.layers
+        layer = gui.add_dropdown("Layer", layers, initial_value=choices.layer)
+        self._add_input("layer", layer, _set("layer"))
+        if len(grid.levels) > 1:
+            names = [ALL_LEVELS, *_number_duplicates(grid.level_names)]
 
-            def look(name: str) -> Change:
+            def show_level(name: str) -> Change:
                 number = None if name == ALL_LEVELS else names.index(name) - 1
-                return lambda now: now.with_level(grid, number)
+                return lambda choices: choices.with_level(grid, number)
 
-            level = gui.add_dropdown("Level", names, initial_value=_level(names, chosen))
-            self._keep("level", level, look)
-        self._keep("legend", gui.add_html(""))
+            shown_level = _level_name(names, choices)
+            level = gui.add_dropdown("Level", names, initial_value=shown_level)
+            self._add_input("level", level, show_level)
+        self._handles["legend"] = gui.add_html("")
         hint = "Let MuJoCo and FCL look at a sample of the cells (navbake verify)."
-        self._keep("verify", gui.add_button("Compare with the scene", hint=hint, visible=False))
-        self._keep("verified", gui.add_markdown("", visible=False))
-        self._handles["verify"].on_click(lambda _: verify())
+        button = gui.add_button("Compare with the scene", hint=hint, visible=False)
+        button.on_click(lambda _: verify())
+        self._handles["verify"] = button
+        self._handles["verified"] = gui.add_markdown("", visible=False)
 
-    def _add_agent(self, chosen: Choices) -> None:
+    def _add_agent(self, choices: Choices) -> None:
         gui = self._gui
-        grid = self._exhibit.grid
-        most = max(MAX_RADIUS, 2 * grid.agent_radius)
-        sizes = chosen.inflation or (grid.agent_radius, 0.0)
-        hints = {
-            "radius": "Inflate the grid for an agent of this radius.",
-            "clearance": "Cells so near beyond cost more.",
-        }
+        grid = self._view_state.grid
+        self._handles["free"] = gui.add_markdown("")
+        max_size = max(MAX_RADIUS, 2 * grid.agent_radius)
+        radius, clearance = choices.inflation or (grid.agent_radius, 0.0)
 
-        def inflate(_: Any) -> Change:
-            return _set("inflation")(tuple(float(self._handles[name].value) for name in hints))
+        def inflate(_: float) -> Change:
+            sizes = (self._handles["radius"].value, self._handles["clearance"].value)
+            return _set("inflation")(tuple(map(float, sizes)))
 
-        self._keep("free", gui.add_markdown(""))
-        for (name, hint), size in zip(hints.items(), sizes, strict=True):
-            bounds = 0.0, most, RADIUS_STEP, min(size, most)
-            slider = gui.add_slider(f"{name.capitalize()} [m]", *bounds, hint=hint)
-            self._keep(name, slider, inflate)
+        def add_slider(name: str, size: float, hint: str) -> None:
+            slider = gui.add_slider(
+                f"{name.capitalize()} [m]",
+                min=0.0,
+                max=max_size,
+                step=RADIUS_STEP,
+                initial_value=min(size, max_size),
+                hint=hint,
+            )
+            self._add_input(name, slider, inflate)
+
+        add_slider("radius", radius, "Inflate the grid for an agent of this radius.")
+        add_slider("clearance", clearance, "Cells so near beyond cost more.")
         hint = "Show the grid as it is in the file, not inflated here."
-        self._keep("as baked", gui.add_button("As baked", hint=hint))
-        self._handles["as baked"].on_click(lambda _: self._change(_set("inflation")(None)))
+        button = gui.add_button("As baked", hint=hint)
+        button.on_click(lambda _: self._change(_set("inflation")(None)))
+        self._handles["as baked"] = button
+
+    def _add_click(self, choices: Choices) -> None:
+        gui = self._gui
+        click = gui.add_dropdown("A click", CLICKS, initial_value=choices.click)
+        self._add_input("click", click, _set("click"))
+        self._handles["cell"] = gui.add_markdown("")
+        self._handles["route"] = gui.add_markdown("")
+        clear = gui.add_button("Clear", visible=False)
+        clear.on_click(lambda _: self._change(Choices.without_clicks))
+        self._handles["clear"] = clear
 
     def _add_doors(self) -> None:
         gui = self._gui
-        grid = self._exhibit.grid
-        at = self._handles
+        grid = self._view_state.grid
         if "inflation" in grid.metadata:
             gui.add_markdown(INFLATED)
             return
-        names = [door.id for door in grid.doors]
+        door_ids = [door.id for door in grid.doors]
         states = sorted({state for door in grid.doors for state in door.states})
 
-        def put(state: str) -> Change:
-            which = names if at["door"].value == ALL_DOORS else [at["door"].value]
-            if state != AS_BAKED:
-                return lambda now: now.with_door(grid, which, state)
-            return lambda now: replace(now, doors=tuple(d for d in now.doors if d[0] not in which))
+        def set_state(state: str) -> Change:
+            selected = self._handles["door"].value
+            changed_ids = door_ids if selected == ALL_DOORS else [selected]
 
-        self._keep("door", gui.add_dropdown("Door", [ALL_DOORS, *names]), lambda _: lambda now: now)
-        self._keep("state", gui.add_dropdown("State", [AS_BAKED, *states]), put)
+            def change(choices: Choices) -> Choices:
+                if state != AS_BAKED:
+                    return choices.with_door(grid, changed_ids, state)
+                doors = tuple(door for door in choices.doors if door[0] not in changed_ids)
+                return replace(choices, doors=doors)
 
-    def _add_picture(self, chosen: Choices) -> None:
+            return change
+
+        door = gui.add_dropdown("Door", [ALL_DOORS, *door_ids])
+        # a door alone changes nothing; but its state is shown
+        self._add_input("door", door, lambda _: lambda choices: choices)
+        state = gui.add_dropdown("State", [AS_BAKED, *states])
+        self._add_input("state", state, set_state)
+
+    def _add_episodes(self, choices: Choices) -> None:
+        names = [NO_EPISODE, *list(self._view_state.runs)[:MAX_EPISODES]]
+        shown = choices.episode if choices.episode in names else NO_EPISODE
+
+        def show_episode(name: str) -> Change:
+            return _set("episode")("" if name == NO_EPISODE else name)
+
+        episode = self._gui.add_dropdown("Episode", names, initial_value=shown)
+        self._add_input("episode", episode, show_episode)
+        self._handles["task"] = self._gui.add_markdown("")
+
+    def _add_picture(self, choices: Choices) -> None:
         gui = self._gui
-        exhibit = self._exhibit
-        drawing = exhibit.drawing(chosen)
-        if drawing is not None:
-            low = float(exhibit.bounds[0, 2])
-            high = max(float(drawing.bounds[1, 2]), low) + CUT_STEP
-            cut = max(low, high if chosen.cut is None else min(chosen.cut, high))
-            low = round(low, 2)
-            high = round(high, 2)
-            cut = round(cut, 2)
+        self._add_scene(choices)
+        names = _number_duplicates(self._view_state.grid.level_names)
+        if 1 < len(names) <= MAX_CHECKBOXES:
+            for number, name in enumerate(names):
+                checkbox = gui.add_checkbox(name, number in choices.levels)
+                self._add_input(f"level {number}", checkbox, _show_level(number))
+        opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, choices.opacity)
+        self._add_input("opacity", opacity, _set("opacity"))
+        with_names = gui.add_checkbox("Names", choices.with_names)
+        self._add_input("names", with_names, _set("with_names"))
+        dark = gui.add_checkbox("Dark page", bool(choices.dark))
+        self._add_input("dark", dark, _set("dark"))
 
-            def cut_at(height: float) -> Change:
-                return _set("cut")(None if height >= high - CUT_STEP / 2 else height)
+    def _add_scene(self, choices: Choices) -> None:
+        """Add what is chosen of the scene; nothing without one."""
+        gui = self._gui
+        drawing = self._view_state.drawing(choices)
+        if drawing is None:
+            return
+        lowest = float(self._view_state.bounds[0, 2])
+        highest = max(float(drawing.bounds[1, 2]), lowest) + CUT_STEP
+        height = highest if choices.cut is None else min(choices.cut, highest)
+        height = max(lowest, height)
+        slider_end = round(highest, 2)
 
-            hint = "The scene is drawn up to here, so that one sees into storeys."
-            slider = gui.add_slider("Cut height [m]", low, high, CUT_STEP, cut, hint=hint)
-            self._keep("cut", slider, cut_at)
-            self._keep("scene", gui.add_checkbox("Scene", chosen.with_scene), _set("with_scene"))
-            if drawing.has_hidden:
-                hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
-                hidden = gui.add_checkbox("Hidden geoms", chosen.with_hidden, hint=hint)
-                self._keep("hidden", hidden, _set("with_hidden"))
-        names = _unique(exhibit.grid.level_names)
-        for number, name in enumerate(names if 1 < len(names) <= MOST_SWITCHES else ()):
+        def cut(height: float) -> Change:
+            is_at_end = height >= slider_end - CUT_STEP / 2
+            return _set("cut")(None if is_at_end else height)
 
-            def switch(on: bool, own: int = number) -> Change:
-                added = {own} if on else set()
-                return lambda now: replace(now, levels=tuple(sorted({*now.levels} - {own} | added)))
+        slider = gui.add_slider(
+            "Cut height [m]",
+            min=round(lowest, 2),
+            max=slider_end,
+            step=CUT_STEP,
+            initial_value=round(height, 2),
+            hint="The scene is drawn up to here, so that one sees into storeys.",
+        )
+        self._add_input("cut", slider, cut)
+        with_scene = gui.add_checkbox("Scene", choices.with_scene)
+        self._add_input("scene", with_scene, _set("with_scene"))
+        if drawing.has_hidden:
+            hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
+            with_hidden = gui.add_checkbox("Hidden geoms", choices.with_hidden, hint=hint)
+            self._add_input("hidden", with_hidden, _set("with_hidden"))
 
-            self._keep(f"level {number}", gui.add_checkbox(name, number in chosen.levels), switch)
-        opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
-        self._keep("opacity", opacity, _set("opacity"))
-        self._keep("names", gui.add_checkbox("Names", chosen.with_names), _set("with_names"))
-        self._keep("dark", gui.add_checkbox("Dark page", bool(chosen.dark)), _set("dark"))
+    def update(
+        self, choices: Choices, route: Path | str | None, inspection: Inspection | None
+    ) -> None:
+        """Bring the texts, and the inputs that follow from others, up to date.
 
-    def show(self, chosen: Choices, route: Path | str | None, told: Json | None) -> None:
-        """Bring what is said, and inputs that follow from others, up to date."""
-        exhibit = self._exhibit
-        grid = self._exhibit.grid
-        at = self._handles
-        as_it_is = replace(chosen, doors=(), inflation=None)
-        at["free"].content = say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
-        marked = {"start": START, "goal and path": GOAL} if chosen.start or chosen.episode else {}
-        if "task" in at:
-            episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
-            at["task"].content = say_episode(episode)
-            marked |= {} if trajectory is None else {"trajectory": TRAJECTORY}
-        panels = [exhibit.panel(chosen, n) for n in chosen.levels]
-        at["legend"].content = write_legend(panels, marked)
-        at["verify"].visible = chosen.layer == DISAGREEMENTS
-        at["verified"].visible = chosen.layer == DISAGREEMENTS and exhibit.report is not None
-        at["verified"].content = say_report(exhibit)
-        is_inspecting = chosen.click == INSPECT
-        at["told"].visible = is_inspecting
-        at["route"].visible = not is_inspecting
-        at["told"].content = say_cell(told, chosen.inflation)
-        at["route"].content = say_route(chosen, route)
-        at["clear"].visible = any((chosen.start, chosen.goal, chosen.inspected))
-        if chosen.inflation is None:
-            at["radius"].value = min(grid.agent_radius, float(at["radius"].max))
-            at["clearance"].value = 0.0
-        at["as baked"].disabled = chosen.inflation is None
-        at["dark"].value = bool(chosen.dark)
-        if "level" in at:
-            at["level"].value = _level(list(at["level"].options), chosen)
-        for number in range(len(grid.levels) if "level 0" in at else 0):
-            at[f"level {number}"].value = number in chosen.levels
-        if "cut" in at:
-            cut = at["cut"].max if chosen.cut is None else chosen.cut
-            at["cut"].value = float(min(max(cut, at["cut"].min), at["cut"].max))
-        if "state" in at:
-            states = dict(chosen.doors)
-            common = {*states.values()} if len(states) == len(grid.doors) else set()
-            named = states.get(at["door"].value, AS_BAKED)
-            at["state"].value = common.pop() if len(common) == 1 else named
+        Args:
+            choices: of the user.
+            route: the path between the clicks, or why there is none; None where a click is missing.
+            inspection: of the inspected cell, None for none.
+        """
+        view_state = self._view_state
+        handles = self._handles
+        unchanged = replace(choices, doors=(), inflation=None)
+        handles["free"].content = counts_text(
+            view_state.count(choices), view_state.count(unchanged)
+        )
+        marks = {}
+        if choices.start or choices.episode:
+            marks = {"start": START, "goal and path": GOAL}
+        if "task" in handles:
+            run = view_state.runs.get(choices.episode)
+            handles["task"].content = episode_text(run.episode if run else None)
+            if run is not None and run.trajectory is not None:
+                marks["trajectory"] = TRAJECTORY
+        panels = [view_state.panel(choices, number) for number in choices.levels]
+        handles["legend"].content = legend_html(panels, marks)
+        shows_disagreements = choices.layer == DISAGREEMENTS
+        handles["verify"].visible = shows_disagreements
+        handles["verified"].visible = shows_disagreements and view_state.report is not None
+        handles["verified"].content = report_text(view_state)
+        is_inspecting = choices.click == INSPECT
+        handles["cell"].visible = is_inspecting
+        handles["route"].visible = not is_inspecting
+        handles["cell"].content = cell_text(inspection, choices.inflation)
+        handles["route"].content = route_text(choices, route)
+        handles["clear"].visible = any((choices.start, choices.goal, choices.inspected))
+        self._update_inputs(choices)
 
-    def say(self, text: str) -> None:
-        """Write a line at the top of the panel; none if empty."""
+    def _update_inputs(self, choices: Choices) -> None:
+        """Set the inputs that follow from others."""
+        handles = self._handles
+        grid = self._view_state.grid
+        if choices.inflation is None:
+            handles["radius"].value = min(grid.agent_radius, float(handles["radius"].max))
+            handles["clearance"].value = 0.0
+        handles["as baked"].disabled = choices.inflation is None
+        handles["dark"].value = bool(choices.dark)
+        if "level" in handles:
+            handles["level"].value = _level_name(list(handles["level"].options), choices)
+        if "level 0" in handles:
+            for number in range(len(grid.levels)):
+                handles[f"level {number}"].value = number in choices.levels
+        if "cut" in handles:
+            slider = handles["cut"]
+            cut = slider.max if choices.cut is None else choices.cut
+            slider.value = float(min(max(cut, slider.min), slider.max))
+        if "state" in handles:
+            states = dict(choices.doors)
+            different_states = set(states.values())
+            if len(states) == len(grid.doors) and len(different_states) == 1:
+                handles["state"].value = different_states.pop()
+            else:
+                handles["state"].value = states.get(handles["door"].value, AS_BAKED)
+
+    def show_status(self, text: str) -> None:
+        """Write a line of Markdown at the top of the panel; an empty text removes it."""
         self._status.content = text
         self._status.visible = bool(text)
 
 
+def _heading(view_state: ViewState) -> str:
+    """The grid's name and size, and the note of the view state, as Markdown."""
+    grid = view_state.grid
+    name = escape_markdown(grid.scene_id or "grid")
+    levels = f"{len(grid.levels)} levels" if len(grid.levels) > 1 else "one level"
+    cell_size = escape_markdown(f"{grid.levels[0].lattice.cell_size:g}")
+    note = escape_markdown(view_state.note)
+    return f"**{name}** — {levels}, cells of {cell_size} m\n\n{note}"
+
+
 def _set(field: str) -> Callable[[Any], Change]:
-    """Makes changes that set a field of the choices to a value."""
-    return lambda value: lambda now: replace(now, **{field: value})
+    """Make a function that makes changes: each sets a field of the choices to a value."""
+    return lambda value: lambda choices: replace(choices, **{field: value})
 
 
-def _level(names: list[str], chosen: Choices) -> str:
-    return names[chosen.levels[0] + 1] if len(chosen.levels) == 1 else names[0]
+def _show_level(number: int) -> Callable[[bool], Change]:
+    """Make a function that makes changes: each shows or hides a level."""
+
+    def make(is_shown: bool) -> Change:
+        def change(choices: Choices) -> Choices:
+            levels = set(choices.levels) - {number}
+            if is_shown:
+                levels.add(number)
+            return replace(choices, levels=tuple(sorted(levels)))
+
+        return change
+
+    return make
 
 
-def _unique(names: list[str]) -> list[str]:
-    """Names, numbered where several are the same."""
-    return [f"{name} ({n})" if names.count(name) > 1 else name for n, name in enumerate(names)]
+def _level_name(names: list[str], choices: Choices) -> str:
+    """The name of the level that alone is shown, else `ALL_LEVELS`, which stands first."""
+    return names[choices.levels[0] + 1] if len(choices.levels) == 1 else names[0]
 
 
-# --- the words ------------------------------------------------------------------------------------
+def _number_duplicates(names: list[str]) -> list[str]:
+    """Names, with their number appended where several are the same."""
+    return [
+        f"{name} ({number})" if names.count(name) > 1 else name for number, name in enumerate(names)
+    ]
 
 
-def plain(text: object) -> str:
-    """Text for Markdown as it is, on one line: the page takes HTML in Markdown, scripts included.
+# --- texts ----------------------------------------------------------------------------------------
 
-    A line's end would begin a new block, in which other rules hold.
+
+def escape_markdown(text: object) -> str:
+    """Escape text for Markdown, and put it on one line.
+
+    The page takes HTML in Markdown, scripts included. A line's end would begin a new block, in
+    which other rules hold.
     """
-    return MARKED.sub(r"\\\1", " ".join(str(text).split()))
+    return MARKDOWN_SIGNS.sub(r"\\\1", " ".join(str(text).split()))
 
 
-def say_counts(now: Counts, before: Counts) -> str:
-    """How much is free, and how much is in the grid as it is."""
-    free, cells, area = now
-    text = f"**{free:,} free cells**, {area:,.1f} m²"
-    if now != before:
-        return f"{text} — as baked: {before[0]:,}"
-    return f"{text} — {free / cells:.0%} of the floor" if cells else text
+def counts_text(shown: FreeSpace, as_baked: FreeSpace) -> str:
+    """Say how much of the shown grid is free.
+
+    Args:
+        shown: of the grid with the chosen doors and inflation.
+        as_baked: of the grid as it is in its file.
+
+    Returns:
+        Markdown.
+    """
+    text = f"**{shown.free_cells:,} free cells**, {shown.free_area:,.1f} m²"
+    if shown != as_baked:
+        return f"{text} — as baked: {as_baked.free_cells:,}"
+    if not shown.floor_cells:
+        return text
+    return f"{text} — {shown.free_cells / shown.floor_cells:.0%} of the floor"
 
 
-def say_route(chosen: Choices, route: Path | str | None) -> str:
-    """The path between the clicks, why there is none, or what to click next."""
+def route_text(choices: Choices, route: Path | str | None) -> str:
+    """Describe the path between two clicks.
+
+    Args:
+        choices: with the clicks.
+        route: the path, or why there is none; None where a click is missing.
+
+    Returns:
+        Markdown; what to click next where a click is missing.
+    """
     if route is None:
-        return HINT_GOAL if chosen.start is not None and chosen.goal is None else HINT_START
+        return HINT_GOAL if choices.start is not None and choices.goal is None else HINT_START
     if isinstance(route, str):
-        return f"**No path**: {plain(route)}"
-    lines = [f"**{plain(f'{route.length:.2f}')} m**, cost {plain(f'{route.cost:.2f}')}"]
-    lines += [f"Rooms: {_listed(route.rooms, ' → ')}"] if route.rooms else []
-    lines += [f"Doors: {_listed(route.doors, ', ')}"] if route.doors else []
+        return f"**No path**: {escape_markdown(route)}"
+    length = escape_markdown(f"{route.length:.2f}")
+    cost = escape_markdown(f"{route.cost:.2f}")
+    lines = [f"**{length} m**, cost {cost}"]
+    if route.rooms:
+        lines.append(f"Rooms: {_list_names(route.rooms, ' → ')}")
+    if route.doors:
+        lines.append(f"Doors: {_list_names(route.doors, ', ')}")
     levels = list(dict.fromkeys(route.levels.tolist()))
-    lines += [f"Levels: {' → '.join(map(str, levels))}"] if levels[1:] else []
+    if len(levels) > 1:
+        lines.append(f"Levels: {' → '.join(map(str, levels))}")
     return "\n\n".join(lines)
 
 
-def say_cell(facts: Json | None, inflation: tuple[float, float] | None) -> str:
-    """What there is to know of a cell, and why an agent can or can't stand there."""
-    if facts is None:
+def cell_text(inspection: Inspection | None, inflation: tuple[float, float] | None) -> str:
+    """Describe a cell, and say why an agent can or can't stand there.
+
+    Args:
+        inspection: of the cell; None for none.
+        inflation: agent radius and clearance that the grid was inflated by [m]; None for none.
+
+    Returns:
+        A Markdown table; what to click if there is no cell.
+    """
+    if inspection is None:
         return HINT_INSPECT
+    facts = inspection.facts
     verdict = "**blocked**"
     if facts["free"]:
         verdict = "**free**: an agent can stand here"
     elif facts["blockers"]:
-        verdict = f"**blocked** by {_listed(facts['blockers'], ', ')}"
+        verdict = f"**blocked** by {_list_names(facts['blockers'], ', ')}"
     elif facts["floor"] is None:
         verdict = "**no floor** here"
     elif inflation is not None and not facts["occupied"]:
-        radius = plain(f"{inflation[0]:g}")
+        radius = escape_markdown(f"{inflation[0]:g}")
         verdict = f"**blocked**: nearer to something than the radius, {radius} m"
-    rows = {"clicked": [facts["clicked"]] if facts["clicked"] else [], **cell_facts(facts)}
-    shown = {k: plain(v) if isinstance(v, str) else _listed(v, ", ") for k, v in rows.items()}
-    lines = [f"| {plain(key)} | {text} |" for key, text in shown.items() if text]
-    return "\n".join(["| | |", "|---|---|", f"| Verdict | {verdict} |", *lines])
+    clicked = [inspection.clicked] if inspection.clicked else []
+    rows = {"clicked": clicked, **cell_facts(facts)}
+    lines = ["| | |", "|---|---|", f"| Verdict | {verdict} |"]
+    for key, content in rows.items():
+        is_text = isinstance(content, str)
+        text = escape_markdown(content) if is_text else _list_names(content, ", ")
+        if text:
+            lines.append(f"| {escape_markdown(key)} | {text} |")
+    return "\n".join(lines)
 
 
-def _listed(names: Sequence[str], between: str) -> str:
+def _list_names(names: Sequence[str], separator: str) -> str:
     """Names as code; not between backquotes, where a ``|`` in a name would end a table's cell."""
-    shown = between.join(f"<code>{plain(name)}</code>" for name in names[:NAMES_SHOWN])
-    return f"{shown} and {len(names) - NAMES_SHOWN} more" if names[NAMES_SHOWN:] else shown
+    listed = names[:MAX_LISTED_NAMES]
+    text = separator.join(f"<code>{escape_markdown(name)}</code>" for name in listed)
+    num_more = len(names) - len(listed)
+    return f"{text} and {num_more} more" if num_more else text
 
 
-def say_episode(episode: Episode | None) -> str:
-    """What an episode asks for."""
+def episode_text(episode: Episode | None) -> str:
+    """The task of an episode, as Markdown; empty for none."""
     if episode is None:
         return ""
-    goal = episode.goals[0].name or episode.goals[0].category or episode.goals[0].room
-    lines = [f"**{plain(episode.task)}**" + (f" {_listed([goal], '')}" if goal else "")]
+    first_goal = episode.goals[0]
+    goal = first_goal.name or first_goal.category or first_goal.room
+    task = f"**{escape_markdown(episode.task)}**"
+    lines = [f"{task} {_list_names([goal], '')}" if goal else task]
     if episode.distance is not None:
-        lines.append(f"shortest path {plain(f'{episode.distance:.2f}')} m")
+        lines.append(f"shortest path {escape_markdown(f'{episode.distance:.2f}')} m")
     if episode.instruction:
-        lines.append(plain(episode.instruction))
+        lines.append(escape_markdown(episode.instruction))
     return "\n\n".join(lines)
 
 
-def write_legend(panels: Sequence[Panel], marked: Mapping[str, str] | None = None) -> str:
-    """The legend of a layer's levels: the scales of the highest levels, and what colours mean."""
+def legend_html(panels: Sequence[Panel], marks: Mapping[str, str] | None = None) -> str:
+    """Write the legend of a layer.
+
+    Args:
+        panels: of the shown levels, the lowest first.
+        marks: meanings and colours of what else is drawn.
+
+    Returns:
+        HTML: the scales of the highest levels, and what colours mean.
+    """
     scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
     parts = []
-    for title, scale in scales[:SCALES_SHOWN]:
+    for title, scale in scales[:MAX_SCALES]:
         ticks = "".join(
             f'<span style="position:absolute;left:{100 * tick.position:.1f}%;'
             f'transform:translateX(-{100 * tick.position:.0f}%)">{html.escape(tick.text)}</span>'
             for tick in scale.ticks
         )
+        heading = title if len(scales) > 1 else scale.label
         parts.append(
-            f"<div>{html.escape(title if scales[1:] else scale.label)}</div>"
+            f"<div>{html.escape(heading)}</div>"
             f'<div style="height:10px;border-radius:2px;margin-top:2px;'
             f'background:linear-gradient(to right, {", ".join(scale.colors)})"></div>'
             f'<div style="position:relative;height:18px">{ticks}</div>'
         )
-    meanings = dict(entry for panel in panels for entry in panel.legend) | dict(marked or {})
+    color_of_meaning: dict[str, str] = {}
+    for panel in panels:
+        color_of_meaning |= dict(panel.legend)
+    color_of_meaning |= marks or {}
     swatches = "".join(
         f'<span style="display:inline-flex;align-items:center;margin-right:10px">'
         f'<span style="width:11px;height:11px;border-radius:2px;margin-right:5px;'
         f'border:1px solid rgba(128,128,128,.6);background:{color}"></span>'
         f"{html.escape(meaning)}</span>"
-        for meaning, color in meanings.items()
+        for meaning, color in color_of_meaning.items()
     )
     body = "".join([*parts, f"<div>{swatches}</div>"])
     return f'<div style="font-size:12px;line-height:1.5;padding:2px 12px 6px">{body}</div>'
 
 
-def say_report(exhibit: Exhibit) -> str:
-    """What a verification found; "" before one."""
-    if (report := exhibit.report) is None:
+def report_text(view_state: ViewState) -> str:
+    """The outcome of a verification, as Markdown; empty before one."""
+    report = view_state.report
+    if report is None:
         return ""
     verdict = "agree" if report.ok else f"**disagree at {len(report.findings)} places**"
     return f"Grid and scene {verdict}, at {report.checked:,} of {report.num_cells:,} cells."
 
 
-def say_error(error: Exception) -> str:
-    """An error, in one line."""
-    return f"**Error**: {plain(' '.join(str(error).split()) or type(error).__name__)}"
+def error_text(error: Exception) -> str:
+    """An error as a line of Markdown."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return f"**Error**: {escape_markdown(text)}"

@@ -1,7 +1,7 @@
-"""What the viewer draws as triangles: a MuJoCo scene, the layers of levels; what a click meets.
+"""Triangles that the viewer draws: of a MuJoCo scene and of the layers of levels; and picking.
 
-All is sent as binary glTF (GLB). Source: Khronos Group, glTF 2.0 Specification, and its extension
-``KHR_materials_unlit``.
+All triangles are sent as binary glTF (GLB). Source: Khronos Group, glTF 2.0 Specification, and its
+extension ``KHR_materials_unlit``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,582 +22,905 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.types import Bool, Float, Int, Json
 
 if TYPE_CHECKING:
+    import mujoco
+    from trimesh import Trimesh
+
     from navbake.baker.scene.scene import Scene
 
-Image = lazy("PIL.Image")  # which the command line's start does without
-creation = lazy("trimesh.creation")  # a page without a scene does without
+Image = lazy("PIL.Image")  # not needed when the command line starts
+creation = lazy("trimesh.creation")  # not needed for a page without a scene
 graph = lazy("trimesh.graph")
 intersections = lazy("trimesh.intersections")
 trimesh = lazy("trimesh")
 
-SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
-ENDLESS = 1.5  # an endless plane is drawn so much larger than what stands on it
-QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
-# up to so many round geoms: corners of a circle; a page without a graphics card draws some 100,000
-# triangles smoothly
-CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
-MOST_DRAWN = 200_000  # triangles of meshes; where geoms have more, their meshes are coarsened
-SHARP = 1.2  # an edge between faces at this angle is drawn as one [rad]
-CAP_SHADE = 0.35  # light of a cut face, by that of its geom
-FLUSH = 1e-6  # a triangle that lies in the plane of a cut stays: trimesh would drop it [m]
-MOST_FLAT = 400_000  # triangles with sharp edges; of more, edges are smooth, which takes less
-# A mesh that so many geoms of one colour show is sent once, and drawn coarser from far: from so
-# many metres on with so much of its triangles, from twice as far with what `MOST_DRAWN` allows
-LEAST_ALIKE = 4
-NEAR = 6.0
-NEAR_SHARE = 0.4
-MOST_SENT = 20_000  # triangles of such a mesh
-LIGHT = 0.2, 0.3, 0.16, 0.8  # from everywhere, and on what faces along x, y and z
+NUM_SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
+PLANE_MARGIN = 1.5  # an endless plane is drawn so many times larger than the scene
+QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)  # corners of a rectangle's two triangles
+# (number of round geoms, corners of a circle): up to so many round geoms, a circle has so many
+# corners. A page without a graphics card draws some 100,000 triangles smoothly.
+CIRCLE_CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
+MAX_MESH_TRIANGLES = 200_000  # of all meshes; where geoms have more, their meshes are coarsened
+SHARP_ANGLE = 1.2  # an edge between faces at this angle or more is drawn as an edge [rad]
+CAP_SHADE = 0.35  # brightness of a cut face, relative to its geom
+CUT_TOLERANCE = 1e-6  # a triangle in the plane of a cut stays: trimesh would drop it [m]
+MAX_FLAT_TRIANGLES = 400_000  # with sharp edges; more are shaded smoothly, which takes less memory
+# A mesh that at least so many geoms of one colour show is sent once, as a batch. From afar, the
+# page draws it coarser: from LOD_DISTANCE on with LOD_SHARE of its triangles, from twice as far on
+# with the share that MAX_MESH_TRIANGLES allows.
+MIN_BATCH_GEOMS = 4
+LOD_DISTANCE = 6.0  # [m]
+LOD_SHARE = 0.4
+MAX_BATCH_TRIANGLES = 20_000  # of a batch's mesh
+AMBIENT_LIGHT = 0.2
+DIRECTED_LIGHT = (0.3, 0.16, 0.8)  # added on faces that look along x, y and z
 
 # mjtGeom: numbers of the file format, the same in all versions
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
-ROUND = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER)
-# which of a geom's sizes stretch its unit solid along x, y and z
-SIZES = {SPHERE: (0, 0, 0), CAPSULE: (0, 0, 0), CYLINDER: (0, 0, 1)}
-SIZES |= {ELLIPSOID: (0, 1, 2), BOX: (0, 1, 2)}
+ROUND_KINDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER)
+# which entries of a geom's size stretch its unit solid along x, y and z
+SIZE_ENTRIES = {
+    SPHERE: (0, 0, 0),
+    CAPSULE: (0, 0, 0),
+    CYLINDER: (0, 0, 1),
+    ELLIPSOID: (0, 1, 2),
+    BOX: (0, 1, 2),
+}
 # mjtTextureRole: which textures of a material are its colour
-RGB = 1
-RGBA = 7
-FLAT_TEXTURE = 0  # mjtTexture: a picture, not the six sides of a cube
-NO_COLOR = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # rgba of a geom that states none
+RGB_ROLE = 1
+RGBA_ROLE = 7
+TEXTURE_2D = 0  # mjtTexture: a flat picture, not the six sides of a cube
+DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # of a geom without a colour
 
-LIFT = 0.012  # by which the grid lies over the floor, so that it is seen [m]
-FLAT = 0.01  # how far a layer may be off the floor [m]
-MOST = 200_000  # rectangles of a level; with more, FLAT is doubled until it is enough
-STEEPEST = 1.0  # rise of a rectangle by its length
-OVERLAP = 0.002  # of a cell, by which rectangles overlap: none shows through between them
-MAX_SIDE = 4096  # pixels of a picture that any browser takes; of more cells, several are one
-BELOW = 0.05  # a floor so much over what was clicked is still under it [m]
-# how pictures are sampled
+LIFT = 0.012  # height of the drawn grid over the floor, so that the floor doesn't hide it [m]
+FLAT = 0.01  # how far a drawn layer may be off the floor [m]
+MAX_RECTANGLES = 200_000  # of a level; with more, FLAT is doubled until they are few enough
+MAX_RISE = 1.0  # rise of a rectangle, relative to its length
+OVERLAP = 0.002  # by which rectangles overlap, so that no gaps show [cells]
+MAX_SIDE = 4096  # pixels of a picture that any browser takes; of larger levels, cells share pixels
+FLOOR_TOLERANCE = 0.05  # a floor so little above the clicked point still counts as below it [m]
+# how glTF samples pictures
 NEAREST = 9728
 MIPMAPS = 9987
 CLAMP = 33071
 
+Picture: TypeAlias = NDArray[np.uint8]
+"""Pixels, shape (height, width, 3 or 4)."""
+Faces: TypeAlias = NDArray[np.integer]
+"""Triangles: vertex ids, shape (n, 3)."""
+Reals: TypeAlias = NDArray[np.floating]
+"""Values in float32 or float64."""
+
 
 class Surface(NamedTuple):
-    """Triangles that are drawn alike; arrays by vertex, and None for white, plain or no geom."""
+    """Triangles that are drawn alike. Arrays have an entry a vertex.
 
-    vertices: NDArray[Any]  # shape (n, 3), world frame [m]
-    faces: NDArray[Any]  # indices into `vertices`, shape (m, 3)
-    geom: NDArray[np.int32] | None = None  # shape (n,)
-    colors: NDArray[Any] | None = None  # linear light and opacity, 0 to 1, shape (n, 4)
-    uv: NDArray[Any] | None = None  # on the picture, from the upper left corner, shape (n, 2)
-    texture: int = -1  # id of the picture, -1 for none
-    is_round: bool = False  # shaded as a round surface, else as flat triangles
-    opacity: float = 1.0  # of all of it; below 1, what is behind shines through
+    Attributes:
+        vertices: world frame, shape (n, 3) [m].
+        faces: triangles, as indices into `vertices`, shape (m, 3).
+        geom: MuJoCo's geom ids, shape (n,); None if the surface is of no geom.
+        colors: linear light and opacity, 0 to 1, shape (n, 4); None for white.
+        uv: positions on the picture, 0 to 1 from its upper left corner, shape (n, 2); None for a
+            surface without a picture.
+        texture: id of the picture, -1 for none.
+        is_round: whether the surface is shaded smoothly, not as flat triangles.
+        opacity: of the whole surface; below 1, what is behind it shines through.
+    """
+
+    vertices: Reals
+    faces: Faces
+    geom: NDArray[np.int32] | None = None
+    colors: Reals | None = None
+    uv: Reals | None = None
+    texture: int = -1
+    is_round: bool = False
+    opacity: float = 1.0
 
     @property
-    def owners(self) -> Int:
-        """The geom of each triangle, -1 for none."""
+    def face_geoms(self) -> Int:
+        """The geom of each triangle, -1 for none, shape (m,)."""
         geom = np.full(len(self.vertices), -1) if self.geom is None else self.geom
-        owners: Int = geom[self.faces[:, 0]].astype(np.int64)
-        return owners
+        face_geoms: Int = geom[self.faces[:, 0]].astype(np.int64)
+        return face_geoms
 
 
-class Batch(NamedTuple):
-    """A mesh that several geoms show, in one colour."""
+class LodStep(NamedTuple):
+    """How coarsely a mesh is drawn from a distance on (level of detail)."""
 
-    content: bytes  # the mesh in its own frame, lit as the first of the geoms lies: GLB
-    geoms: Int  # ids, shape (n,)
-    rotations: Float  # quaternions w, x, y, z of the geoms, shape (n, 4)
-    positions: Float  # of the geoms, world frame, shape (n, 3) [m]
-    tops: Float  # up to where each geom reaches, world z, shape (n,) [m]
-    lod: tuple[tuple[float, float], ...]  # from which distance [m], with which share of triangles
+    distance: float  # [m]
+    share: float  # of its triangles, 0 to 1
 
-    def below(self, height: float | None) -> Bool:
-        """Which of the geoms are wholly below a height [m], all for None: shape (n,)."""
+
+class MeshBatch(NamedTuple):
+    """A mesh that several geoms of one colour show, so that it is sent once.
+
+    Attributes:
+        content: the mesh in its own frame, lit as it is at the first of the geoms, as GLB.
+        geoms: ids, shape (n,).
+        rotations: of the geoms, quaternions w, x, y, z, shape (n, 4).
+        positions: of the geoms, world frame, shape (n, 3) [m].
+        tops: world z of each geom's highest point, shape (n,) [m].
+        lod: how coarsely the mesh is drawn from afar, nearest first; empty if always in full.
+    """
+
+    content: bytes
+    geoms: Int
+    rotations: Float
+    positions: Float
+    tops: Float
+    lod: tuple[LodStep, ...]
+
+    def is_below(self, height: float | None) -> Bool:
+        """Mark the geoms that are wholly below a world z [m], all for None: shape (n,)."""
         return np.full(len(self.tops), True) if height is None else self.tops <= height
 
 
 class Drawing(NamedTuple):
-    """A scene as triangles."""
+    """A scene as triangles.
 
-    surfaces: tuple[Surface, ...]  # of all geoms, those of the batches included
-    textures: dict[int, NDArray[np.uint8]]  # by MuJoCo's id, shape (height, width, 3 or 4)
-    bounds: Float  # lower and upper corner of all, world frame, shape (2, 3) [m]
-    names: tuple[str, ...]  # of each geom as grids name it, by geom id
-    solid: Bool  # whether a geom is one convex piece, so that a cut through it can be closed
-    has_hidden: bool  # some geoms are drawn only with hidden ones
-    batches: tuple[Batch, ...] = ()
+    Attributes:
+        surfaces: the triangles of all geoms, those of `batches` included.
+        textures: pictures by MuJoCo's texture id.
+        bounds: lower and upper corner, world frame, shape (2, 3) [m].
+        names: of the geoms as grids name them, by geom id.
+        solid: whether a geom is one convex solid, so that a cut through it can be closed, by geom
+            id.
+        has_hidden: whether there are geoms that are drawn only on demand.
+        batches: meshes that several geoms show.
+    """
+
+    surfaces: tuple[Surface, ...]
+    textures: dict[int, Picture]
+    bounds: Float
+    names: tuple[str, ...]
+    solid: Bool
+    has_hidden: bool
+    batches: tuple[MeshBatch, ...] = ()
+
+
+class GeomColors(NamedTuple):
+    """Colours of a model's geoms, in linear light with opacity; arrays by geom id."""
+
+    plain: NDArray[np.float32]  # with the mean colour of the texture, shape (n, 4)
+    without_texture: NDArray[np.float32]  # to be multiplied with the texture, shape (n, 4)
+    texture: Int  # MuJoCo's id of a texture that a mesh may show, -1 for none, shape (n,)
+
+
+class Appearance(NamedTuple):
+    """What surfaces must share to be drawn as one."""
+
+    is_clear: bool
+    is_round: bool
+    texture: int
+
+
+class Ray(NamedTuple):
+    """A half-line, world frame."""
+
+    origin: ArrayLike  # x, y, z [m]
+    direction: ArrayLike  # of any length
+
+
+# --- a scene as triangles -------------------------------------------------------------------------
 
 
 def draw_scene(
-    scene: Scene, *, data: Any = None, removed: Collection[int] = (), with_hidden: bool = False
+    scene: Scene,
+    *,
+    data: mujoco.MjData | None = None,
+    removed: Collection[int] = (),
+    with_hidden: bool = False,
 ) -> Drawing:
-    """Make triangles of a scene, in its own pose or that of another mujoco.MjData.
+    """Make triangles of a scene.
 
-    Drawn is what MuJoCo's viewers draw: geoms of the groups 0 to 2 that aren't clear; all groups
-    where these hold nothing, or with hidden ones. Geoms whose ids are `removed` are left out.
-    Textures of meshes are drawn; other geoms have the mean colour of theirs. Geoms that look alike
-    are one surface.
+    Drawn are the geoms that MuJoCo's viewers draw: those of the groups 0 to 2 that aren't wholly
+    transparent; those of all groups if these hold none. Meshes show their textures; other geoms
+    have the mean colour of theirs. Geoms that are drawn alike share a surface.
+
+    Args:
+        scene: a loaded scene.
+        data: the pose; None for the scene's own.
+        removed: ids of geoms to leave out.
+        with_hidden: draw the geoms of all groups.
+
+    Returns:
+        The triangles, in the world frame.
     """
     model = scene.model
-    data = scene.data if data is None else data
-    plain, textured, texture = _find_looks(model)
-    drawn = (plain[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
-    in_groups = drawn & (model.geom_group < SHOWN_GROUPS)
-    has_hidden = bool(in_groups.any() and (drawn & ~in_groups).any())
+    if data is None:
+        data = scene.data
+    colors = _find_geom_colors(model)
+    drawn = (colors.plain[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
+    in_shown_groups = drawn & (model.geom_group < NUM_SHOWN_GROUPS)
+    has_hidden = bool(in_shown_groups.any() and (drawn & ~in_shown_groups).any())
     if has_hidden and not with_hidden:
-        drawn = in_groups
-    pieces = [*_draw_solids(model, data, drawn, plain[:, 3] < 1)]
-    pieces += _draw_others(scene, data, drawn, texture)
+        drawn = in_shown_groups
+
+    is_clear = colors.plain[:, 3] < 1
+    pieces = list(_draw_solids(model, data, drawn, is_clear))
+    pieces += _draw_meshes(scene, data, drawn, colors.texture)
     bounds = _bounds_of(pieces)
     planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
     pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
-    looks = [(plain[piece.owners[0], 3] < 1, piece.is_round, piece.texture) for piece in pieces]
+
+    textures: dict[int, Picture] = {}
     surfaces = []
-    textures = {}
-    for look in sorted(set(looks)):
-        some = [piece for piece, own in zip(pieces, looks, strict=True) if own == look]
-        _, is_round, number = look
-        parts = [piece.vertices for piece in some], [piece.faces for piece in some]
-        vertices, faces = trimesh.util.append_faces(*parts)
-        geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
-        triangles = vertices.astype(np.float32), faces.astype(np.uint32), geom
-        colors = plain[geom]
+    for surface in _merge_alike(pieces, is_clear):
+        assert surface.geom is not None
+        if surface.texture < 0:
+            surfaces.append(surface._replace(colors=colors.plain[surface.geom]))
+        else:
+            textures[surface.texture] = _read_texture(model, surface.texture)
+            surfaces.append(surface._replace(colors=colors.without_texture[surface.geom]))
+    in_batches = drawn & (colors.texture < 0)
+    return Drawing(
+        surfaces=tuple(surfaces),
+        textures=textures,
+        bounds=_bounds_of(pieces),
+        names=_name_geoms(model),
+        solid=(model.geom_type >= SPHERE) & (model.geom_type <= BOX),
+        has_hidden=has_hidden,
+        batches=tuple(_make_batches(scene, data, in_batches, colors.plain)),
+    )
+
+
+def _merge_alike(pieces: Sequence[Surface], is_clear: Bool) -> Iterator[Surface]:
+    """Join the pieces that are drawn alike; `is_clear` marks transparent geoms."""
+    groups: dict[Appearance, list[Surface]] = {}
+    for piece in pieces:
+        first_geom = piece.face_geoms[0]
+        appearance = Appearance(is_clear[first_geom], piece.is_round, piece.texture)
+        groups.setdefault(appearance, []).append(piece)
+    for appearance in sorted(groups):
+        group = groups[appearance]
+        vertices, faces = trimesh.util.append_faces(
+            [piece.vertices for piece in group], [piece.faces for piece in group]
+        )
         uv = None
-        if number >= 0:
-            colors = textured[geom]
-            textures[number] = _read_texture(model, number)
-            uv = np.concatenate([piece.uv for piece in some if piece.uv is not None])
-        surfaces.append(Surface(*triangles, colors, uv, number, is_round))
-    solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
-    names = [  # as grids name geoms: by the topmost body, or itself where it hangs on the world
-        model.body(root).name or f"body {root}" if root else model.geom(geom).name or f"geom {geom}"
-        for geom, root in enumerate(model.body_rootid[model.geom_bodyid].tolist())
-    ]
-    batches = tuple(_find_batches(scene, data, drawn & (texture < 0), plain))
-    bounds = _bounds_of(pieces)
-    return Drawing(tuple(surfaces), textures, bounds, tuple(names), solid, has_hidden, batches)
+        if appearance.texture >= 0:
+            uv = np.concatenate([piece.uv for piece in group if piece.uv is not None])
+        yield Surface(
+            vertices=vertices.astype(np.float32),
+            faces=faces.astype(np.uint32),
+            geom=np.concatenate([piece.geom for piece in group if piece.geom is not None]),
+            uv=uv,
+            texture=appearance.texture,
+            is_round=appearance.is_round,
+        )
 
 
-def _find_batches(
-    scene: Scene, data: Any, drawn: Bool, colors: NDArray[np.float32]
-) -> Iterator[Batch]:
-    """Opaque meshes that several geoms show; those that are tilted alike share their light."""
+def _name_geoms(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Name geoms as grids do: by the topmost body, or the geom itself where that is the world."""
+    names = []
+    for geom, root_body in enumerate(model.body_rootid[model.geom_bodyid].tolist()):
+        if root_body:
+            names.append(model.body(root_body).name or f"body {root_body}")
+        else:
+            names.append(model.geom(geom).name or f"geom {geom}")
+    return tuple(names)
+
+
+def _make_batches(
+    scene: Scene, data: mujoco.MjData, drawn: Bool, colors: NDArray[np.float32]
+) -> Iterator[MeshBatch]:
+    """Batch the opaque meshes that several geoms show.
+
+    A batch is lit once, so its geoms must be tilted alike; they may be rotated about z.
+    """
     model = scene.model
-    can = drawn & (model.geom_type == MESH) & (model.geom_dataid >= 0) & (colors[:, 3] == 1)
+    is_candidate = drawn & (model.geom_type == MESH) & (model.geom_dataid >= 0)
+    is_candidate &= colors[:, 3] == 1
     geoms = np.array(
-        [geom for geom in np.flatnonzero(can) if geom not in scene.exact_meshes], np.int64
+        [geom for geom in np.flatnonzero(is_candidate) if geom not in scene.exact_meshes], np.int64
     )
     if not len(geoms):
         return
-    share = MOST_DRAWN / int(model.mesh_facenum[model.geom_dataid[geoms]].sum())
+    # share of their triangles with which all meshes together are few enough
+    share = MAX_MESH_TRIANGLES / int(model.mesh_facenum[model.geom_dataid[geoms]].sum())
     tilts = np.round(data.geom_xmat[geoms, 6:], 2) + 0.0
     keys = np.column_stack([model.geom_dataid[geoms], colors[geoms], tilts])
-    _, number = np.unique(keys, axis=0, return_inverse=True)
-    for one in range(int(number.max()) + 1):
-        own = geoms[number.ravel() == one]
-        if len(own) < LEAST_ALIKE:
-            continue
-        mesh = model.mesh(int(model.geom_dataid[own[0]]))
-        rotations = data.geom_xmat[own]
-        first = int(mesh.vertadr[0])
-        start = int(mesh.faceadr[0])
-        vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(np.float64)
-        faces = model.mesh_face[start : start + int(mesh.facenum[0])]
-        if len(faces) > MOST_SENT:
-            vertices, faces = coarsen(vertices, faces, MOST_SENT)
-        tops = (rotations.reshape(-1, 3, 3)[:, 2] @ vertices.T).max(axis=1)
-        positions = data.geom_xpos[own].copy()
-        made = trimesh.Trimesh(vertices, faces, process=False)
-        is_fine = share < 1  # else few triangles, each with edges of its own
-        if is_fine:
-            made = graph.smooth_shade(made, SHARP, facet_minarea=None)
-        look = np.tile(colors[own[0]], (len(made.vertices), 1))
-        corners = made.vertices.astype(np.float32)
-        sides = made.faces.astype(np.uint32)
-        surface = Surface(corners, sides, colors=look, is_round=is_fine)
-        content = draw_surfaces([surface], {}, rotations[0].reshape(3, 3))
-        turns = trimesh.transformations.quaternion_from_matrix
-        quaternions = np.array([turns(turn) for turn in rotations.reshape(-1, 3, 3)])
-        lod = ((NEAR, max(NEAR_SHARE, share)), (2 * NEAR, share)) if is_fine else ()
-        yield Batch(content, own, quaternions, positions, positions[:, 2] + tops, lod)
+    _, group_ids = np.unique(keys, axis=0, return_inverse=True)
+    for group in range(int(group_ids.max()) + 1):
+        members = geoms[group_ids.ravel() == group]
+        if len(members) >= MIN_BATCH_GEOMS:
+            yield _make_batch(model, data, members, colors[members[0]], share)
 
 
-def _draw_solids(model: Any, data: Any, drawn: Bool, clear: Bool) -> Iterator[Surface]:
-    """Boxes, spheres and the like, all of a kind at once, opaque and clear ones apart."""
-    count = int(np.isin(model.geom_type[drawn], ROUND).sum())
-    corners = next(corners for most, corners in CORNERS if count <= most)
-    for (kind, sizes), is_clear in product(SIZES.items(), (False, True)):
-        geoms = np.flatnonzero(drawn & (model.geom_type == kind) & (clear == is_clear))
+def _make_batch(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    geoms: Int,
+    color: NDArray[np.float32],
+    share: float,
+) -> MeshBatch:
+    """Make a batch of geoms that show one mesh; `share` of its triangles may be drawn from afar."""
+    vertices, faces = _mesh_arrays(model, int(model.geom_dataid[geoms[0]]))
+    if len(faces) > MAX_BATCH_TRIANGLES:
+        vertices, faces = coarsen(vertices, faces, MAX_BATCH_TRIANGLES)
+    rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    positions = data.geom_xpos[geoms].copy()
+    tops = (rotations[:, 2] @ vertices.T).max(axis=1)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    is_fine = share < 1  # else few triangles, each with edges of its own
+    lod: tuple[LodStep, ...] = ()
+    if is_fine:
+        mesh = graph.smooth_shade(mesh, SHARP_ANGLE, facet_minarea=None)
+        lod = (
+            LodStep(LOD_DISTANCE, max(LOD_SHARE, share)),
+            LodStep(2 * LOD_DISTANCE, share),
+        )
+    surface = Surface(
+        mesh.vertices.astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        colors=np.tile(color, (len(mesh.vertices), 1)),
+        is_round=is_fine,
+    )
+    to_quaternion = trimesh.transformations.quaternion_from_matrix
+    return MeshBatch(
+        content=draw_surfaces([surface], {}, rotations[0]),
+        geoms=geoms,
+        rotations=np.array([to_quaternion(rotation) for rotation in rotations]),
+        positions=positions,
+        tops=positions[:, 2] + tops,
+        lod=lod,
+    )
+
+
+def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> tuple[Float, Faces]:
+    """The vertices of a model's mesh, in its own frame, and its triangles."""
+    mesh = model.mesh(mesh_id)
+    first_vertex = int(mesh.vertadr[0])
+    first_face = int(mesh.faceadr[0])
+    vertices = model.mesh_vert[first_vertex : first_vertex + int(mesh.vertnum[0])]
+    faces = model.mesh_face[first_face : first_face + int(mesh.facenum[0])]
+    return vertices.astype(np.float64), faces
+
+
+def _draw_solids(
+    model: mujoco.MjModel, data: mujoco.MjData, drawn: Bool, is_clear: Bool
+) -> Iterator[Surface]:
+    """Draw boxes, spheres and so on: a surface for all of a kind, another for clear ones."""
+    num_round = int(np.isin(model.geom_type[drawn], ROUND_KINDS).sum())
+    corners = next(corners for limit, corners in CIRCLE_CORNERS if num_round <= limit)
+    for (kind, size_entries), clear in product(SIZE_ENTRIES.items(), (False, True)):
+        geoms = np.flatnonzero(drawn & (model.geom_type == kind) & (is_clear == clear))
         if not len(geoms):
             continue
-        unit = _unit_of(kind, corners)
-        local = unit.vertices * model.geom_size[geoms][:, None, sizes]
-        if kind == CAPSULE:  # its halves lie apart
+        unit = _make_unit_solid(kind, corners)
+        local = unit.vertices * model.geom_size[geoms][:, None, size_entries]
+        if kind == CAPSULE:  # its halves are moved apart
             local[..., 2] += np.sign(unit.vertices[:, 2]) * model.geom_size[geoms, 1, None]
-        turns = data.geom_xmat[geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
-        placed = (local @ turns + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
-        first = (np.arange(len(geoms)) * len(unit.vertices))[:, None, None]
-        owners = np.repeat(geoms, len(unit.vertices)).astype(np.int32)
-        yield Surface(placed, (unit.faces + first).reshape(-1, 3), owners, is_round=kind in ROUND)
+        rotations = data.geom_xmat[geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
+        vertices = (local @ rotations + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
+        first_vertices = (np.arange(len(geoms)) * len(unit.vertices))[:, None, None]
+        yield Surface(
+            vertices,
+            (unit.faces + first_vertices).reshape(-1, 3),
+            np.repeat(geoms, len(unit.vertices)).astype(np.int32),
+            is_round=kind in ROUND_KINDS,
+        )
 
 
-def _unit_of(kind: int, corners: int) -> Any:
-    """The solid of size 1; the halves of a capsule lie on each other."""
+def _make_unit_solid(kind: int, corners: int) -> Trimesh:
+    """Make the solid of half-size 1; the two halves of a capsule touch at its middle."""
+    unit: Trimesh
     if kind == BOX:
-        return creation.box((2, 2, 2))
-    if kind == CYLINDER:  # its round side and its flat ends are shaded apart
-        return graph.smooth_shade(creation.cylinder(1, 2, corners), SHARP, facet_minarea=None)
-    if kind != CAPSULE:
-        return creation.uv_sphere(count=[corners // 2, corners])
-    unit = creation.capsule(2, 1, count=[corners // 2, corners])
-    unit.vertices[:, 2] -= np.sign(unit.vertices[:, 2]) * (1 - 1e-9)  # the sign stays
+        unit = creation.box((2, 2, 2))
+    elif kind == CYLINDER:  # its round side and its flat ends are shaded apart
+        cylinder = creation.cylinder(1, 2, corners)
+        unit = graph.smooth_shade(cylinder, SHARP_ANGLE, facet_minarea=None)
+    elif kind == CAPSULE:
+        unit = creation.capsule(2, 1, count=[corners // 2, corners])
+        # a little less than 1, so that the sign of z still says which half a vertex belongs to
+        unit.vertices[:, 2] -= np.sign(unit.vertices[:, 2]) * (1 - 1e-9)
+    else:
+        unit = creation.uv_sphere(count=[corners // 2, corners])
     return unit
 
 
-def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterator[Surface]:
-    """Meshes, height fields, and the exact parts of a mesh file."""
+def _draw_meshes(
+    scene: Scene, data: mujoco.MjData, drawn: Bool, textures: Int
+) -> Iterator[Surface]:
+    """Draw meshes, height fields, and the exact meshes that a scene holds for geoms.
+
+    Where all meshes together have too many triangles, those without a texture are coarsened.
+    """
     model = scene.model
-    coarse = dict[int, tuple[Any, Any]]()
-    own = model.geom_dataid[drawn & (model.geom_type >= MESH) & (model.geom_dataid >= 0)]
-    share = MOST_DRAWN / max(int(model.mesh_facenum[own].sum()), 1)
+    coarse_meshes: dict[int, tuple[Float, Faces]] = {}
+    mesh_ids = model.geom_dataid[drawn & (model.geom_type >= MESH) & (model.geom_dataid >= 0)]
+    share = MAX_MESH_TRIANGLES / max(int(model.mesh_facenum[mesh_ids].sum()), 1)
     for geom in np.flatnonzero(drawn).tolist():
-        kind = int(model.geom_type[geom])
-        number = int(model.geom_dataid[geom])
-        uv = None
         if geom in scene.exact_meshes:  # in the world frame already
-            part = scene.exact_meshes[geom]
-            yield _piece(geom, np.asarray(part.vertices), np.asarray(part.faces))
+            mesh = scene.exact_meshes[geom]
+            yield _geom_surface(geom, np.asarray(mesh.vertices), np.asarray(mesh.faces))
             continue
-        if kind == HFIELD:  # its upper side
-            rows = int(model.hfield_nrow[number])
-            cols = int(model.hfield_ncol[number])
-            heights = model.hfield_data[int(model.hfield_adr[number]) :][: rows * cols]
-            y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (rows, cols)), indexing="ij")
-            unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
-            vertices = unit * model.hfield_size[number, :3]
-            corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
-            faces = (corner[:, None] + np.array([0, 1, cols + 1, cols]))[:, QUAD].reshape(-1, 3)
-        elif kind >= MESH and number >= 0:
-            mesh = model.mesh(number)
-            has_uv = int(textures[geom]) >= 0
-            first = int(mesh.vertadr[0])
-            start = int(mesh.faceadr[0])
-            vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(np.float64)
-            end = start + int(mesh.facenum[0])
-            faces = model.mesh_face[start:end]
-            if has_uv and model.mesh_texcoordnum[number]:
-                # corners that share a place needn't share one on the texture
-                corners = model.mesh_facetexcoord[start:end].ravel() + mesh.texcoordadr[0]
-                uv = model.mesh_texcoord[corners]
+
+        kind = int(model.geom_type[geom])
+        data_id = int(model.geom_dataid[geom])
+        texture = int(textures[geom])
+        uv = None
+        vertices: Float
+        faces: Faces
+        if kind == HFIELD:
+            vertices, faces = _hfield_top(model, data_id)
+        elif kind >= MESH and data_id >= 0:
+            vertices, faces = _mesh_arrays(model, data_id)
+            if texture >= 0 and model.mesh_texcoordnum[data_id]:
+                # triangles that share a vertex needn't share its position on the texture
+                uv = model.mesh_texcoord[_texcoord_ids(model, data_id)]
                 vertices = vertices[faces.ravel()]
                 faces = np.arange(len(vertices)).reshape(-1, 3)
             elif share < 1:
-                if number not in coarse:
-                    coarse[number] = coarsen(vertices, faces, int(share * len(faces)))
-                vertices, faces = coarse[number]
+                if data_id not in coarse_meshes:
+                    limit = int(share * len(faces))
+                    coarse_meshes[data_id] = coarsen(vertices, faces, limit)
+                vertices, faces = coarse_meshes[data_id]
         else:
             continue
-        placed = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        piece = _piece(geom, placed, faces)
-        yield piece if uv is None else piece._replace(uv=uv, texture=int(textures[geom]))
+        world = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        surface = _geom_surface(geom, world, faces)
+        yield surface if uv is None else surface._replace(uv=uv, texture=texture)
 
 
-def coarsen(vertices: Float, faces: NDArray[Any], most: int) -> tuple[Float, NDArray[Any]]:
-    """A mesh of about so many triangles, the coarsest one if there are more.
+def _hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
+    """The upper side of a height field, in its own frame: vertices and triangles."""
+    rows = int(model.hfield_nrow[hfield_id])
+    cols = int(model.hfield_ncol[hfield_id])
+    heights = model.hfield_data[int(model.hfield_adr[hfield_id]) :][: rows * cols]
+    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
+    unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
+    first_corners = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
+    rectangles = first_corners[:, None] + np.array([0, 1, cols + 1, cols])
+    return unit * model.hfield_size[hfield_id, :3], rectangles[:, QUAD].reshape(-1, 3)
 
-    Vertices in one cell of a lattice become one (Rossignac and Borrel 1993, vertex clustering).
+
+def _texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
+    """The entries of `model.mesh_texcoord` for the corners of a mesh's triangles, shape (3 n,)."""
+    mesh = model.mesh(mesh_id)
+    first_face = int(mesh.faceadr[0])
+    end = first_face + int(mesh.facenum[0])
+    ids: NDArray[np.int32] = model.mesh_facetexcoord[first_face:end].ravel() + mesh.texcoordadr[0]
+    return ids
+
+
+def coarsen(vertices: Float, faces: Faces, max_triangles: int) -> tuple[Float, Faces]:
+    """Coarsen a mesh by vertex clustering: vertices in one cell of a cube lattice become one.
+
+    Source: Rossignac and Borrel 1993, Multi-resolution 3D approximations for rendering complex
+    scenes.
+
+    Args:
+        vertices: shape (n, 3).
+        faces: triangles as indices into `vertices`, shape (m, 3).
+        max_triangles: the finest of several lattices that leaves no more than these is taken, or
+            the coarsest one if all leave more.
+
+    Returns:
+        Vertices and triangles of the coarse mesh.
     """
-    unit = (vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    longest = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    unit = (vertices - vertices.min(axis=0)) / longest
     for steps in (64, 48, 32, 24, 16, 12, 8, 6, 4):
-        first, number = trimesh.grouping.unique_rows(np.round(unit * steps).astype(np.int64))
-        made = trimesh.Trimesh(vertices[first], number[faces], process=False)
-        made.update_faces(made.nondegenerate_faces() & made.unique_faces())
-        if len(made.faces) <= most:
+        lattice_cells = np.round(unit * steps).astype(np.int64)
+        first_vertices, cluster = trimesh.grouping.unique_rows(lattice_cells)
+        mesh = trimesh.Trimesh(vertices[first_vertices], cluster[faces], process=False)
+        mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+        if len(mesh.faces) <= max_triangles:
             break
-    return made.vertices, made.faces
+    return mesh.vertices, mesh.faces
 
 
-def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
+def _geom_surface(geom: int, vertices: Float, faces: Faces) -> Surface:
     return Surface(vertices, faces, np.full(len(vertices), geom, np.int32))
 
 
-def _draw_plane(model: Any, data: Any, geom: int, bounds: Float) -> Surface:
-    """A plane's rectangle; where it is endless, as far as what else there is, and some more."""
+def _draw_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int, bounds: Float) -> Surface:
+    """Draw a plane's rectangle; where the plane is endless, it reaches beyond the bounds."""
     rotation = data.geom_xmat[geom].reshape(3, 3)
     position = data.geom_xpos[geom]
     middle = ((bounds.mean(axis=0) - position) @ rotation)[:2]
-    reach = ENDLESS * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
-    half = model.geom_size[geom, :2]
-    middle = np.where(half <= 0, middle, 0.0)
-    half = np.where(half <= 0, reach, half)
-    corners = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    return _piece(geom, corners @ rotation[:, :2].T + position, QUAD)
+    reach = PLANE_MARGIN * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
+    half_size = model.geom_size[geom, :2]
+    is_endless = half_size <= 0
+    middle = np.where(is_endless, middle, 0.0)
+    half_size = np.where(is_endless, reach, half_size)
+    corners = middle + half_size * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return _geom_surface(geom, corners @ rotation[:, :2].T + position, QUAD)
 
 
 def _bounds_of(pieces: Sequence[Surface]) -> Float:
-    nothing = np.array([[-1.0, -1, -1], [1, 1, 1]])
-    corners = np.concatenate([piece.vertices for piece in pieces]) if pieces else nothing
-    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+    """Lower and upper corner of surfaces, shape (2, 3) [m]; a cube round the origin for none."""
+    if not pieces:
+        return np.array([[-1.0, -1, -1], [1, 1, 1]])
+    vertices = np.concatenate([piece.vertices for piece in pieces])
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
-def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], Int]:
-    """How geoms look, as MuJoCo's own viewers have it, by geom id.
+def _find_geom_colors(model: mujoco.MjModel) -> GeomColors:
+    """The colours of geoms as MuJoCo's viewers draw them.
 
-    A geom without a colour of its own has its material's. Returns linear light, times the mean of
-    the texture, and opacity, shape (n, 4); the same without the texture; and MuJoCo's id of a
-    texture that a mesh may lie on, -1 for none.
+    A geom has its material's colour unless it has one of its own.
     """
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
     material = np.array(model.geom_matid, dtype=np.int64)
-    taken = (material >= 0) & (rgba == NO_COLOR).all(axis=1)
+    has_material_color = (material >= 0) & (rgba == DEFAULT_RGBA).all(axis=1)
     texture = np.full(len(rgba), -1, dtype=np.int64)
     if model.nmat:
-        rgba[taken] = model.mat_rgba[material[taken]]
-        ids = np.asarray(model.mat_texid).reshape(model.nmat, -1)
-        own = np.where(ids[:, RGB] >= 0, ids[:, RGB], ids[:, RGBA])
-        texture = np.where(material >= 0, own[material], -1)
-    textured = _to_linear(rgba)
-    plain = textured.copy()
-    for one in np.unique(texture[texture >= 0]).tolist():
-        mean = _read_texture(model, one)[..., :3].mean(axis=(0, 1)) / 255
-        plain[texture == one, :3] *= _to_linear(mean)
-    flat = np.isin(texture, np.flatnonzero(np.asarray(model.tex_type) == FLAT_TEXTURE))
-    return plain, textured, np.where(flat, texture, -1)
+        rgba[has_material_color] = model.mat_rgba[material[has_material_color]]
+        by_role = np.asarray(model.mat_texid).reshape(model.nmat, -1)
+        rgb_texture = by_role[:, RGB_ROLE]
+        material_texture = np.where(rgb_texture >= 0, rgb_texture, by_role[:, RGBA_ROLE])
+        texture = np.where(material >= 0, material_texture[material], -1)
+    without_texture = _to_linear_rgba(rgba)
+    plain = without_texture.copy()
+    for texture_id in np.unique(texture[texture >= 0]).tolist():
+        mean = _read_texture(model, texture_id)[..., :3].mean(axis=(0, 1)) / 255
+        plain[texture == texture_id, :3] *= _to_linear_rgba(mean)
+    is_flat = np.isin(texture, np.flatnonzero(np.asarray(model.tex_type) == TEXTURE_2D))
+    return GeomColors(plain, without_texture, np.where(is_flat, texture, -1))
 
 
-def _read_texture(model: Any, texture: int) -> NDArray[np.uint8]:
+def _read_texture(model: mujoco.MjModel, texture: int) -> Picture:
     """A texture's picture, shape (height, width, 3 or 4), its upper row first."""
-    shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    height = model.tex_height[texture]
+    width = model.tex_width[texture]
+    channels = model.tex_nchannel[texture]
     first = int(model.tex_adr[texture])
-    count = int(np.prod(shape, dtype=np.int64))
-    picture = np.asarray(model.tex_data[first : first + count]).reshape(shape)
-    return np.repeat(picture, 3, axis=2) if shape[2] == 1 else picture
+    size = int(height) * int(width) * int(channels)
+    picture = np.asarray(model.tex_data[first : first + size]).reshape(height, width, channels)
+    return np.repeat(picture, 3, axis=2) if channels == 1 else picture
 
 
-def _to_linear(color: NDArray[Any]) -> NDArray[np.float32]:
-    """Linear light of colours as screens take them (sRGB), shape (..., 3 or 4); opacity stays."""
+def _to_linear_rgba(color: Reals) -> NDArray[np.float32]:
+    """Convert sRGB colours to linear light, shape (..., 3 or 4); the opacity stays."""
     color = np.asarray(color, dtype=np.float32)
     linear = to_linear(color)
     linear[..., 3:] = color[..., 3:]
     return linear.astype(np.float32)
 
 
-# --- what of it is below a height -----------------------------------------------------------------
+# --- the scene below a height ---------------------------------------------------------------------
 
 
 def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
-    """The surfaces below a height [m], world z.
+    """Cut a scene by a horizontal plane, and keep what is below.
 
-    A triangle across the plane is replaced by its lower part. Cut boxes, cylinders and so on get
-    a face there, darker than they are; meshes and height fields stay open.
+    A triangle across the plane is replaced by its lower part. Cut boxes, cylinders and other convex
+    solids are closed by a face that is darker than they are; meshes and height fields stay open.
+
+    Args:
+        drawing: the scene.
+        height: world z of the plane [m].
+
+    Returns:
+        The surfaces below the plane; none is empty unless it was.
     """
-    kept: list[Surface] = []
+    surfaces: list[Surface] = []
     for surface in drawing.surfaces:
         if (surface.vertices[:, 2] <= height).all():
-            kept.append(surface)
-        else:
-            parts = _cut_surface(surface, height), _close(surface, height, drawing.solid)
-            kept += [part for part in parts if len(part.faces)]
-    return tuple(kept)
+            surfaces.append(surface)
+            continue
+        for cut in (_cut_surface(surface, height), _make_caps(surface, height, drawing.solid)):
+            if len(cut.faces):
+                surfaces.append(cut)
+    return tuple(surfaces)
 
 
 def _cut_surface(surface: Surface, height: float) -> Surface:
+    """The parts of a surface's triangles below a height [m]."""
     corners = surface.vertices[surface.faces]
-    # slivers have no area, but places on them can't be told by their corners
-    whole = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any(axis=1)
-    faces = surface.faces[whole].astype(np.int64)
-    vertices = surface.vertices.astype(np.float64)
-    # geom, colour and place on the texture of a corner go along; geom and colour are a triangle's
-    columns = surface.geom, surface.colors, surface.uv
-    along = [column for column in columns if column is not None]
-    vertices, faces, more = intersections.slice_faces_plane(
-        vertices, faces, [0, 0, -1], [0, 0, height + FLUSH], uv=np.column_stack(along)
+    # triangles without an area are dropped: positions on them have no barycentric coordinates
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    faces = surface.faces[normals.any(axis=1)].astype(np.int64)
+    # trimesh interpolates its uv along cut edges: geom, colour and position on the texture of each
+    # vertex go through it together; geom and colour are the same at all corners of a triangle
+    attributes = [
+        attribute
+        for attribute in (surface.geom, surface.colors, surface.uv)
+        if attribute is not None
+    ]
+    vertices, faces, cut_attributes = intersections.slice_faces_plane(
+        surface.vertices.astype(np.float64),
+        faces,
+        plane_normal=[0, 0, -1],
+        plane_origin=[0, 0, height + CUT_TOLERANCE],
+        uv=np.column_stack(attributes),
     )
     vertices[:, 2] = np.minimum(vertices[:, 2], height)
-    more = more.astype(np.float32)
+    cut_attributes = cut_attributes.astype(np.float32)
     return surface._replace(
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.uint32),
-        geom=np.rint(more[:, 0]).astype(np.int32),
-        colors=more[:, 1:5],
-        uv=None if surface.uv is None else more[:, 5:],
+        geom=np.rint(cut_attributes[:, 0]).astype(np.int32),
+        colors=cut_attributes[:, 1:5],
+        uv=None if surface.uv is None else cut_attributes[:, 5:],
     )
 
 
-def _close(surface: Surface, height: float, solid: Bool) -> Surface:
-    """Faces over cut solids: each a fan round its middle, for a section of one is convex."""
+def _make_caps(surface: Surface, height: float, solid: Bool) -> Surface:
+    """Close cut solids: each by a fan of triangles round its middle, as its section is convex."""
     assert surface.geom is not None and surface.colors is not None
-    chosen = surface.faces[solid[surface.owners]]
-    mesh = trimesh.Trimesh(surface.vertices, chosen, process=False)
-    lines, faces = intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height], return_faces=True)
-    geoms, number = np.unique(surface.geom[chosen[faces, 0]], return_inverse=True)
-    sums = [np.bincount(number, lines[:, :, axis].mean(axis=1)) for axis in range(3)]
-    middle = (np.stack(sums) / np.bincount(number)).T[number]
+    solid_faces = surface.faces[solid[surface.face_geoms]]
+    mesh = trimesh.Trimesh(surface.vertices, solid_faces, process=False)
+    lines, cut_faces = intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height], return_faces=True)
+    first_vertices = solid_faces[cut_faces, 0]
+    geoms, group = np.unique(surface.geom[first_vertices], return_inverse=True)
+    sums = [np.bincount(group, lines[:, :, axis].mean(axis=1)) for axis in range(3)]
+    middle = (np.stack(sums) / np.bincount(group)).T[group]
     vertices = np.concatenate([lines, middle[:, None]], axis=1).reshape(-1, 3).astype(np.float32)
     shade = np.array([CAP_SHADE, CAP_SHADE, CAP_SHADE, 1], dtype=np.float32)
     return Surface(
         vertices,
         np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
-        np.repeat(geoms[number], 3).astype(np.int32),
-        np.repeat(surface.colors[chosen[faces, 0]] * shade, 3, axis=0),
+        np.repeat(geoms[group], 3).astype(np.int32),
+        np.repeat(surface.colors[first_vertices] * shade, 3, axis=0),
     )
 
 
-# --- the layers of levels, and what is sent -------------------------------------------------------
+# --- the layers of levels, and GLB ----------------------------------------------------------------
 
 
-def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST) -> Surface:
-    """The floor of a level, on which its layers are laid: a rectangle where it is even.
+def make_floor_surface(
+    level: SceneGrid2D, *, with_holes: bool = True, max_rectangles: int = MAX_RECTANGLES
+) -> Surface:
+    """Make the surface that the layers of a level are drawn on: a rectangle for each even part.
 
-    Without holes, cells without a floor lie at the level's ground. There are at most `most`
-    rectangles, unless single cells are more.
+    Args:
+        level: the level.
+        with_holes: leave out the cells without a floor; else they lie at the level's ground.
+        max_rectangles: where there are more, the surface follows the floor less closely, until
+            each part is as large as it can be.
+
+    Returns:
+        A surface whose picture has a pixel for each cell.
     """
     floor = level.floor.astype(np.float64)
-    size = level.lattice.cell_size
+    cell_size = level.lattice.cell_size
     shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
     heights = np.where(np.isnan(floor), level.ground, floor)
-    cells = shown.astype(np.int32)
+    labels = shown.astype(np.int32)
+    height_span = float(np.ptp(heights))
     flatness = FLAT
-    span = float(np.ptp(heights))
     while True:
-        _, row, col, z = cover_quads(cells, heights, flatness, STEEPEST * size, OVERLAP)
-        if len(row) <= most or flatness > span:
+        _, row, col, z = cover_quads(labels, heights, flatness, MAX_RISE * cell_size, OVERLAP)
+        if len(row) <= max_rectangles or flatness > height_span:
             break
         flatness *= 2
-    x = level.lattice.x_min + col * size
-    y = level.lattice.y_max - row * size
-    first = (np.arange(len(row)) * 4)[:, None, None]
+    x = level.lattice.x_min + col * cell_size
+    y = level.lattice.y_max - row * cell_size
+    first_corners = (np.arange(len(row)) * 4)[:, None, None]
     uv = np.stack([col / level.width, row / level.height], axis=-1).reshape(-1, 2)
     return Surface(
         np.stack([x, y, z + LIFT + flatness], axis=-1).reshape(-1, 3).astype(np.float32),
-        (QUAD + first).reshape(-1, 3).astype(np.uint32),
+        (QUAD + first_corners).reshape(-1, 3).astype(np.uint32),
         uv=uv.astype(np.float32),
         texture=0,
     )
 
 
-def draw_overlay(carpet: Surface, rgb: NDArray[np.uint8], opacity: float = 1.0) -> bytes:
-    """A layer of a level as GLB: a colour for each cell, shape (height, width, 3)."""
+def draw_overlay(floor_surface: Surface, rgb: Picture, opacity: float = 1.0) -> bytes:
+    """Draw a layer of a level on its floor.
+
+    Args:
+        floor_surface: of the level, see `make_floor_surface`.
+        rgb: the colour of each cell, shape (height, width, 3).
+        opacity: 0 to 1.
+
+    Returns:
+        GLB.
+    """
     picture = Image.fromarray(rgb)
     picture = picture.reduce(-(-max(picture.size) // MAX_SIDE))
-    return make_glb([carpet._replace(opacity=opacity)], {0: np.asarray(picture)})
+    return make_glb([floor_surface._replace(opacity=opacity)], {0: np.asarray(picture)})
 
 
 def draw_surfaces(
     surfaces: Sequence[Surface],
-    textures: Mapping[int, NDArray[np.uint8]],
+    textures: Mapping[int, Picture],
     rotation: ArrayLike | None = None,
 ) -> bytes:
-    """Surfaces of a scene and the textures that they use as one GLB, with light and shade.
+    """Draw surfaces of a scene with light and shade.
 
-    The light, see `LIGHT`, is in the colours, which a browser draws smoothly without a graphics
-    card, too; both sides of a triangle are alike. `rotation`, (3, 3), leads from the frame of the
-    vertices to the world's axes.
+    The light is multiplied into the colours, which a browser draws smoothly without a graphics
+    card, too. Both sides of a triangle are lit alike. See `AMBIENT_LIGHT` and `DIRECTED_LIGHT`.
+
+    Args:
+        surfaces: with colours.
+        textures: pictures of the surfaces, by id.
+        rotation: from the frame of the vertices to the world's axes, shape (3, 3); None for none.
+
+    Returns:
+        GLB.
     """
-    turn = np.eye(3) if rotation is None else np.asarray(rotation)
-    lit = []
-    for one in surfaces:
-        assert one.colors is not None
-        if not one.is_round and len(one.faces) <= MOST_FLAT:  # edges are sharp
-            corners = one.faces.ravel()
-            one = one._replace(
-                vertices=one.vertices[corners],
-                faces=np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
-                colors=one.colors[corners],
-                uv=None if one.uv is None else one.uv[corners],
-            )
-        mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
-        share = (LIGHT[0] + np.abs(mesh.vertex_normals @ turn.T) @ LIGHT[1:])[:, None]
-        colors = one.colors * np.where([True, True, True, False], share, 1.0)
-        lit.append(one._replace(colors=colors))
-    return make_glb(lit, textures)
+    to_world = np.eye(3) if rotation is None else np.asarray(rotation)
+    lit_surfaces = []
+    for surface in surfaces:
+        if not surface.is_round and len(surface.faces) <= MAX_FLAT_TRIANGLES:
+            surface = _split_vertices(surface)
+        assert surface.colors is not None
+        mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+        facing = np.abs(mesh.vertex_normals @ to_world.T)
+        light = (AMBIENT_LIGHT + facing @ DIRECTED_LIGHT)[:, None]
+        colors = surface.colors * np.where([True, True, True, False], light, 1.0)
+        lit_surfaces.append(surface._replace(colors=colors))
+    return make_glb(lit_surfaces, textures)
 
 
-def make_glb(
-    surfaces: Sequence[Surface], pictures: Mapping[int, NDArray[np.uint8]] | None = None
-) -> bytes:
-    """Write triangles in their colours as they are, and the pictures that lie on them, as GLB."""
+def _split_vertices(surface: Surface) -> Surface:
+    """Give each triangle vertices, and so normals, of its own: its edges are drawn sharp."""
+    assert surface.colors is not None
+    corners = surface.faces.ravel()
+    return surface._replace(
+        vertices=surface.vertices[corners],
+        faces=np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+        colors=surface.colors[corners],
+        uv=None if surface.uv is None else surface.uv[corners],
+    )
+
+
+def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None = None) -> bytes:
+    """Write surfaces in their colours, without light, as binary glTF.
+
+    Args:
+        surfaces: those without triangles are left out.
+        pictures: by the id that surfaces name as `texture`.
+
+    Returns:
+        GLB.
+    """
     buffer = GlbBuffer()
     primitives = list[Json]()
     materials = list[Json]()
-    surfaces = [one for one in surfaces if len(one.faces)]
-    used = sorted({one.texture for one in surfaces if one.uv is not None})
-    for one in surfaces:
-        is_clear = one.opacity < 1
-        attributes = {"POSITION": buffer.add_positions(one.vertices)}
-        if one.colors is not None:
-            steps = np.round(np.clip(one.colors, 0, 1) * 65535).astype(np.uint16)
+    surfaces = [surface for surface in surfaces if len(surface.faces)]
+    textures = sorted({surface.texture for surface in surfaces if surface.uv is not None})
+    for surface in surfaces:
+        is_clear = surface.opacity < 1
+        attributes = {"POSITION": buffer.add_positions(surface.vertices)}
+        if surface.colors is not None:
+            steps = np.round(np.clip(surface.colors, 0, 1) * 65535).astype(np.uint16)
             attributes["COLOR_0"] = buffer.add_vectors(steps, normalized=True)
-            is_clear |= bool((one.colors[:, 3] < 1).any())
-        look: Json = {"baseColorFactor": [1.0, 1.0, 1.0, one.opacity]}
-        if one.uv is not None:
-            attributes["TEXCOORD_0"] = buffer.add_vectors(one.uv)
-            look["baseColorTexture"] = {"index": used.index(one.texture)}
-        material: Json = {"alphaMode": "BLEND" if is_clear else "OPAQUE", "doubleSided": True}
-        material |= {"pbrMetallicRoughness": look, "extensions": {"KHR_materials_unlit": {}}}
-        primitive = {"attributes": attributes, "indices": buffer.add_indices(one.faces)}
-        primitives.append({**primitive, "material": len(materials)})
-        materials.append(material)
+            is_clear |= bool((surface.colors[:, 3] < 1).any())
+        shading: Json = {"baseColorFactor": [1.0, 1.0, 1.0, surface.opacity]}
+        if surface.uv is not None:
+            attributes["TEXCOORD_0"] = buffer.add_vectors(surface.uv)
+            shading["baseColorTexture"] = {"index": textures.index(surface.texture)}
+        indices = buffer.add_indices(surface.faces.astype(np.uint32, copy=False))
+        primitives.append(
+            {"attributes": attributes, "indices": indices, "material": len(materials)}
+        )
+        materials.append(
+            {
+                "alphaMode": "BLEND" if is_clear else "OPAQUE",
+                "doubleSided": True,
+                "pbrMetallicRoughness": shading,
+                "extensions": {"KHR_materials_unlit": {}},
+            }
+        )
+
     document: Json = {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{}]}
     if primitives:
-        document |= {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]}
-        document |= {"meshes": [{"primitives": primitives}], "materials": materials}
-    document |= {"images": [], "textures": []}  # left out where they are empty
-    for place, number in enumerate(used):
-        content = io.BytesIO()  # packed fast rather than small: it stays on this machine
-        Image.fromarray((pictures or {})[number]).save(content, "PNG", compress_level=1)
+        document["scenes"] = [{"nodes": [0]}]
+        document["nodes"] = [{"mesh": 0}]
+        document["meshes"] = [{"primitives": primitives}]
+        document["materials"] = materials
+    # `GlbBuffer.pack` leaves out what is empty
+    document["images"] = []
+    document["textures"] = []
+    for index, texture in enumerate(textures):
+        content = io.BytesIO()
+        # packed fast rather than small: the page is on this machine
+        Image.fromarray((pictures or {})[texture]).save(content, "PNG", compress_level=1)
         view = buffer.add_bytes(content.getvalue())
         document["images"].append({"bufferView": view, "mimeType": "image/png"})
-        document["textures"].append({"source": place, "sampler": 0})
+        document["textures"].append({"source": index, "sampler": 0})
         sampler = {"magFilter": NEAREST, "minFilter": MIPMAPS, "wrapS": CLAMP, "wrapT": CLAMP}
         document["samplers"] = [sampler]
     return buffer.pack(document)
 
 
-# --- what a click meets ---------------------------------------------------------------------------
+# --- picking --------------------------------------------------------------------------------------
 
 
 class Pick(NamedTuple):
-    """What a click has met."""
+    """The cell under a click.
+
+    Attributes:
+        cell: level, row and column.
+        position: world x, y of the click, and z of the cell's floor, or of the level's ground where
+            the cell has none [m].
+        geom: id of the geom that was clicked, None where the grid itself was.
+    """
 
     cell: Cell
-    # world x, y of the click, and z of the cell's floor, or of the level's ground without one [m]
     position: tuple[float, float, float]
-    geom: int | None  # that was clicked, None where it was the grid itself
+    geom: int | None
+
+
+class Hit(NamedTuple):
+    """Where a ray meets the nearest surface."""
+
+    position: tuple[float, float, float]  # world frame [m]
+    geom: int  # -1 for none
+
+
+class PickCandidate(NamedTuple):
+    """A cell that a click may mean; the smallest candidate is the best."""
+
+    without_floor: bool
+    is_above: bool  # the floor is above the clicked point
+    distance: float  # from the floor to the clicked point [m]
+    cell: Cell
+    height: float  # of the floor, or of the level's ground, world z [m]
 
 
 def pick(
-    grid: NavGrid,
-    ray: tuple[ArrayLike, ArrayLike],
-    surfaces: Sequence[Surface],
-    levels: Collection[int],
+    grid: NavGrid, ray: Ray, surfaces: Sequence[Surface], levels: Collection[int]
 ) -> Pick | None:
-    """Find the cell under a click, on one of the levels that are shown; None for none.
+    """Find the cell under a click.
 
-    The cell is the one below the nearest thing that the ray, an origin [m] and a direction, meets:
-    a surface of a geom or of the grid, which come last. Of several levels it is the one whose
-    floor is the nearest below; where none has a floor there, whose ground is.
+    The click's point is where the ray meets the nearest surface. Of the cells at its x, y on
+    several levels, the one whose floor is nearest below the point is returned; where no cell has a
+    floor, the one whose level's ground is.
+
+    Args:
+        grid: the grid.
+        ray: from the camera through the click.
+        surfaces: of the scene, then of the grid.
+        levels: numbers of the levels that are shown.
+
+    Returns:
+        The cell; None if the ray meets no surface, or beside all cells.
     """
-    origin, direction = (np.asarray(each, dtype=np.float64) for each in ray)
-    distance = np.inf
-    geom = -1
+    hit = _cast_ray(ray, surfaces)
+    if hit is None:
+        return None
+    x, y, z = hit.position
+    candidates = []
+    for number in sorted(levels):
+        place = place_at(grid, (x, y), number)
+        if place is None:
+            continue
+        height = grid.levels[number].ground if place.floor is None else place.floor
+        candidates.append(
+            PickCandidate(
+                without_floor=place.floor is None,
+                is_above=z - height < -FLOOR_TOLERANCE,
+                distance=abs(z - height),
+                cell=place.cell,
+                height=height,
+            )
+        )
+    if not candidates:
+        return None
+    best = min(candidates)
+    return Pick(best.cell, (x, y, best.height), None if hit.geom < 0 else hit.geom)
+
+
+def _cast_ray(ray: Ray, surfaces: Sequence[Surface]) -> Hit | None:
+    """Where a ray meets the nearest triangle of some surfaces; None if it meets none.
+
+    The ray is cut with the plane of each triangle; it meets the triangle where no barycentric
+    coordinate is negative. Of equally near triangles the one of the last surface counts.
+    """
+    origin = np.asarray(ray.origin, dtype=np.float64)
+    direction = np.asarray(ray.direction, dtype=np.float64)
+    nearest_distance = np.inf
+    nearest_geom = -1
     for surface in surfaces:
         corners = surface.vertices[surface.faces].astype(np.float64)
         normals = trimesh.triangles.cross(corners)
-        with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
-            away = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
-            places = origin + away[:, None] * direction
-            shares = trimesh.triangles.points_to_barycentric(corners, places)
-            met = np.flatnonzero((shares >= -1e-9).all(axis=1) & (away > 0) & (away <= distance))
+        # a triangle that the ray runs along divides by 0, and isn't met
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distances = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
+            points = origin + distances[:, None] * direction
+            shares = trimesh.triangles.points_to_barycentric(corners, points)
+            is_met = (shares >= -1e-9).all(axis=1)
+            is_met &= (distances > 0) & (distances <= nearest_distance)
+            met = np.flatnonzero(is_met)
         if len(met):
-            nearest = met[np.argmin(away[met])]
-            distance = float(away[nearest])
-            geom = int(surface.owners[nearest])
-    if not np.isfinite(distance):
+            nearest = met[np.argmin(distances[met])]
+            nearest_distance = float(distances[nearest])
+            nearest_geom = int(surface.face_geoms[nearest])
+    if not np.isfinite(nearest_distance):
         return None
-    x, y, z = (origin + distance * direction).tolist()
-    # by whether there is a floor, whether it is below, and how far
-    ranked = []
-    for number in sorted(levels):
-        place = place_at(grid, (x, y), number)
-        if place is not None:
-            under = grid.levels[number].ground if place.floor is None else place.floor
-            rank = place.floor is None, z - under < -BELOW, abs(z - under)
-            ranked.append((rank, place.cell, under))
-    if not ranked:
-        return None
-    _, cell, under = min(ranked)
-    return Pick(cell, (x, y, under), None if geom < 0 else geom)
+    x, y, z = (origin + nearest_distance * direction).tolist()
+    return Hit((x, y, z), nearest_geom)

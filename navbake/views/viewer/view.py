@@ -1,4 +1,4 @@
-"""`navbake.view`: a grid in its scene, in the browser."""
+"""`navbake.view`: shows a grid in its scene, in the browser."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import os
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from itertools import product
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 
@@ -28,129 +28,180 @@ from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
-from navbake.types import Bool, Float, Json
-from navbake.views.viewer.controls import Change, Controls, say_error
-from navbake.views.viewer.exhibit import (
+from navbake.types import Float
+from navbake.views.viewer.controls import Change, Controls, error_text
+from navbake.views.viewer.meshes import Ray, Reals
+from navbake.views.viewer.server import HOST, PORT, PageServer
+from navbake.views.viewer.view_state import (
     GOAL,
-    LIT,
+    HIGHLIGHT,
     START,
     TRAJECTORY,
     Choices,
-    Exhibit,
-    Name,
+    Inspection,
+    NameLabel,
+    ViewState,
+    VisibleBatch,
     first_choices,
-    goal_place,
-    keep_choices,
+    list_goal_positions,
     list_runs,
+    transfer_choices,
 )
-from navbake.views.viewer.meshes import Batch
-from navbake.views.viewer.server import HOST, PORT, PageServer
 
 if TYPE_CHECKING:
+    import mujoco
+    import trimesh
     import viser
 
-PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
-# the page is without the marks of the library, and nothing on it shares it
+    from navbake.config.settings import BakeConfig
+
+SceneLike: TypeAlias = (
+    "mujoco.MjModel | mujoco.MjSpec | trimesh.Scene | trimesh.Trimesh | BakeConfig"
+    " | Mapping[str, object] | str | PathLike[str] | None"
+)
+
+
+class Shadows(TypedDict):
+    """Whether a node of viser's scene casts and receives shadows."""
+
+    cast_shadow: bool
+    receive_shadow: bool
+
+
+NO_SHADOWS: Shadows = {"cast_shadow": False, "receive_shadow": False}
+# without viser's logo, and without a way to share the page with others
 THEME: Any = {"show_logo": False, "show_share_button": False, "control_width": "medium"}
 PATH_LIFT = 0.06  # of a path over the floor [m]
 PATH_WIDTH = 5.0  # [pixels]
-MARK = 1 / 180  # radius of a mark, by the diagonal of the grid
-MARK_RADII = 0.06, 0.5  # least and greatest [m]
-POLE = np.array([[0, 0, 0], [0, 0, 1.3]])  # over the clicked cell [m]
-GROWN = 0.006  # by which what is lit is larger than it is, so that it is seen [m]
+MARK_SHARE = 1 / 180  # radius of a mark, by the diagonal of the grid
+MIN_MARK_RADIUS = 0.06  # [m]
+MAX_MARK_RADIUS = 0.5  # [m]
+POLE = np.array([[0, 0, 0], [0, 0, 1.3]])  # over the inspected cell [m]
+HIGHLIGHT_MARGIN = 0.006  # by which a highlight is larger than its object, to be seen [m]
 ELEVATION = math.radians(58)  # of the first camera over the horizon
 FIELD_OF_VIEW = math.radians(45)
-USUAL_ASPECT = 1.2
-MARGIN = 1.08  # by which the first camera is farther away than the box needs
+USUAL_ASPECT = 1.2  # width by height of a page
+CAMERA_MARGIN = 1.08  # factor by which the first camera is farther away than it must be
 LOG = logging.getLogger("navbake")
-PERIOD = 0.5  # between two looks at files [s]
+WATCH_PERIOD = 0.5  # between two checks of files [s]
+
+
+class Mark(NamedTuple):
+    """A place that is marked by a ball on the floor."""
+
+    position: Sequence[float]  # world x, y, z [m]
+    color: str
+
+
+class Line(NamedTuple):
+    """A line that is drawn over the floor."""
+
+    positions: Float  # world frame, shape (n, 3) [m]
+    color: str
+
+
+class ShownNodes(NamedTuple):
+    """What stands under a name in viser's scene."""
+
+    key: object  # what it was made of: nodes are replaced when this changes
+    nodes: list[viser.SceneNodeHandle]
 
 
 def find_camera(bounds: Float, aspect: float) -> Float:
-    """Where a box, (2, 3) [m], fills a page of an aspect, seen from -y and above: (3,) [m]."""
+    """Place a camera that looks at a box from -y and above, so that the box fills the page.
+
+    Args:
+        bounds: lower and upper corner of the box, shape (2, 3) [m].
+        aspect: of the page, width by height.
+
+    Returns:
+        World x, y, z [m].
+    """
     middle = bounds.mean(axis=0)
     away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
     up = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
     corners = np.array(list(product(*bounds.T))) - middle
     slope = math.tan(FIELD_OF_VIEW / 2)
-    across = np.abs(corners[:, 0]) / (slope * aspect)
-    along = np.abs(corners @ up) / slope
-    distance = (np.maximum(across, along) + corners @ away).max()
-    place: Float = middle + max(float(distance), 1.0) * MARGIN * away
-    return place
+    # the distance at which each corner is at the side, and at the top or bottom, of the page
+    horizontal = np.abs(corners[:, 0]) / (slope * aspect)
+    vertical = np.abs(corners @ up) / slope
+    distance = (np.maximum(horizontal, vertical) + corners @ away).max()
+    camera: Float = middle + max(float(distance), 1.0) * CAMERA_MARGIN * away
+    return camera
 
 
 class Viewer(AbstractContextManager["Viewer"]):
     """A page that shows a grid, until it is closed; also as a context manager.
 
-    Changes come from threads of the server into a queue. One thread applies all that wait, then
-    shows the result once, so that a dragged slider shows its latest place alone.
+    Threads of the server put changes into a queue. A single thread applies all that are waiting,
+    then draws once, so that of a dragged slider only the latest position is drawn.
 
     Attributes:
-        url: where the page is.
+        url: address of the page.
     """
 
-    def __init__(self, exhibit: Exhibit, page: PageServer, *, watch: Watch | None = None) -> None:
+    def __init__(
+        self, view_state: ViewState, page: PageServer, *, watch: Watch | None = None
+    ) -> None:
+        """Show a grid on a page.
+
+        Args:
+            view_state: the grid and its scene.
+            page: an empty page.
+            watch: reads the grid again when its files change; None for never.
+        """
         self._page = page
         self._server = page.viser
         self.url = page.url
-        self._exhibit = exhibit
-        self._chosen = first_choices(exhibit.grid)
+        self._view_state = view_state
+        self._choices = first_choices(view_state.grid)
         self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         self._closed = threading.Event()
         self._scene = self._server.scene
-        self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
-        self._drawn: Any = None  # what the scene was drawn for
-        self._dark: bool | None = None  # how the page was drawn
+        self._shown: dict[str, ShownNodes] = {}  # by name
+        self._scene_key: object = None  # what the scene was last drawn for
+        self._is_dark: bool | None = None  # None before the page was drawn
         self._scene.set_up_direction("+z")
         self._scene.world_axes.visible = False
         self._scene.configure_default_lights(cast_shadow=False)
-        self._set_up()
-        # look at the grid from -y and above, so that it fills the page
-        bounds = exhibit.bounds
-        camera = self._server.initial_camera
-        place = find_camera(bounds, USUAL_ASPECT)
-        camera.fov = FIELD_OF_VIEW
-        camera.near = 0.05
-        camera.far = 40 * max(float(place[2] - bounds[0, 2]), 1.0)
-        camera.look_at = bounds.mean(axis=0)
-        camera.position = place
-
-        def fit(camera: viser.CameraHandle) -> None:
-            """Move the first camera of a page that is narrower than usual, or becomes so."""
-            if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, place, atol=0.01):
-                camera.position = find_camera(bounds, camera.aspect)
-                camera.look_at = bounds.mean(axis=0)
-
-        def follow(client: viser.ClientHandle) -> None:
-            fit(client.camera)
-            client.camera.on_update(fit)
-
-        self._server.on_client_connect(follow)
-        self._scene.on_click()(self._click)
+        self._make_panel()
+        self._set_camera(view_state.bounds)
+        self._scene.on_click()(self._on_click)
         page.on_dark = lambda: self._changes.put(Choices.with_dark_system)
-        forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
-        forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
-        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
+        clear = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
+        clear.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()
         if watch is not None:
             threading.Thread(target=self._watch, args=(watch,), name="watch", daemon=True).start()
 
-    def show(self, grid: NavGrid | str | PathLike[str], scene: Any = None, **more: Any) -> None:
-        """Show another grid on the page; takes what `view` takes of grid, scene and episodes."""
-        self._show_other(make_exhibit(grid, scene, **more))
+    def show(
+        self,
+        grid: NavGrid | str | PathLike[str],
+        scene: SceneLike = None,
+        *,
+        data: mujoco.MjData | None = None,
+        force: bool = False,
+        episodes: EpisodeSet | str | PathLike[str] | None = None,
+        trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
+    ) -> None:
+        """Show another grid on the page; arguments and errors are those of `view`."""
+        view_state = make_view_state(
+            grid, scene, data=data, force=force, episodes=episodes, trajectories=trajectories
+        )
+        self._show_view_state(view_state)
 
     def open(self) -> None:
-        """Open the page in this machine's browser, where it has one with windows."""
-        windows = ("DISPLAY", "WAYLAND_DISPLAY")
+        """Open the page in this machine's browser, unless Linux has no windows."""
+        has_windows = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
         # without windows, Python would start a browser in the terminal
-        if not sys.platform.startswith("linux") or any(map(os.environ.get, windows)):
+        if has_windows or not sys.platform.startswith("linux"):
             webbrowser.open(self.url)
 
     def wait(self) -> None:
         """Wait until the page is closed; Ctrl-C closes it."""
         try:
-            while not self._closed.wait(PERIOD):
+            while not self._closed.wait(WATCH_PERIOD):
                 pass
         finally:
             self.close()
@@ -166,199 +217,310 @@ class Viewer(AbstractContextManager["Viewer"]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _set_up(self) -> None:
-        def compare(chosen: Choices) -> Choices:
-            self._controls.say("Comparing the grid with the scene…")
-            self._exhibit.verify()
-            self._controls.say("")
-            return chosen
+    def _set_camera(self, bounds: Float) -> None:
+        """Point the first camera of each client at the grid, so that it fills the page."""
+        position = find_camera(bounds, USUAL_ASPECT)
+        camera = self._server.initial_camera
+        camera.fov = FIELD_OF_VIEW
+        camera.near = 0.05
+        camera.far = 40 * max(float(position[2] - bounds[0, 2]), 1.0)
+        camera.look_at = bounds.mean(axis=0)
+        camera.position = position
+
+        def fit(camera: viser.CameraHandle) -> None:
+            """Move a camera that wasn't moved yet where its page is narrower than usual."""
+            if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, position, atol=0.01):
+                camera.position = find_camera(bounds, camera.aspect)
+                camera.look_at = bounds.mean(axis=0)
+
+        def on_connect(client: viser.ClientHandle) -> None:
+            fit(client.camera)
+            client.camera.on_update(fit)
+
+        self._server.on_client_connect(on_connect)
+
+    def _make_panel(self) -> None:
+        """Make the panel of controls for the grid."""
+
+        def verify(choices: Choices) -> Choices:
+            self._controls.show_status("Comparing the grid with the scene…")
+            self._view_state.verify()
+            self._controls.show_status("")
+            return choices
 
         gui = self._server.gui
-        change = self._changes.put
-        name = self._exhibit.grid.scene_id
+        name = self._view_state.grid.scene_id
         gui.set_panel_label(name or "navbake")
         self._page.title = f"{name} – navbake" if name else "navbake"
         self._controls = Controls(
-            gui, self._exhibit, self._chosen, change, partial(change, compare)
+            gui,
+            self._view_state,
+            self._choices,
+            change=self._changes.put,
+            verify=lambda: self._changes.put(verify),
         )
         gui.main_panel.dock_right()  # beside the scene, not over it
 
-    def _click(self, event: viser.SceneClickEvent) -> None:
-        ray = event.ray_origin, event.ray_direction
-        self._changes.put(lambda chosen: self._exhibit.click(chosen, ray))
+    def _on_click(self, event: viser.SceneClickEvent) -> None:
+        ray = Ray(event.ray_origin, event.ray_direction)
+        self._changes.put(lambda choices: self._view_state.click(choices, ray))
 
-    def _show_other(self, exhibit: Exhibit) -> None:
-        """Show another exhibit with the same choices, as far as it has them; from any thread."""
+    def _show_view_state(self, view_state: ViewState) -> None:
+        """Show another grid, with the present choices as far as it has them; from any thread."""
 
-        def take(chosen: Choices) -> Choices:
-            self._exhibit = exhibit
-            self._chosen = keep_choices(chosen, exhibit.grid)
-            for node in list(self._shown):
-                self._put(node, None, list)
-            self._drawn = None
-            self._set_up()
-            return self._chosen
+        def change(choices: Choices) -> Choices:
+            self._view_state = view_state
+            self._choices = transfer_choices(choices, view_state.grid)
+            for name in list(self._shown):
+                self._replace_nodes(name, None, list)
+            self._scene_key = None
+            self._make_panel()
+            return self._choices
 
-        self._changes.put(take)
+        self._changes.put(change)
 
-    def _work(self) -> None:
+    def _run(self) -> None:
+        """Apply the changes that are waiting, draw, and wait for the next one, until the end."""
         changes: list[Change | None] = []
         while None not in changes:
-            for change in [*changes, self._show]:
-                try:  # an error is shown, and the page lives on
-                    self._chosen = change(self._chosen) if change else self._chosen
+            for change in [*changes, self._draw]:
+                try:  # an error is shown, and the page stays
+                    if change is not None:
+                        self._choices = change(self._choices)
                 except Exception as error:
                     if not isinstance(error, NavbakeError):
                         LOG.exception("the viewer failed")
-                    self._controls.say(say_error(error))
+                    self._controls.show_status(error_text(error))
             changes = [self._changes.get()]
             while not self._changes.empty():
                 changes.append(self._changes.get())
 
-    def _show(self, chosen: Choices) -> Choices:
+    def _draw(self, choices: Choices) -> Choices:
         """Bring the page up to date; only what has changed is sent."""
-        exhibit = self._exhibit
-        route = exhibit.route(chosen)
-        told = exhibit.tell(chosen)
-        if bool(chosen.dark) != self._dark:
-            self._dark = bool(chosen.dark)
-            self._server.gui.configure_theme(dark_mode=self._dark, **THEME)
+        view_state = self._view_state
+        route = view_state.route(choices)
+        inspection = view_state.inspect(choices)
+        if bool(choices.dark) != self._is_dark:
+            self._is_dark = bool(choices.dark)
+            self._server.gui.configure_theme(dark_mode=self._is_dark, **THEME)
         with self._server.atomic():
-            self._draw(chosen, route, told)
-            self._controls.show(chosen, route, told)
-        scene = id(exhibit), chosen.doors, chosen.with_hidden, chosen.with_scene, chosen.cut
-        if scene != self._drawn:  # takes longer than all else
-            self._controls.say("Drawing the scene…")
-            self._server.flush()
-            self._put_glb("/scene", exhibit.scene_glb(chosen))
-            self._put("/batches", scene, lambda: map(self._add_batch, exhibit.batches(chosen)))
-            self._drawn = scene
-            self._controls.say("")
-        return chosen
+            self._draw_grid(choices)
+            self._draw_route(choices, route)
+            self._draw_run(choices)
+            self._draw_inspection(inspection)
+            self._controls.update(choices, route, inspection)
+        self._draw_scene(choices)
+        return choices
 
-    def _draw(self, chosen: Choices, route: Route | str | None, told: Json | None) -> None:
-        """Draw all but the scene."""
-        exhibit = self._exhibit
-        for number in range(len(exhibit.grid.levels)):
-            overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
-            self._put_glb(f"/grid/{number}", overlay)
-        names = exhibit.names(chosen)
-        self._put("/names", names, lambda: map(self._write_name, names))
-        low, high = exhibit.bounds
-        radius = float(np.clip(np.linalg.norm(high - low) * MARK, *MARK_RADII))
-        clicks = (chosen.start, START), (chosen.goal, GOAL)
-        ends = [(found.position, color) for found, color in clicks if found is not None]
-        path = route.positions if isinstance(route, Route) else np.empty((0, 3))
-        drawn = ends, [(path, GOAL)], radius
-        self._put("/path", repr(drawn), lambda: self._draw_ways("/path", *drawn))
-        arcs = exhibit.arcs(chosen)
-        stops = [(arc[at], color) for arc, color in arcs for at in (0, -1)]
-        joined = "/links", stops, arcs, radius / 2
-        self._put("/links", id(arcs), lambda: self._draw_ways(*joined))
-        episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
-        ends = []
-        ways = []
-        if episode is not None:
-            ends = [(episode.start, START)]
-            places = map(goal_place, episode.goals)
-            ends += [(place, GOAL) for place in places if place is not None]
-            ways = [(exhibit.way(chosen), GOAL)]
-        if trajectory is not None:
-            ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
-        run = "/run", ends, ways, radius
-        key = id(exhibit), chosen.episode, exhibit.way(chosen).tobytes()
-        self._put("/run", key, lambda: self._draw_ways(*run))
-        told = told or {"lit": np.empty((0, 3)), "outline": np.empty((0, 3))}
-        lit = told["lit"].reshape(-1, 3)
-        cell = told["outline"]
-        self._put("/lit", lit.tobytes(), lambda: self._light(lit))
-        # the pole is seen where furniture hides the cell
-        mark = [(cell, LIT), (cell[:4].mean(axis=0) + POLE, LIT)] if len(cell) else []
-        self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], mark, 0))
+    def _draw_scene(self, choices: Choices) -> None:
+        """Draw the scene, which takes longer than all else."""
+        scene_key = (
+            id(self._view_state),
+            choices.doors,
+            choices.with_hidden,
+            choices.with_scene,
+            choices.cut,
+        )
+        if scene_key == self._scene_key:
+            return
+        self._controls.show_status("Drawing the scene…")
+        self._server.flush()
+        self._replace_glb("/scene", self._view_state.scene_glb(choices))
+        batches = self._view_state.batches(choices)
+        self._replace_nodes("/batches", scene_key, lambda: map(self._add_batch, batches))
+        self._scene_key = scene_key
+        self._controls.show_status("")
 
-    def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
-        """Put other nodes under a name, where the key is another than before."""
-        before, nodes = self._shown.get(name, (None, []))
-        if before != key:
-            for node in nodes:
+    def _draw_grid(self, choices: Choices) -> None:
+        """Draw the shown levels with their names and the arcs of links."""
+        view_state = self._view_state
+        for number in range(len(view_state.grid.levels)):
+            overlay = view_state.overlay(choices, number) if number in choices.levels else b""
+            self._replace_glb(f"/grid/{number}", overlay)
+        names = view_state.names(choices)
+        self._replace_nodes("/names", names, lambda: map(self._add_name, names))
+        arcs = view_state.arcs(choices)
+        stops = [Mark(arc.points[end], arc.color) for arc in arcs for end in (0, -1)]
+        lines = [Line(arc.points, arc.color) for arc in arcs]
+        radius = self._mark_radius() / 2
+        self._replace_nodes(
+            "/links", id(arcs), lambda: self._add_marks_and_lines("/links", stops, lines, radius)
+        )
+
+    def _draw_route(self, choices: Choices, route: Route | str | None) -> None:
+        """Draw the path between two clicks, and where they were."""
+        marks = []
+        if choices.start is not None:
+            marks.append(Mark(choices.start.position, START))
+        if choices.goal is not None:
+            marks.append(Mark(choices.goal.position, GOAL))
+        positions = route.positions if isinstance(route, Route) else np.empty((0, 3))
+        lines = [Line(positions, GOAL)]
+        radius = self._mark_radius()
+        self._replace_nodes(
+            "/path",
+            repr((marks, lines, radius)),
+            lambda: self._add_marks_and_lines("/path", marks, lines, radius),
+        )
+
+    def _draw_run(self, choices: Choices) -> None:
+        """Draw the start, goals and path of the chosen episode, and an agent's trajectory in it."""
+        path = self._view_state.episode_path(choices)
+        marks = []
+        lines = []
+        run = self._view_state.runs.get(choices.episode)
+        if run is not None and run.episode is not None:
+            marks.append(Mark(run.episode.start, START))
+            marks += [Mark(goal, GOAL) for goal in list_goal_positions(run.episode)]
+            lines.append(Line(path, GOAL))
+        if run is not None and run.trajectory is not None:
+            trajectory = np.array(run.trajectory.positions).reshape(-1, 3)
+            lines.append(Line(trajectory, TRAJECTORY))
+        radius = self._mark_radius()
+        self._replace_nodes(
+            "/run",
+            (id(self._view_state), choices.episode, path.tobytes()),
+            lambda: self._add_marks_and_lines("/run", marks, lines, radius),
+        )
+
+    def _draw_inspection(self, inspection: Inspection | None) -> None:
+        """Draw the outline of the inspected cell, and highlight what blocks it."""
+        corners: Reals = np.empty((0, 3))
+        lines = []
+        outline = b""
+        if inspection is not None:
+            corners = inspection.highlighted.reshape(-1, 3)
+            outline = inspection.outline.tobytes()
+            # the pole is seen where furniture hides the cell
+            pole = inspection.outline[:4].mean(axis=0) + POLE
+            lines = [Line(inspection.outline, HIGHLIGHT), Line(pole, HIGHLIGHT)]
+        self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight(corners))
+        self._replace_nodes(
+            "/cell", outline, lambda: self._add_marks_and_lines("/cell", [], lines, radius=0)
+        )
+
+    def _mark_radius(self) -> float:
+        """The radius of marks, which grows with the grid [m]."""
+        low, high = self._view_state.bounds
+        radius = np.linalg.norm(high - low) * MARK_SHARE
+        return float(np.clip(radius, MIN_MARK_RADIUS, MAX_MARK_RADIUS))
+
+    def _replace_nodes(
+        self, name: str, key: object, make: Callable[[], Iterable[viser.SceneNodeHandle]]
+    ) -> None:
+        """Replace the nodes under a name by those that `make` adds, if the key has changed."""
+        shown = self._shown.get(name, ShownNodes(None, []))
+        if shown.key != key:
+            for node in shown.nodes:
                 node.remove()
-            self._shown[name] = key, list(make())
+            self._shown[name] = ShownNodes(key, list(make()))
 
-    def _put_glb(self, name: str, content: bytes) -> None:
-        """Put a GLB on the page, where it is another than before; empty content takes it away."""
-        before, nodes = self._shown.get(name, (b"", []))
-        if content and nodes and content is not before:  # the node stays: nothing flickers
-            nodes[0].glb_data = content
-            self._shown[name] = content, nodes
-        else:
-            add = self._scene.add_glb
-            self._put(name, content, lambda: [add(name, content, **PLAIN)] if content else [])
+    def _replace_glb(self, name: str, content: bytes) -> None:
+        """Replace the GLB under a name if the content has changed; empty content removes it."""
+        shown: Any = self._shown.get(name, ShownNodes(b"", []))
+        if content and shown.nodes and content is not shown.key:
+            # the node stays, so that nothing flickers
+            shown.nodes[0].glb_data = content
+            self._shown[name] = ShownNodes(content, shown.nodes)
+            return
 
-    def _add_batch(self, batch_below: tuple[Batch, Bool]) -> Any:
-        """A mesh that several geoms show, at those of its places that are below the cut."""
-        batch, below = batch_below
-        where = batch.rotations[below], batch.positions[below]
-        style: Any = {"lod": batch.lod or "off", **PLAIN}
-        name = f"/batches/{batch.geoms[0]}"
-        return self._scene.add_batched_glb(name, batch.content, *where, **style)
+        def make() -> Iterator[viser.SceneNodeHandle]:
+            if content:
+                yield self._scene.add_glb(name, content, **NO_SHADOWS)
 
-    def _write_name(self, name: Name) -> Any:
-        """A name as high as fits its room, hidden by what stands before it."""
-        size: Any = {"font_size_mode": "scene", "font_scene_height": name.height}
-        style: Any = {"position": name.position, "anchor": "center-center", "depth_test": True}
-        where = "/names/{}/{}/{}".format(*name.position)
-        return self._scene.add_label(where, name.text, **size, **style)
+        self._replace_nodes(name, content, make)
 
-    def _draw_ways(
-        self, name: str, ends: list[tuple[Any, str]], ways: list[tuple[Float, str]], radius: float
-    ) -> Iterable[Any]:
-        """Draw places as balls of a radius [m], and lines from position to position."""
-        for number, ((x, y, z), color) in enumerate(ends):
-            at = (x, y, z + radius)
-            rgb = rgb_of(color)
-            yield self._scene.add_icosphere(f"{name}/{number}", radius, rgb, position=at, **PLAIN)
-        for number, (positions, color) in enumerate(ways):
-            if len(positions) > 1:
-                lifted = positions + np.array([0, 0, PATH_LIFT])
-                points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
-                style: Any = {"thickness": PATH_WIDTH, "thickness_units": "screen"}
-                where = f"{name}/line {number}"
-                yield self._scene.add_line_segments(where, points, rgb_of(color), **style)
+    def _add_batch(self, visible: VisibleBatch) -> viser.SceneNodeHandle:
+        """Add a mesh at the poses of its geoms that are drawn."""
+        batch = visible.batch
+        lod: Any = tuple((step.distance, step.share) for step in batch.lod) or "off"
+        return self._scene.add_batched_glb(
+            f"/batches/{batch.geoms[0]}",
+            batch.content,
+            batch.rotations[visible.is_drawn],
+            batch.positions[visible.is_drawn],
+            lod=lod,
+            **NO_SHADOWS,
+        )
 
-    def _light(self, corners: Float) -> Iterable[Any]:
-        """Draw triangles, each three corners, over what they are triangles of."""
-        if len(corners):
-            middle = corners.mean(axis=0)
-            half = np.maximum(np.abs(corners - middle).max(axis=0), GROWN)
-            grown = middle + (corners - middle) * (1 + GROWN / half)
-            faces = np.arange(len(corners)).reshape(-1, 3)
-            style: Any = {"opacity": 0.75, "flat_shading": True, "side": "double", **PLAIN}
-            yield self._scene.add_mesh_simple("/lit/0", grown, faces, color=rgb_of(LIT), **style)
+    def _add_name(self, name: NameLabel) -> viser.SceneNodeHandle:
+        """Add a name, in letters that fit its room; what stands before it hides it."""
+        return self._scene.add_label(
+            "/names/{}/{}/{}".format(*name.position),
+            name.text,
+            position=name.position,
+            anchor="center-center",
+            depth_test=True,
+            font_size_mode="scene",
+            font_scene_height=name.height,
+        )
+
+    def _add_marks_and_lines(
+        self, name: str, marks: Sequence[Mark], lines: Sequence[Line], radius: float
+    ) -> Iterator[viser.SceneNodeHandle]:
+        """Add balls of a radius [m] at marks, and lines, to the nodes under a name."""
+        for number, mark in enumerate(marks):
+            x, y, z = mark.position
+            yield self._scene.add_icosphere(
+                f"{name}/{number}",
+                radius,
+                rgb_of(mark.color),
+                position=(x, y, z + radius),
+                **NO_SHADOWS,
+            )
+        for number, line in enumerate(lines):
+            if len(line.positions) < 2:
+                continue
+            lifted = line.positions + np.array([0, 0, PATH_LIFT])
+            yield self._scene.add_line_segments(
+                f"{name}/line {number}",
+                np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32),
+                rgb_of(line.color),
+                thickness=PATH_WIDTH,
+                thickness_units="screen",
+            )
+
+    def _add_highlight(self, corners: Reals) -> Iterator[viser.SceneNodeHandle]:
+        """Add triangles, each three rows of corners, a little larger than what they cover."""
+        if not len(corners):
+            return
+        middle = corners.mean(axis=0)
+        half_size = np.maximum(np.abs(corners - middle).max(axis=0), HIGHLIGHT_MARGIN)
+        yield self._scene.add_mesh_simple(
+            "/lit/0",
+            middle + (corners - middle) * (1 + HIGHLIGHT_MARGIN / half_size),
+            np.arange(len(corners)).reshape(-1, 3),
+            color=rgb_of(HIGHLIGHT),
+            opacity=0.75,
+            flat_shading=True,
+            side="double",
+            **NO_SHADOWS,
+        )
 
     def _watch(self, watch: Watch) -> None:
-        """Read again whatever has changed; what can't be read is said, and the last stays."""
+        """Show the grid anew when its files have changed; after an error, the last one stays."""
 
-        def say(chosen: Choices) -> Choices:
-            self._controls.say("Files have changed: baking again…")
-            return chosen
+        def announce(choices: Choices) -> Choices:
+            self._controls.show_status("Files have changed: baking again…")
+            return choices
 
-        def fail(error: Exception, chosen: Choices) -> Choices:
+        def fail(error: Exception, _: Choices) -> Choices:
             raise error
 
-        while not self._closed.wait(PERIOD):
+        while not self._closed.wait(WATCH_PERIOD):
             try:
-                if watch.look():
-                    self._changes.put(say)
-                    self._show_other(watch.read())
-            except Exception as error:  # whoever mends the file may mend this, too
+                if watch.has_changed():
+                    self._changes.put(announce)
+                    self._show_view_state(watch.read())
+            except Exception as error:  # the next version of the files may be right again
                 self._changes.put(partial(fail, error))
 
 
 def view(
     grid: NavGrid | str | PathLike[str],
-    scene: Any = None,
+    scene: SceneLike = None,
     *,
-    data: Any = None,
+    data: mujoco.MjData | None = None,
     host: str = HOST,
     port: int = PORT,
     open_page: bool = True,
@@ -369,8 +531,8 @@ def view(
 ) -> Viewer:
     """Show a grid in its scene, in the browser; see ``docs/viewer.md``.
 
-    The page is served on this machine alone unless `host` says otherwise, and asks for nothing
-    from anywhere else.
+    The page is served on this machine alone unless `host` says otherwise, and loads nothing from
+    the network.
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
@@ -380,17 +542,17 @@ def view(
             the grid is shown alone.
         data: the mujoco.MjData with the pose of a model or spec.
         host: address of this machine to listen at.
-        port: where to listen; 0 for any free port.
+        port: to listen at, 0 to 65535; 0 for any free port.
         open_page: open the page in the browser.
         force: show the grid in a scene that it was not baked from.
         allow_origin: further addresses at which browsers may show the page, such as that of a
             proxy: ``https://lab.example.org``.
-        episodes: a set to show episodes of, or its file.
-        trajectories: where an agent was in episodes, or a file of `read_trajectories`.
+        episodes: a set of episodes to show, or its file.
+        trajectories: where an agent was in episodes, or a file that `read_trajectories` reads.
 
     Returns:
-        What closes the page: call its `close`, or its `wait` to wait for Ctrl-C. Its `show` puts
-        another grid on the page, and its `url` says where that is.
+        A viewer. Its `close` takes the page away, `wait` waits for Ctrl-C, `show` shows another
+        grid on the page, and `url` is the page's address.
 
     Raises:
         MissingDependencyError: viser is not installed.
@@ -403,83 +565,131 @@ def view(
         >>> grid = navbake.bake("my_scene.xml")
         >>> navbake.view(grid, scene="my_scene.xml").wait()
     """
-    more: Any = {"episodes": episodes, "trajectories": trajectories}
-    exhibit = make_exhibit(grid, scene, data=data, force=force, **more)
-    viewer = Viewer(exhibit, PageServer(host, port, allowed=allow_origin))
+    view_state = make_view_state(
+        grid, scene, data=data, force=force, episodes=episodes, trajectories=trajectories
+    )
+    viewer = Viewer(view_state, PageServer(host, port, allowed=allow_origin))
     if open_page:
         viewer.open()
     return viewer
 
 
-def make_exhibit(
+def make_view_state(
     grid: NavGrid | str | PathLike[str],
-    scene: Any = None,
+    scene: SceneLike = None,
     *,
-    data: Any = None,
+    data: mujoco.MjData | None = None,
     force: bool = False,
     episodes: EpisodeSet | str | PathLike[str] | None = None,
     trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
-) -> Exhibit:
-    """What is shown of a grid and its scene; takes and raises what `view` does."""
-    # loads MuJoCo, which a page without a scene could do without
+) -> ViewState:
+    """Read a grid and its scene for the viewer; arguments and errors are those of `view`."""
+    # loads MuJoCo, which a page without a scene doesn't need
     from navbake.verifier.source import NoSceneError, find_source
 
-    path = None if isinstance(grid, GridBase) else Path(grid)
-    content: Any = grid if path is None else read_navgrid(path)
+    path = None
+    if not isinstance(grid, GridBase):
+        path = Path(grid)
+        grid = read_navgrid(path)
     if isinstance(episodes, str | PathLike):
         episodes = read_episodes(episodes)
     if isinstance(trajectories, str | PathLike):
         trajectories = read_trajectories(trajectories)
-    runs = list_runs(content, episodes, trajectories)
+    runs = list_runs(grid, episodes, trajectories)
     try:
-        shown, config, notes = find_source(content, scene, path, force=force, data=data)
+        loaded_scene, config, notes = find_source(grid, scene, path, force=force, data=data)
     except NoSceneError as error:
         if scene is not None:
             raise
-        return Exhibit(content, note=f"Without its scene: {error}", runs=runs)
-    note = "; ".join(notes) if content.navbake else ""
-    return Exhibit(content, shown, config, note=note, runs=runs)
+        return ViewState(grid, note=f"Without its scene: {error}", runs=runs)
+    note = "; ".join(notes) if grid.navbake else ""
+    return ViewState(grid, loaded_scene, config, note=note, runs=runs)
 
 
-def watch_grid(grid: str | PathLike[str], scene: str | PathLike[str] | None, **more: Any) -> Watch:
-    """Reads the exhibit of a grid's file, again when grid or scene change."""
-    named = [Path(path) for path in (grid, scene) if path is not None]
-    return Watch(lambda: make_exhibit(grid, scene, **more), lambda: find_files(named))
+def watch_grid(
+    grid: str | PathLike[str],
+    scene: str | PathLike[str] | None,
+    *,
+    force: bool = False,
+    episodes: str | PathLike[str] | None = None,
+    trajectories: str | PathLike[str] | Sequence[Trajectory] = (),
+) -> Watch:
+    """Watch the files of a grid and of its scene.
+
+    Args:
+        grid: the grid's file.
+        scene: the scene's file, None for the one that the grid names.
+        force: see `view`.
+        episodes: see `view`.
+        trajectories: see `view`.
+
+    Returns:
+        A watch whose `read` reads both again.
+    """
+    paths = [Path(path) for path in (grid, scene) if path is not None]
+    return Watch(
+        lambda: make_view_state(
+            grid, scene, force=force, episodes=episodes, trajectories=trajectories
+        ),
+        lambda: find_watched_files(paths),
+    )
 
 
-def find_files(paths: Iterable[Path]) -> list[Path]:
-    """Files and all that scenes among them name; of a missing file, all places it may be at."""
-    found = (find_inputs(path, looks=True, missing=True) for path in paths)
-    return [*dict.fromkeys(path for of_one in found for path in of_one)]
+def find_watched_files(paths: Iterable[Path]) -> list[Path]:
+    """List files and all files that scenes among them name, each once.
+
+    A named file that is missing is listed at each place where it may be.
+    """
+    files: dict[Path, None] = {}
+    for path in paths:
+        files |= dict.fromkeys(find_inputs(path, looks=True, missing=True))
+    return list(files)
+
+
+class FileState(NamedTuple):
+    """What changes when a file is written."""
+
+    modified: int  # time of the last change [ns]
+    size: int  # [bytes]
 
 
 class Watch:
-    """Notices when files have changed and rest again, from when it is made.
+    """Notices when files have changed and are no longer being written.
 
-    `read` reads or bakes the exhibit; `files` is called again after each change, for a scene
-    may name others then.
+    Changes count from the construction on.
     """
 
-    def __init__(self, read: Callable[[], Exhibit], files: Callable[[], Iterable[Path]]) -> None:
+    def __init__(self, read: Callable[[], ViewState], files: Callable[[], Iterable[Path]]) -> None:
+        """Begin to watch files.
+
+        Args:
+            read: reads or bakes the grid; a caller calls it after a change.
+            files: lists the files to watch; called again after each change, because a scene may
+                then name other files.
+        """
         self.read = read
         self._list_files = files
-        self._known = self._last = self._state_of(files())
+        # the state after the last change that counted, and at the last check
+        self._reported = _read_states(files())
+        self._previous = self._reported
 
-    def _state_of(self, files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
-        """When each file was written, and its size; None for one that isn't there."""
-        state: dict[Path, tuple[int, int] | None] = dict.fromkeys(files)
-        for path in state:
-            with suppress(OSError, ValueError):  # ValueError: a name with a NUL
-                status = os.stat(path)
-                state[path] = status.st_mtime_ns, status.st_size
-        return state
-
-    def look(self) -> bool:
-        """Whether the files are others than when this was last true, and as at the last look."""
-        now = self._state_of(self._known)
-        rests = now == self._last
-        self._last = now
-        if not rests or now == self._known:
+    def has_changed(self) -> bool:
+        """Whether files differ from when this was last true, and not from the last call."""
+        current = _read_states(self._reported)
+        is_stable = current == self._previous
+        self._previous = current
+        if not is_stable or current == self._reported:
             return False
-        self._known = self._last = self._state_of(self._list_files())
+        self._reported = _read_states(self._list_files())
+        self._previous = self._reported
         return True
+
+
+def _read_states(files: Iterable[Path]) -> dict[Path, FileState | None]:
+    """The states of files, None for a file that is missing."""
+    states: dict[Path, FileState | None] = dict.fromkeys(files)
+    for path in states:
+        with suppress(OSError, ValueError):  # ValueError: a name with a NUL
+            status = os.stat(path)
+            states[path] = FileState(status.st_mtime_ns, status.st_size)
+    return states

@@ -17,17 +17,18 @@ from PIL import Image
 
 import navbake
 from grid_maps import level_from
-from navbake.views.viewer.exhibit import first_choices
 from navbake.views.viewer.meshes import (
     FLAT,
     LIFT,
+    Ray,
     Surface,
     draw_overlay,
-    lay_carpet,
+    make_floor_surface,
     make_glb,
 )
-from navbake.views.viewer.view import make_exhibit
-from viewer_scenes import room_exhibit
+from navbake.views.viewer.view import make_view_state
+from navbake.views.viewer.view_state import first_choices
+from viewer_scenes import room_view_state
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 3]], dtype=np.float32)
 FACES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
@@ -70,11 +71,11 @@ def test_what_shines_through_says_so():
         assert b'"alphaMode":"' + mode in make_glb([part])
 
 
-def floors_of(carpet, level):
-    """How often each cell is covered, and the height of the carpet there."""
+def floors_of(floor_surface, level):
+    """How often each cell is covered, and the height of the floor_surface there."""
     covered, height = np.zeros(level.shape, np.int64), np.full(level.shape, np.nan)
     xy = level.lattice.positions(*np.indices(level.shape))
-    for corners in carpet.vertices.reshape(-1, 4, 3).astype(np.float64):
+    for corners in floor_surface.vertices.reshape(-1, 4, 3).astype(np.float64):
         low, high = corners[0], corners[2]
         inside = ((xy > low[:2]) & (xy < high[:2])).all(axis=-1)
         covered += inside
@@ -95,11 +96,11 @@ def test_each_cell_with_a_floor_is_covered_once_at_its_height(seed, height, widt
     floor[rng.random(floor.shape) < 0.1 * kind] = np.nan
     level = level_from("\n".join(["." * width] * height))
     level.attributes["floorHeight"] = floor.astype(np.float32)
-    covered, drawn = floors_of(lay_carpet(level), level)
+    covered, drawn = floors_of(make_floor_surface(level), level)
     has_floor = ~np.isnan(floor)
     np.testing.assert_array_equal(covered, has_floor)
     assert (np.abs(drawn - LIFT - FLAT - level.floor)[has_floor] <= FLAT + 1e-4).all()
-    covered, _ = floors_of(lay_carpet(level, with_holes=False), level)
+    covered, _ = floors_of(make_floor_surface(level, with_holes=False), level)
     assert (covered == 1).all()
 
 
@@ -107,11 +108,11 @@ def test_a_flat_floor_and_a_ramp_take_few_rectangles_and_hills_are_drawn_coarser
     level = level_from("\n".join(["." * 200] * 200))
     floor = level.attributes["floorHeight"]
     floor[:] = 0
-    assert len(lay_carpet(level).vertices) == 4
+    assert len(make_floor_surface(level).vertices) == 4
     floor[:] = np.arange(200) * 0.02
-    assert len(lay_carpet(level).vertices) < 100
+    assert len(make_floor_surface(level).vertices) < 100
     floor[:] = np.random.default_rng(0).random(floor.shape)
-    assert len(lay_carpet(level, most=2000).vertices) <= 4 * 2000
+    assert len(make_floor_surface(level, max_rectangles=2000).vertices) <= 4 * 2000
 
 
 def parse(content):
@@ -133,11 +134,11 @@ def parse(content):
 
 
 def test_a_pixel_lies_on_its_cell():
-    level = room_exhibit().grid.levels[0]
+    level = room_view_state().grid.levels[0]
     rows, cols = np.indices(level.shape)
     rgb = np.dstack([rows, cols, np.zeros_like(rows)]).astype(np.uint8)
     seen = np.zeros(level.shape, np.int64)
-    for places, uv, pixels in parse(draw_overlay(lay_carpet(level), rgb)):
+    for places, uv, pixels in parse(draw_overlay(make_floor_surface(level), rgb)):
         for corner, at in zip(places, uv, strict=True):
             (x0, y0), (x1, y1) = corner[:, :2].min(axis=0), corner[:, :2].max(axis=0)
             xy = level.lattice.positions(rows, cols)
@@ -155,16 +156,16 @@ def test_a_pixel_lies_on_its_cell():
 
 @pytest.fixture(scope="module")
 def room():
-    return room_exhibit()
+    return room_view_state()
 
 
 def down(x, y):
-    return (x, y, 10), (0, 0, -1)
+    return Ray((x, y, 10), (0, 0, -1))
 
 
-def pick_in(exhibit, ray, **choices):
-    chosen = replace(first_choices(exhibit.grid), cut=None, **choices)
-    return exhibit.click(chosen, ray).inspected
+def pick_in(view_state, ray, **choices):
+    chosen = replace(first_choices(view_state.grid), cut=None, **choices)
+    return view_state.click(chosen, ray).inspected
 
 
 def test_the_floor_is_a_cell_and_a_table_is_the_cell_below(room):
@@ -179,7 +180,7 @@ def test_the_floor_is_a_cell_and_a_table_is_the_cell_below(room):
 
 def test_nothing_is_nothing(room):
     assert pick_in(room, down(50, 50)) is None
-    assert pick_in(room, ((0, 0, 10), (0, 0, 1))) is None
+    assert pick_in(room, Ray((0, 0, 10), (0, 0, 1))) is None
 
 
 def test_what_is_not_drawn_is_not_clicked(room):
@@ -192,7 +193,7 @@ def test_clicks_meet_what_mujocos_rays_meet():
     model = mujoco.MjModel.from_xml_path(str(scene))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    exhibit = make_exhibit(navbake.bake(model, grid={"cell_size": 0.2}), model)
+    view_state = make_view_state(navbake.bake(model, grid={"cell_size": 0.2}), model)
     rng = np.random.default_rng(0)
     is_box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     met = 0
@@ -201,7 +202,7 @@ def test_clicks_meet_what_mujocos_rays_meet():
         direction = np.array([*rng.uniform(-0.5, 0.5, 2), -1.0])
         geom = np.zeros(1, dtype=np.int32)
         mujoco.mj_ray(model, data, origin, direction, None, 1, -1, geom, None)
-        found = pick_in(exhibit, (origin, direction))
+        found = pick_in(view_state, Ray(origin, direction))
         # floors are met as cells, and round things have corners here
         if geom[0] >= 0 and is_box[geom[0]] and found is not None and found.geom is not None:
             met += 1
@@ -212,12 +213,12 @@ def test_clicks_meet_what_mujocos_rays_meet():
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 def test_of_two_storeys_the_one_below_the_click_counts():
     house = navbake.samples.path("house")
-    exhibit = make_exhibit(navbake.bake(house), house)
-    grid = exhibit.grid
+    view_state = make_view_state(navbake.bake(house), house)
+    grid = view_state.grid
     upper, lower = grid.levels[1], grid.levels[0]
     floors = np.argwhere((np.abs(upper.floor - upper.ground) < 0.01)[: lower.height, : lower.width])
     row, col = floors[len(floors) // 2]
     x, y = upper.lattice.positions(row, col)
-    ray = (x, y, upper.ground + 0.5), (0, 0, -1)
-    assert pick_in(exhibit, ray).cell.level == 1
-    assert pick_in(exhibit, ray, levels=(0,), with_scene=False).cell.level == 0
+    ray = Ray((x, y, upper.ground + 0.5), (0, 0, -1))
+    assert pick_in(view_state, ray).cell.level == 1
+    assert pick_in(view_state, ray, levels=(0,), with_scene=False).cell.level == 0

@@ -16,8 +16,9 @@ from browser import (
     strangers_of,
     wait_until,
 )
-from navbake.views.viewer.controls import HINT_GOAL, plain, say_cell
+from navbake.views.viewer.controls import HINT_GOAL, cell_text, escape_markdown
 from navbake.views.viewer.server import PageServer
+from navbake.views.viewer.view_state import Inspection
 from viewer_page import ViewerPage, run_view
 from viewer_scenes import write_room
 
@@ -162,11 +163,13 @@ def test_names_from_files_do_not_run():
     facts = dict.fromkeys(("floor", "weight", "island", "level", "cell", "row", "col"), 0)
     facts |= {"free": False, "occupied": True, "center": (0.0, 0.0), "room": NASTY[0]}
     facts |= {"blockers": list(NASTY), "objects": list(NASTY), "walls": [], "doors": []}
-    facts |= {"clicked": NASTY[0], "area": NASTY[1], "links": list(NASTY)}
+    facts |= {"area": NASTY[1], "links": list(NASTY)}
+    nothing = np.empty((0, 3))
+    inspection = Inspection(facts, NASTY[0], highlighted=nothing, outline=nothing)
     server = PageServer(port=0)
     try:
-        server.viser.gui.add_markdown(say_cell(facts, None))
-        server.viser.gui.add_markdown(f"**{plain(NASTY[1])}** shown")
+        server.viser.gui.add_markdown(cell_text(inspection, None))
+        server.viser.gui.add_markdown(f"**{escape_markdown(NASTY[1])}** shown")
         with open_browser(900, 640) as driver:
             driver.get(server.url)
             text = lambda: driver.execute_script("return document.body.innerText")  # noqa: E731

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from navbake.views.viewer import meshes
-from navbake.views.viewer.exhibit import Exhibit, first_choices
 from navbake.views.viewer.meshes import Drawing, Surface, coarsen, cut_drawing, draw_scene
-from viewer_scenes import room_exhibit
+from navbake.views.viewer.view_state import ViewState, first_choices
+from viewer_scenes import room_view_state
 
 # whole millimetres or so: a corner is in the plane of a cut or clearly beside it
 HEIGHTS = st.integers(-3072, 3072).map(lambda n: n / 1024)
@@ -69,7 +69,7 @@ def test_a_mesh_is_where_mujoco_has_it():
 
 def test_meshes_that_look_alike_are_sent_once_where_mujoco_has_them(monkeypatch):
     """Those across the cut, of another colour, tilted or few are sent as triangles."""
-    monkeypatch.setattr(meshes, "MOST_DRAWN", 20)  # some have to be drawn coarser
+    monkeypatch.setattr(meshes, "MAX_MESH_TRIANGLES", 20)  # some have to be drawn coarser
     asset = '<mesh name="w" vertex="0 0 0 1 0 0 0 2 0 0 0 3"/>'
     geom = '<geom type="mesh" mesh="w" pos="{} 0 {}" euler="{} 0 {}" rgba="{} 0 0 1"/>'.format
     alike = [geom(3 * n, 0.1 * n, 0, 40 * n, 1) for n in range(6)]
@@ -81,7 +81,7 @@ def test_meshes_that_look_alike_are_sent_once_where_mujoco_has_them(monkeypatch)
     assert batch.geoms.tolist() == [*range(6)] and [share for _, share in batch.lod] == [0.5, 0.5]
     sent = trimesh.load(io.BytesIO(batch.content), file_type="glb", force="mesh", process=False)
     exact = np.concatenate([one.vertices[one.faces].reshape(-1, 3) for one in drawing.surfaces])
-    owners = np.concatenate([np.repeat(one.owners, 3) for one in drawing.surfaces])
+    owners = np.concatenate([np.repeat(one.face_geoms, 3) for one in drawing.surfaces])
     for geom, turn, place in zip(batch.geoms, batch.rotations, batch.positions, strict=True):
         placed = sent.vertices @ trimesh.transformations.quaternion_matrix(turn)[:3, :3].T + place
         np.testing.assert_allclose(
@@ -91,17 +91,17 @@ def test_meshes_that_look_alike_are_sent_once_where_mujoco_has_them(monkeypatch)
     lowest = [exact[owners == geom, 2].max() for geom in batch.geoms]
     np.testing.assert_allclose(batch.tops, lowest, atol=1e-5)
     # the cut parts them: each geom is sent in one way
-    exhibit = Exhibit(room_exhibit().grid, scene)
-    chosen = replace(first_choices(exhibit.grid), cut=(lowest[2] + lowest[3]) / 2)
-    ((_, below),) = exhibit.batches(chosen)
+    view_state = ViewState(room_view_state().grid, scene)
+    chosen = replace(first_choices(view_state.grid), cut=(lowest[2] + lowest[3]) / 2)
+    ((_, below),) = view_state.batches(chosen)
     assert below.tolist() == [True] * 3 + [False] * 3
-    rest = trimesh.load(io.BytesIO(exhibit.scene_glb(chosen)), file_type="glb", process=False)
+    rest = trimesh.load(io.BytesIO(view_state.scene_glb(chosen)), file_type="glb", process=False)
     whole = replace(chosen, cut=None)
-    uncut = trimesh.load(io.BytesIO(exhibit.scene_glb(whole)), file_type="glb", process=False)
-    assert exhibit.batches(whole)[0][1].all() and not exhibit.batches(replace(whole, cut=1.0))
+    uncut = trimesh.load(io.BytesIO(view_state.scene_glb(whole)), file_type="glb", process=False)
+    assert view_state.batches(whole)[0][1].all() and not view_state.batches(replace(whole, cut=1.0))
     assert rest.bounds[0, 0] == pytest.approx(exact[owners == 3, 0].min(), abs=1e-4)
     assert uncut.bounds[0, 0] == pytest.approx(20, abs=1e-4)
-    assert not exhibit.batches(replace(whole, with_scene=False))
+    assert not view_state.batches(replace(whole, with_scene=False))
 
 
 def test_a_height_field_is_as_high_as_it_says():
@@ -126,15 +126,15 @@ def test_an_endless_plane_reaches_beyond_all_else():
 
 
 def test_what_is_hidden_is_drawn_when_asked_for():
-    exhibit = room_exhibit()
-    drawing = draw_scene(exhibit.scene)
+    view_state = room_view_state()
+    drawing = draw_scene(view_state.scene)
     geoms = {int(geom) for one in drawing.surfaces for geom in one.geom}
     assert drawing.names == ("floor", "wall", "shown", "hidden", "table")
     assert drawing.has_hidden
     assert geoms == {0, 1, 2, 4}
-    more = draw_scene(exhibit.scene, with_hidden=True)
+    more = draw_scene(view_state.scene, with_hidden=True)
     assert 3 in np.concatenate([one.geom for one in more.surfaces])
-    fewer = draw_scene(exhibit.scene, removed={1})
+    fewer = draw_scene(view_state.scene, removed={1})
     assert 1 not in np.concatenate([one.geom for one in fewer.surfaces])
 
 

@@ -14,27 +14,27 @@ from navbake.navgrid.colors import rgb_of
 from navbake.scores import Trajectory
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.viewer import controls as texts
-from navbake.views.viewer.exhibit import (
+from navbake.views.viewer.meshes import Pick
+from navbake.views.viewer.view import make_view_state
+from navbake.views.viewer.view_state import (
+    FREE_TINT,
     INSPECT,
-    LETTER,
     NAME_HEIGHT,
     ROUTE,
-    TINT,
-    Exhibit,
+    Run,
+    ViewState,
     first_choices,
-    keep_choices,
     list_runs,
+    transfer_choices,
     triangles_of,
 )
-from navbake.views.viewer.meshes import Pick
-from navbake.views.viewer.view import make_exhibit
 from project_paths import GOLDEN
-from viewer_scenes import ROOM, room_exhibit
+from viewer_scenes import ROOM, room_view_state
 
 
 @pytest.fixture(scope="module")
 def room():
-    return room_exhibit()
+    return room_view_state()
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +42,8 @@ def chosen(room):
     return first_choices(room.grid)
 
 
-def at(exhibit, x, y, level=0, geom=None):
-    cell = exhibit.grid.cell_at((x, y), level)
+def at(view_state, x, y, level=0, geom=None):
+    cell = view_state.grid.cell_at((x, y), level)
     return Pick(cell, (x, y, 0.0), geom)
 
 
@@ -61,65 +61,65 @@ def test_the_radius_frees_what_inflate_frees(room, chosen):
         free, _, area = counts = room.count(now)
         assert free == np.count_nonzero(expected.free)
         assert area == pytest.approx(free * 0.01)
-        assert f"{free:,} free cells" in texts.say_counts(counts, room.count(chosen))
+        assert f"{free:,} free cells" in texts.counts_text(counts, room.count(chosen))
         np.testing.assert_array_equal(room.shown_grid(now).weights, expected.weights)
 
 
 def test_a_path_follows_two_clicks(room, chosen):
     now = replace(chosen, click=ROUTE)
-    assert texts.say_route(now, room.route(now)) == texts.HINT_START
+    assert texts.route_text(now, room.route(now)) == texts.HINT_START
     now = now.with_click(at(room, -1.5, -1.0))
-    assert texts.say_route(now, room.route(now)) == texts.HINT_GOAL
+    assert texts.route_text(now, room.route(now)) == texts.HINT_GOAL
     now = now.with_click(at(room, 1.5, -1.0))
     route = room.route(now)
     expected = navbake.PathFinder(room.grid).find_path((-1.5, -1.0), (1.5, -1.0))
     np.testing.assert_array_equal(route.positions, expected.positions)
-    assert f"{expected.length:.2f}".replace(".", "\\.") in texts.say_route(now, route)
+    assert f"{expected.length:.2f}".replace(".", "\\.") in texts.route_text(now, route)
     # too wide for the opening: the reason is the finder's
     wide = replace(now, inflation=(0.9, 0.0))
     assert isinstance(room.route(wide), str)
-    assert "No path" in texts.say_route(wide, room.route(wide))
+    assert "No path" in texts.route_text(wide, room.route(wide))
     # the third click begins again
     again = now.with_click(at(room, 0.5, 1.3))
     assert again.goal is None and again.start.position[0] == 0.5
 
 
 def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
-    told = room.tell(replace(chosen, inspected=at(room, 1.02, 0.52, geom=4)))
-    assert told.items() >= room.grid.describe_cell(1.02, 0.52, 0).items()
-    assert told["clicked"] == "table"
-    text = texts.say_cell(told, None)
+    inspection = room.inspect(replace(chosen, inspected=at(room, 1.02, 0.52, geom=4)))
+    assert inspection.facts.items() >= room.grid.describe_cell(1.02, 0.52, 0).items()
+    assert inspection.clicked == "table"
+    text = texts.cell_text(inspection, None)
     assert "**blocked** by <code>table</code>" in text
-    corners = told["lit"].reshape(-1, 3)
+    corners = inspection.highlighted.reshape(-1, 3)
     np.testing.assert_allclose(corners.min(axis=0), [0.7, 0.2, 0], atol=0.02)
     np.testing.assert_allclose(corners.max(axis=0), [1.3, 0.8, 0.7], atol=0.02)
-    free = room.tell(replace(chosen, inspected=at(room, -1.5, 1.0)))
-    assert "**free**" in texts.say_cell(free, None) and not len(free["lit"])
+    free = room.inspect(replace(chosen, inspected=at(room, -1.5, 1.0)))
+    assert "**free**" in texts.cell_text(free, None) and not len(free.highlighted)
     near = replace(chosen, inspected=at(room, 0.15, -0.5), inflation=(0.3, 0.0))
-    assert "nearer to something than the radius" in texts.say_cell(room.tell(near), (0.3, 0.0))
-    assert texts.say_cell(room.tell(chosen), None) == texts.HINT_INSPECT
+    assert "nearer to something than the radius" in texts.cell_text(room.inspect(near), (0.3, 0.0))
+    assert texts.cell_text(room.inspect(chosen), None) == texts.HINT_INSPECT
 
 
 def test_what_is_lit_obeys_the_cut_and_goes_with_the_mode(room, chosen):
     now = replace(chosen, inspected=at(room, 1.02, 0.52, geom=4), cut=0.4)
-    told = room.tell(now)
-    assert told["lit"][..., 2].max() <= 0.4 + 1e-6
+    inspection = room.inspect(now)
+    assert inspection.highlighted[..., 2].max() <= 0.4 + 1e-6
     row, col = now.inspected.cell[1:]
-    corners = told["outline"][:4, :2]
+    corners = inspection.outline[:4, :2]
     np.testing.assert_allclose(corners.mean(axis=0), room.grid.lattice.positions(row, col))
     np.testing.assert_allclose(np.ptp(corners, axis=0), 0.1)
-    assert room.tell(replace(now, click=ROUTE)) is None
-    assert len(room.tell(replace(now, with_scene=False))["lit"]) == 0
+    assert room.inspect(replace(now, click=ROUTE)) is None
+    assert len(room.inspect(replace(now, with_scene=False)).highlighted) == 0
     assert now.without_clicks().inspected is None
 
 
 def test_free_cells_are_tinted_and_counted_by_storey():
     grid = navbake.load(GOLDEN / "house.grid.json.gz")
-    exhibit, chosen = Exhibit(grid), first_choices(grid)
-    panel = exhibit.panel(chosen, 0)
-    assert dict(panel.legend)["free"] == TINT
-    assert (panel.rgb[grid.levels[0].free] == rgb_of(TINT)).all()
-    frees = [exhibit.count(chosen.with_level(grid, k))[0] for k in (0, 1, None)]
+    view_state, chosen = ViewState(grid), first_choices(grid)
+    panel = view_state.panel(chosen, 0)
+    assert dict(panel.legend)["free"] == FREE_TINT
+    assert (panel.rgb[grid.levels[0].free] == rgb_of(FREE_TINT)).all()
+    frees = [view_state.count(chosen.with_level(grid, k))[0] for k in (0, 1, None)]
     assert frees == [*(np.count_nonzero(level.free) for level in grid.levels), sum(frees[:2])]
 
 
@@ -127,11 +127,11 @@ def test_names_fit_their_rooms_and_keep_clear_of_each_other():
     grid = navbake.load(GOLDEN / "house.grid.json.gz")
     for layer, level in (("rooms", None), ("doors", 0), ("doors", 1)):
         chosen = replace(first_choices(grid), layer=layer).with_level(grid, level)
-        names = Exhibit(grid).names(chosen)
+        names = ViewState(grid).names(chosen)
         assert len(names) >= 3 and all(0 < name.height <= NAME_HEIGHT for name in names)
         for one, other in combinations(names, 2):
             if abs(one.position[2] - other.position[2]) < 1:
-                wide = LETTER * (len(one.text) * one.height + len(other.text) * other.height) / 2
+                wide = (one.width + other.width) / 2
                 apart = np.abs(np.subtract(one.position, other.position))
                 assert apart[0] >= wide or apart[1] >= (one.height + other.height) / 2
 
@@ -146,7 +146,7 @@ def test_episodes_and_trajectories_of_the_scene_are_listed():
     assert list(runs) == [each.id for each in episodes.episodes]
     assert runs[own.id] == (own, ran)
     assert list_runs(grid, None, [other]) == {"another": (None, other)}
-    assert f"{own.distance:.2f}".replace(".", "\\.") in texts.say_episode(own)
+    assert f"{own.distance:.2f}".replace(".", "\\.") in texts.episode_text(own)
 
 
 def test_an_episode_without_a_path_has_a_shortest_one():
@@ -154,16 +154,22 @@ def test_an_episode_without_a_path_has_a_shortest_one():
     (bare,) = make_episodes(grid, "point", count=1).episodes
     stored = msgspec.structs.replace(bare, id="stored", path=((0, 0, 0), (1, 0, 0)))
     lost = msgspec.structs.replace(bare, id="lost", start=(99.0, 99.0, 0.0))
-    runs = {each.id: (each, None) for each in (bare, stored, lost)} | {"driven": (None, None)}
-    exhibit = Exhibit(grid, runs=runs)
+    runs = {each.id: Run(each, None) for each in (bare, stored, lost)} | {"driven": Run(None, None)}
+    view_state = ViewState(grid, runs=runs)
     chosen = first_choices(grid)
-    way = exhibit.way(replace(chosen, episode=bare.id))
+    path = view_state.episode_path(replace(chosen, episode=bare.id))
     goal = [bare.goals[0].position]
-    path = navbake.PathFinder(grid).find_path(bare.start, goal)
-    np.testing.assert_array_equal(way, path.positions)
-    assert exhibit.way(replace(chosen, episode="stored")).tolist() == [[0, 0, 0], [1, 0, 0]]
-    ways = [exhibit.way(replace(chosen, episode=one)) for one in ("lost", "driven", "")]
-    assert [len(one) for one in ways] == [0, 0, 0]
+    expected = navbake.PathFinder(grid).find_path(bare.start, goal)
+    np.testing.assert_array_equal(path, expected.positions)
+    assert view_state.episode_path(replace(chosen, episode="stored")).tolist() == [
+        [0, 0, 0],
+        [1, 0, 0],
+    ]
+    paths = [
+        view_state.episode_path(replace(chosen, episode=episode))
+        for episode in ("lost", "driven", "")
+    ]
+    assert [len(path) for path in paths] == [0, 0, 0]
 
 
 def test_layers_levels_and_cut_change_what_is_drawn(room, chosen):
@@ -179,13 +185,13 @@ def test_layers_levels_and_cut_change_what_is_drawn(room, chosen):
 
 
 def test_a_verification_fills_its_layer(room, chosen):
-    exhibit = Exhibit(room.grid, room.scene, room.config)
-    exhibit.verify()
-    assert exhibit.report.ok
-    assert "agree" in texts.say_report(exhibit)
-    assert exhibit.panel(replace(chosen, layer=DISAGREEMENTS), 0).rgb.shape[2] == 3
+    view_state = ViewState(room.grid, room.scene, room.config)
+    view_state.verify()
+    assert view_state.report.ok
+    assert "agree" in texts.report_text(view_state)
+    assert view_state.panel(replace(chosen, layer=DISAGREEMENTS), 0).rgb.shape[2] == 3
     with pytest.raises(QueryError, match="no scene"):
-        Exhibit(room.grid).verify()
+        ViewState(room.grid).verify()
 
 
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
@@ -201,14 +207,14 @@ def test_a_level_is_looked_into_from_over_its_ground():
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 def test_doors_move_in_grid_and_scene():
     apartment = navbake.samples.path("apartment")
-    exhibit = make_exhibit(navbake.bake(apartment), apartment)
-    chosen, door = first_choices(exhibit.grid), exhibit.grid.doors[0]
-    closed = chosen.with_door(exhibit.grid, [door.id], "closed")
-    gone = chosen.with_door(exhibit.grid, [door.id], "removed")
-    expected = exhibit.grid.with_doors({door.id: "closed"})
-    for level, other in zip(exhibit.shown_grid(closed).levels, expected.levels, strict=True):
+    view_state = make_view_state(navbake.bake(apartment), apartment)
+    chosen, door = first_choices(view_state.grid), view_state.grid.doors[0]
+    closed = chosen.with_door(view_state.grid, [door.id], "closed")
+    gone = chosen.with_door(view_state.grid, [door.id], "removed")
+    expected = view_state.grid.with_doors({door.id: "closed"})
+    for level, other in zip(view_state.shown_grid(closed).levels, expected.levels, strict=True):
         np.testing.assert_array_equal(level.weights, other.weights)
-    before, after, without = (exhibit.drawing(one) for one in (chosen, closed, gone))
+    before, after, without = (view_state.drawing(one) for one in (chosen, closed, gone))
 
     def places(drawing):
         geoms = [g for g, name in enumerate(drawing.names) if name == door.id]
@@ -217,7 +223,7 @@ def test_doors_move_in_grid_and_scene():
     assert len(places(before)) and len(places(after)) and not len(places(without))
     if door.like != "closed":
         assert not np.allclose(places(before), places(after))
-    assert closed.with_door(exhibit.grid, [door.id], door.state) == chosen
+    assert closed.with_door(view_state.grid, [door.id], door.state) == chosen
 
 
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
@@ -227,13 +233,13 @@ def test_choices_outlive_another_bake_as_far_as_it_has_them(room, chosen):
         inspected=at(room, 1.0, 1.0, geom=4), start=at(room, -1.5, 1),
         click=INSPECT,
     )  # fmt: skip
-    kept = keep_choices(now, room.grid)
+    kept = transfer_choices(now, room.grid)
     assert kept.levels == (0,) and kept.doors == () and kept.layer == "rooms"
     assert kept.inspected.cell == now.inspected.cell and kept.inspected.geom is None
     apartment = navbake.samples.path("apartment")
     small = navbake.bake(apartment, grid={"cell_size": 0.5})
     far = replace(now, inspected=Pick(now.inspected.cell, (99.0, 99.0, 0.0), None))
-    assert keep_choices(far, small).inspected is None
+    assert transfer_choices(far, small).inspected is None
 
 
 def test_a_grid_of_another_scene_is_refused(room):
@@ -241,21 +247,21 @@ def test_a_grid_of_another_scene_is_refused(room):
 
     other = mujoco.MjModel.from_xml_string(ROOM.replace('size=".05 1.1 1"', 'size=".05 1 1"'))
     with pytest.raises(QueryError, match="isn't the scene that the grid was baked from"):
-        make_exhibit(room.grid, other)
-    assert "digests differ" in make_exhibit(room.grid, other, force=True).note
+        make_view_state(room.grid, other)
+    assert "digests differ" in make_view_state(room.grid, other, force=True).note
 
 
 def test_a_grid_without_its_scene_is_shown_alone(room, tmp_path):
     room.grid.save(tmp_path / "room.grid.json")
-    alone = make_exhibit(tmp_path / "room.grid.json")
+    alone = make_view_state(tmp_path / "room.grid.json")
     assert alone.scene is None and "Without its scene" in alone.note
     assert alone.surfaces(first_choices(alone.grid)) == ()
     assert DISAGREEMENTS not in alone.layers
 
 
 def test_names_from_files_are_text_on_the_page():
-    assert texts.plain("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
-    assert texts.plain("&lt; a\r\n\r b") == r"\&lt; a b"
+    assert texts.escape_markdown("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
+    assert texts.escape_markdown("&lt; a\r\n\r b") == r"\&lt; a b"
     panel = Panel("room", np.zeros((1, 1, 3), np.uint8), legend=(("<b>bold</b>", "#ffffff"),))
-    legend = texts.write_legend([panel])
+    legend = texts.legend_html([panel])
     assert "<b>" not in legend

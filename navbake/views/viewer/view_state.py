@@ -1,0 +1,640 @@
+"""The state of the viewer's page: what its user has chosen, and what follows from that.
+
+Nothing here needs a browser or viser.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import wraps
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.episodes.episode import Episode, EpisodeSet, Goal, scene_of
+from navbake.errors import QueryError
+from navbake.navgrid import colors
+from navbake.navgrid.cells import place_at
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.paths import Path
+from navbake.scores import Trajectory
+from navbake.types import Bool, Float, Json
+from navbake.views.describe import arc_between, find_connections
+from navbake.views.layers import DISAGREEMENTS, LAYERS, Label, Panel, make_panel, paint
+from navbake.views.viewer import meshes
+from navbake.views.viewer.meshes import Drawing, MeshBatch, Pick, Ray, Surface
+
+if TYPE_CHECKING:
+    from navbake.baker.scene.scene import Scene
+    from navbake.config.settings import BakeConfig
+    from navbake.verifier.report import VerifyReport
+
+Result = TypeVar("Result")
+
+CUT_HEIGHT = 1.3  # the scene is cut so high over a level's ground [m]
+# colours on the page
+FREE_TINT = "#a9dfc4"  # of free cells, which must stand out from grey floors
+START = "#2f9e44"
+GOAL = colors.ROUTE
+HIGHLIGHT = "#ff922b"
+TRAJECTORY = "#c2255c"
+STAIRS = "#495057"  # arcs
+CLOSED = "#868e96"  # arcs of closed links
+NAME_HEIGHT = 0.4  # largest letters of a name [m]
+POINT_NAME_HEIGHT = 0.18  # letters of names of points, such as doors [m]
+NAME_LIFT = 1.0  # of names over the floor: most furniture is lower [m]
+LETTER_WIDTH = 0.65  # of a letter, relative to its height
+INSPECT = "tells about the cell"
+ROUTE = "sets start, then goal"
+CLICKS = (INSPECT, ROUTE)
+"""What a click may do."""
+NUM_CACHED = 6  # results of a method that are kept, so that going back is fast
+SAMPLE_SIZE = 20_000  # cells that are verified
+MAX_NAMES = 250  # names that are written, those of the largest rooms first
+# corners of a cell, relative to half its side; closed
+CELL_OUTLINE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)])
+
+Doors: TypeAlias = tuple[tuple[str, str], ...]
+"""Ids of doors and their states."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the user of the page has chosen to see.
+
+    Attributes:
+        levels: numbers of the shown levels, ascending.
+        layer: one of `ViewState.layers`.
+        inflation: agent radius and clearance to inflate the grid by [m]; None for the grid as it
+            is.
+        doors: doors that are in another state than the grid's.
+        cut: world z above which the scene is not drawn [m], None for none.
+        with_scene: draw the scene.
+        with_hidden: draw what MuJoCo's viewers hide, too: the geom groups from 3 on.
+        with_names: write the names of rooms and doors.
+        opacity: of the layer, above 0, up to 1.
+        dark: whether the page is dark; None, which is light, until the user or the user's system
+            decides.
+        click: one of `CLICKS`.
+        start: of the path.
+        goal: of the path.
+        inspected: the cell that is described.
+        episode: id of the episode that is shown, empty for none.
+    """
+
+    levels: tuple[int, ...]
+    layer: str = "occupancy"
+    inflation: tuple[float, float] | None = None
+    doors: Doors = ()
+    cut: float | None = None
+    with_scene: bool = True
+    with_hidden: bool = False
+    with_names: bool = True
+    opacity: float = 0.9
+    dark: bool | None = None
+    click: str = INSPECT
+    start: Pick | None = None
+    goal: Pick | None = None
+    inspected: Pick | None = None
+    episode: str = ""
+
+    def with_level(self, grid: NavGrid, number: int | None) -> Choices:
+        """Show one level, or all of them, and cut the scene over the highest one shown.
+
+        Args:
+            grid: the grid of the page.
+            number: of the level; None for all.
+        """
+        levels = tuple(range(len(grid.levels))) if number is None else (number,)
+        return replace(self, levels=levels, cut=grid.levels[levels[-1]].ground + CUT_HEIGHT)
+
+    def with_door(self, grid: NavGrid, door_ids: Sequence[str], state: str) -> Choices:
+        """Put doors into a state; doors that don't have it stay as they are.
+
+        Args:
+            grid: the grid of the page.
+            door_ids: which doors.
+            state: such as ``closed``.
+        """
+        grid_states = {door.id: door.state for door in grid.doors}
+        changed = [door.id for door in grid.doors if door.id in door_ids and state in door.states]
+        states = {**dict(self.doors), **dict.fromkeys(changed, state)}
+        return replace(self, doors=tuple(sorted(states.items() - grid_states.items())))
+
+    def with_dark_system(self) -> Choices:
+        """Make the page dark for a user whose system is, unless the user chose otherwise."""
+        return replace(self, dark=True) if self.dark is None else self
+
+    def without_clicks(self) -> Choices:
+        """Forget what was clicked."""
+        return replace(self, start=None, goal=None, inspected=None)
+
+    def with_click(self, clicked: Pick | None) -> Choices:
+        """Apply a click on a cell, or, for None, beside all cells."""
+        if self.click == INSPECT:
+            return replace(self, inspected=clicked)
+        if clicked is None:
+            return self
+        if self.start is None or self.goal is not None:
+            return replace(self, start=clicked, goal=None)
+        return replace(self, goal=clicked)
+
+
+def first_choices(grid: NavGrid) -> Choices:
+    """What a new page shows: the occupancy of all levels, cut over the highest one."""
+    return Choices(()).with_level(grid, None)
+
+
+def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
+    """Transfer choices to another grid, such as a new bake.
+
+    Args:
+        choices: for the previous grid.
+        grid: the grid to show.
+
+    Returns:
+        The choices without levels, doors and clicked cells that the grid doesn't have.
+    """
+
+    def find_again(clicked: Pick | None) -> Pick | None:
+        """The grid's cell at the position of a click; None if the grid has none there."""
+        if clicked is None or clicked.cell.level >= len(grid.levels):
+            return None
+        cell = grid.cell_at(clicked.position, clicked.cell.level)
+        return None if cell is None else clicked._replace(cell=cell, geom=None)
+
+    all_levels = tuple(range(len(grid.levels)))
+    door_states = {(door.id, state) for door in grid.doors for state in door.states}
+    start = find_again(choices.start)
+    return replace(
+        choices,
+        levels=tuple(level for level in choices.levels if level in all_levels) or all_levels,
+        doors=tuple(door for door in choices.doors if door in door_states),
+        inspected=find_again(choices.inspected),
+        start=start,
+        goal=find_again(choices.goal) if start else None,
+    )
+
+
+class FreeSpace(NamedTuple):
+    """How much of some levels is free."""
+
+    free_cells: int
+    floor_cells: int  # cells with a floor
+    free_area: float  # [m²]
+
+
+class Run(NamedTuple):
+    """An episode and where an agent was in it."""
+
+    episode: Episode | None  # None where only the trajectory is known
+    trajectory: Trajectory | None
+
+
+Runs: TypeAlias = dict[str, Run]
+"""Runs by the ids of their episodes."""
+
+
+def list_runs(
+    grid: NavGrid, episodes: EpisodeSet | None, trajectories: Sequence[Trajectory]
+) -> Runs:
+    """Pair episodes with trajectories.
+
+    Args:
+        grid: only the episodes of its scene are listed.
+        episodes: None to list all trajectories without episodes.
+        trajectories: of any episodes; of several of one episode, the last counts.
+
+    Returns:
+        The runs by the ids of their episodes.
+    """
+    if episodes is None:
+        return {trajectory.episode: Run(None, trajectory) for trajectory in trajectories}
+    by_episode = {trajectory.episode: trajectory for trajectory in trajectories}
+    scene = scene_of(grid)
+    return {
+        episode.id: Run(episode, by_episode.get(episode.id))
+        for episode in episodes.episodes
+        if episode.scene == scene
+    }
+
+
+class NameLabel(NamedTuple):
+    """A name that is written in the scene."""
+
+    text: str
+    position: tuple[float, float, float]  # of its middle, world frame [m]
+    height: float  # of its letters [m]
+
+    @property
+    def width(self) -> float:
+        """Estimated width [m]."""
+        return LETTER_WIDTH * len(self.text) * self.height
+
+
+class ColoredArc(NamedTuple):
+    """An arc from a stop of a link or stair to the next."""
+
+    points: Float  # world frame, shape (n, 3) [m]
+    color: str
+
+
+class VisibleBatch(NamedTuple):
+    """A mesh that several geoms show, and which of them are drawn."""
+
+    batch: MeshBatch
+    is_drawn: Bool  # by entry of `batch.geoms`
+
+
+class Inspection(NamedTuple):
+    """A cell that is inspected.
+
+    Attributes:
+        facts: of the cell, see `navbake.views.describe.describe_cell`.
+        clicked: name of the object that was clicked, None for none.
+        highlighted: the drawn triangles of what blocks the cell, or else of what was clicked,
+            world frame, shape (n, 3, 3) [m].
+        outline: corners of the cell, closed, world frame, shape (5, 3) [m].
+    """
+
+    facts: Json
+    clicked: str | None
+    highlighted: NDArray[np.float32]
+    outline: Float
+
+
+def cached_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Decorate a method of `ViewState`, so that its last `NUM_CACHED` results are reused.
+
+    Args:
+        fields: the fields of `Choices` that the result depends on.
+
+    Returns:
+        A decorator of methods that take the choices and, optionally, the number of a level.
+    """
+
+    def decorate(method: Callable[..., Result]) -> Callable[..., Result]:
+        @wraps(method)
+        def call(view_state: ViewState, choices: Choices, *number: int) -> Result:
+            results = view_state.cache.setdefault((method.__name__, *number), {})
+            key = tuple(getattr(choices, field) for field in fields)
+            # the entry moves to the end of the dict: the first is the one not used for longest
+            if key in results:
+                result: Result = results.pop(key)
+            else:
+                result = method(view_state, choices, *number)
+            results[key] = result
+            while len(results) > NUM_CACHED:
+                del results[next(iter(results))]
+            return result
+
+        return call
+
+    return decorate
+
+
+class ViewState:
+    """A grid, its scene if it has one, and what follows from them for the user's choices.
+
+    Attributes:
+        grid: the grid as it is in its file.
+        scene: the scene of the grid, None for none.
+        config: the settings of the bake, where they are known.
+        note: a line for the user, empty for none.
+        runs: episodes and trajectories that can be shown.
+        report: of the verification, None before there was one.
+        floor_surfaces: what the layers of each level are drawn on.
+        cache: results of the methods that are decorated by `cached_by`.
+    """
+
+    def __init__(
+        self,
+        grid: NavGrid,
+        scene: Scene | None = None,
+        config: BakeConfig | None = None,
+        note: str = "",
+        runs: Runs | None = None,
+    ) -> None:
+        self.grid = grid
+        self.scene = scene
+        self.config = config
+        self.note = note
+        self.runs: Runs = runs or {}
+        self.report: VerifyReport | None = None
+        # without a scene, cells without a floor are drawn at the level's ground
+        with_holes = scene is not None
+        self.floor_surfaces = [
+            meshes.make_floor_surface(level, with_holes=with_holes) for level in grid.levels
+        ]
+        self.cache: dict[Hashable, dict[Hashable, Any]] = {}
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """Names of the layers that can be chosen."""
+        needed_tables: Mapping[str, Sequence[object]] = {
+            "doors": self.grid.doors,
+            "area": self.grid.areas,
+        }
+        names = tuple(name for name in LAYERS if needed_tables.get(name, True))
+        return names if self.scene is None else (*names, DISAGREEMENTS)
+
+    @property
+    def bounds(self) -> Float:
+        """Lower and upper corner of what the camera shows, world frame, shape (2, 3) [m].
+
+        They reach from the lowest ground to where the scene is cut over the highest.
+        """
+        corners = np.array([level.lattice.bounds for level in self.grid.levels])
+        grounds = [level.ground for level in self.grid.levels]
+        low = corners[:, :2].min(axis=0)
+        high = corners[:, 2:].max(axis=0)
+        return np.array([[*low, min(grounds)], [*high, max(grounds) + CUT_HEIGHT]])
+
+    @cached_by("doors", "inflation")
+    def shown_grid(self, choices: Choices) -> NavGrid:
+        """The grid with its doors and its inflation as chosen."""
+        grid = self.grid
+        if choices.doors:
+            grid = grid.with_doors(dict(choices.doors))
+        if choices.inflation is not None:
+            radius, clearance = choices.inflation
+            grid = grid.inflate(radius, clearance)
+        return grid
+
+    def count(self, choices: Choices) -> FreeSpace:
+        """Count the free cells of the shown levels."""
+        levels = [self.shown_grid(choices).levels[number] for number in choices.levels]
+        free = sum(int(np.count_nonzero(level.free)) for level in levels)
+        with_floor = sum(int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels)
+        return FreeSpace(free, with_floor, free * self.grid.levels[0].lattice.cell_size ** 2)
+
+    @cached_by("doors", "inflation", "layer")
+    def panel(self, choices: Choices, number: int) -> Panel:
+        """The chosen layer of a level; its occupancy if a verification is still to come.
+
+        Args:
+            choices: of the user.
+            number: of the level.
+        """
+        layer = choices.layer
+        findings = None if self.report is None else self.report.findings
+        if layer == DISAGREEMENTS and findings is None:
+            layer = "occupancy"
+        panel = make_panel(self.shown_grid(choices), layer, number, findings=findings)
+        rgb = panel.rgb.copy()
+        is_free = (rgb == colors.rgb_of(colors.FREE)).all(axis=-1)
+        rgb[is_free] = colors.rgb_of(FREE_TINT)
+        legend = tuple(
+            (meaning, FREE_TINT if color == colors.FREE else color)
+            for meaning, color in panel.legend
+        )
+        return panel._replace(rgb=rgb, legend=legend)
+
+    @cached_by("doors", "inflation", "layer", "opacity")
+    def overlay(self, choices: Choices, number: int) -> bytes:
+        """The chosen layer of a level, as it lies in the scene.
+
+        Args:
+            choices: of the user.
+            number: of the level.
+
+        Returns:
+            GLB.
+        """
+        rgb = paint(self.panel(choices, number))
+        return meshes.draw_overlay(self.floor_surfaces[number], rgb, choices.opacity)
+
+    def names(self, choices: Choices) -> list[NameLabel]:
+        """The names on the shown levels, by level, those of the largest rooms first.
+
+        Left out are names that would overlap a larger room's on their level, and names below the
+        floor of a higher shown level.
+        """
+        if not choices.with_names:
+            return []
+        candidates = []
+        for number in choices.levels:
+            for label in self.panel(choices, number).labels:
+                floors = self._floors_at(label, choices.levels)
+                z = floors.get(number, self.grid.levels[number].ground)
+                is_covered = any(
+                    level > number and floor > z + self.grid.max_step
+                    for level, floor in floors.items()
+                )
+                if is_covered:
+                    continue
+                height = POINT_NAME_HEIGHT
+                if label.width:
+                    height = label.width / (LETTER_WIDTH * len(label.text))
+                name = NameLabel(
+                    label.text, (label.x, label.y, z + NAME_LIFT), min(NAME_HEIGHT, height)
+                )
+                candidates.append((-label.width, number, name))
+        names: dict[int, list[NameLabel]] = {number: [] for number in choices.levels}
+        for _, number, name in sorted(candidates)[:MAX_NAMES]:
+            if not any(_overlaps(name, earlier) for earlier in names[number]):
+                names[number].append(name)
+        return [name for names_of_level in names.values() for name in names_of_level]
+
+    def _floors_at(self, label: Label, levels: Sequence[int]) -> dict[int, float]:
+        """World z of the floors at a label's x, y, by level [m]; no entry for none."""
+        floors = {}
+        for level in levels:
+            place = place_at(self.grid, (label.x, label.y), level)
+            if place is not None and place.floor is not None:
+                floors[level] = place.floor
+        return floors
+
+    @cached_by("levels", "layer")
+    def arcs(self, choices: Choices) -> list[ColoredArc]:
+        """Arcs between stops on shown levels; empty for other layers than that of links."""
+        if choices.layer != "links":
+            return []
+        arcs = []
+        for connection in find_connections(self.grid):
+            color = STAIRS if connection.link is None else colors.LINK
+            if connection.is_closed:
+                color = CLOSED
+            for start, end in itertools.pairwise(connection.stops):
+                if start.level in choices.levels and end.level in choices.levels:
+                    points = arc_between(np.array(start.position), np.array(end.position))
+                    arcs.append(ColoredArc(points, color))
+        return arcs
+
+    @cached_by("doors", "with_hidden")
+    def drawing(self, choices: Choices) -> Drawing | None:
+        """The scene as triangles, with its doors as chosen; None without a scene."""
+        if self.scene is None:
+            return None
+        if not choices.doors:
+            return meshes.draw_scene(self.scene, with_hidden=choices.with_hidden)
+        from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
+
+        posed = pose_doors(self.scene, self.grid.with_doors(dict(choices.doors)))
+        return meshes.draw_scene(
+            self.scene,
+            data=posed.data,
+            removed=posed.removed,
+            with_hidden=choices.with_hidden,
+        )
+
+    @cached_by("doors", "with_hidden", "with_scene", "cut")
+    def surfaces(self, choices: Choices) -> tuple[Surface, ...]:
+        """The drawn triangles of the scene, below the cut; empty for none."""
+        drawing = self.drawing(choices) if choices.with_scene else None
+        if drawing is None:
+            return ()
+        if choices.cut is None:
+            return drawing.surfaces
+        return meshes.cut_drawing(drawing, choices.cut)
+
+    @cached_by("doors", "with_hidden", "with_scene", "cut")
+    def scene_glb(self, choices: Choices) -> bytes:
+        """The drawn scene without what `batches` returns, as GLB; empty for nothing."""
+        surfaces = self.surfaces(choices)
+        drawing = self.drawing(choices)
+        if drawing is None or not surfaces:
+            return b""
+        batch_geoms = [batch.geoms[batch.is_below(choices.cut)] for batch in drawing.batches]
+        if batch_geoms:
+            in_batches = np.concatenate(batch_geoms)
+            surfaces = tuple(
+                surface._replace(faces=surface.faces[~np.isin(surface.face_geoms, in_batches)])
+                for surface in surfaces
+            )
+        return meshes.draw_surfaces(surfaces, drawing.textures)
+
+    def batches(self, choices: Choices) -> list[VisibleBatch]:
+        """The batches of the scene that have geoms wholly below the cut."""
+        drawing = self.drawing(choices) if choices.with_scene else None
+        if drawing is None:
+            return []
+        batches = [VisibleBatch(batch, batch.is_below(choices.cut)) for batch in drawing.batches]
+        return [visible for visible in batches if visible.is_drawn.any()]
+
+    def click(self, choices: Choices, ray: Ray) -> Choices:
+        """The choices after a click.
+
+        Args:
+            choices: before the click.
+            ray: from the camera through the click.
+        """
+        floors = [self.floor_surfaces[number] for number in choices.levels]
+        clicked = meshes.pick(self.grid, ray, [*self.surfaces(choices), *floors], choices.levels)
+        return choices.with_click(clicked)
+
+    @cached_by("doors", "inflation")
+    def finder(self, choices: Choices) -> PathFinder:
+        """Finds paths in the shown grid."""
+        return PathFinder(self.shown_grid(choices))
+
+    @cached_by("doors", "inflation", "start", "goal")
+    def route(self, choices: Choices) -> Path | str | None:
+        """The path from start to goal, or why there is none; None where one of them is missing."""
+        if choices.start is None or choices.goal is None:
+            return None
+        start = choices.start.position
+        goal = choices.goal.position
+        finder = self.finder(choices)
+        try:
+            return finder.find_path(start, goal) or finder.why_not(start, goal) or "no path"
+        except QueryError as error:
+            return str(error)
+
+    @cached_by("doors", "inflation", "episode")
+    def episode_path(self, choices: Choices) -> Float:
+        """The path of the chosen episode, shape (n, 3) [m]; empty for none.
+
+        An episode without a path of its own has the shortest one in the shown grid, unless its
+        goals are a sequence.
+        """
+        run = self.runs.get(choices.episode)
+        if run is None or run.episode is None:
+            return np.empty((0, 3))
+        episode = run.episode
+        if episode.path or episode.task == "sequence":
+            return np.array(episode.path or ()).reshape(-1, 3)
+        positions = list_goal_positions(episode)
+        try:
+            path = self.finder(choices).find_path(episode.start, np.array(positions).reshape(-1, 3))
+        except QueryError:  # a start or a goal that isn't on the grid
+            path = None
+        return np.empty((0, 3)) if path is None else path.positions
+
+    def inspect(self, choices: Choices) -> Inspection | None:
+        """Describe the inspected cell; None for none."""
+        picked = choices.inspected
+        if picked is None or choices.click != INSPECT:
+            return None
+        x, y, z = picked.position
+        facts = self.shown_grid(choices).describe_cell(x, y, picked.cell.level)
+        clicked = None
+        highlighted = np.empty((0, 3, 3), np.float32)
+        drawing = self.drawing(choices)
+        if drawing is not None:
+            clicked = None if picked.geom is None else drawing.names[picked.geom]
+            geoms = [geom for geom, name in enumerate(drawing.names) if name in facts["blockers"]]
+            in_cell = [*facts["objects"], *facts["walls"], *facts["doors"]]
+            if not geoms and picked.geom is not None and clicked in in_cell:
+                geoms = [picked.geom]
+            highlighted = triangles_of(self.surfaces(choices), geoms)
+        half_side = self.grid.levels[0].lattice.cell_size / 2
+        outline = np.array([*facts["center"], z]) + half_side * CELL_OUTLINE
+        return Inspection(facts, clicked, highlighted, outline)
+
+    def verify(self) -> None:
+        """Compare a sample of the grid's cells with the scene, for the layer of disagreements.
+
+        Raises:
+            QueryError: there is no scene.
+        """
+        if self.scene is None:
+            raise QueryError("there is no scene to compare the grid with")
+        # loads MuJoCo and FCL
+        from navbake.verifier.verify import verify_scene
+
+        self.report = verify_scene(self.grid, self.scene, self.config, sample=SAMPLE_SIZE)
+        self.cache.clear()
+
+
+def _overlaps(first: NameLabel, second: NameLabel) -> bool:
+    """Whether two names overlap, seen from above."""
+    x = abs(first.position[0] - second.position[0])
+    y = abs(first.position[1] - second.position[1])
+    mean_width = (first.width + second.width) / 2
+    mean_height = (first.height + second.height) / 2
+    return x < mean_width and y < mean_height
+
+
+def goal_position(goal: Goal) -> tuple[float, float, float] | None:
+    """Where a goal is drawn: at its position, or its first view point [m]; None without both."""
+    if goal.position:
+        return goal.position
+    return goal.view_points[0].position if goal.view_points else None
+
+
+def list_goal_positions(episode: Episode) -> list[tuple[float, float, float]]:
+    """The positions of an episode's goals, without goals that have none [m]."""
+    positions = [goal_position(goal) for goal in episode.goals]
+    return [position for position in positions if position is not None]
+
+
+def triangles_of(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:
+    """Select the triangles of some geoms.
+
+    Args:
+        surfaces: of a drawing.
+        geoms: ids.
+
+    Returns:
+        Corners, world frame, shape (n, 3, 3) [m].
+    """
+    triangles = [np.empty((0, 3, 3), np.float32)]
+    for surface in surfaces:
+        faces = surface.faces[np.isin(surface.face_geoms, geoms)]
+        triangles.append(surface.vertices[faces])
+    return np.concatenate(triangles)
