@@ -76,6 +76,7 @@ def count_row(rows, begin, num, a, b, c):
         if rows[row, 0] == a and rows[row, 1] == b and rows[row, 2] == c:
             rows[row, 3] += 1
             return row
+    # the search is short, as neighboring cells mostly repeat the last numbers
     if num == rows.shape[0]:
         return np.int64(-1)
     rows[num, 0] = a
@@ -173,6 +174,7 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
                     for j in range(first_in_cell, end_in_cell):
                         if component[j] == -1:
                             continue
+                        # heights ascend in both cells, so `low` only moves up
                         while low < last and z[low] < z[j] - max_rise:
                             low += 1
                         for i in range(low, last):
@@ -184,6 +186,7 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
                                 root_i = _find_root(component, i)
                                 root_j = _find_root(component, j)
                                 if root_i != root_j:
+                                    # the lower id is the root, whatever the order of unions
                                     component[max(root_i, root_j)] = -2 - min(root_i, root_j)
         # replace parents by numbers, which are >= 0, and measure
         num = 0
@@ -203,6 +206,7 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
                             return k
                         measures[n, :] = 0
                         lowest[n] = z[j]
+                        # surfaces are visited in the order of cells: this is the first one
                         measures[n, 2] = cell * MAX_RANK + min(rank, MAX_RANK - 1)
                         measures[n, 3] = row
                         measures[n, 4] = col
@@ -285,6 +289,7 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
                     for a in range(first[cell], ends[cell]):
                         if component[a] < 0:
                             continue
+                        # heights ascend in both cells, so `low` only moves up
                         while low < last and z[low] < z[a] - max_rise:
                             low += 1
                         for b in range(low, last):

@@ -95,6 +95,7 @@ def grow_level(
         )
         ring_number += 1
     kernels.grow_remaining_rings(state, ring_number, front)
+    # cells into which no floor grew
     not_reached = open_cells[state.ring[open_cells] < NO_FLOOR]
     state.ring[not_reached] = NO_FLOOR
     return GrownFloor(state.floor, state.ring)

@@ -116,6 +116,7 @@ def start_growth(labelled, state, blocks, counts, columns, begin, end):
                         continue
                     level = state.final_level[state.level[j]]
                     z = surfaces.z[j]
+                    # the floor may grow between the levels below and above, with room for an agent
                     if level == state.grown_level:
                         floor[cell] = z
                         ring[cell] = 0
@@ -186,6 +187,7 @@ def _grow_into(state, cell, ring_number):
             elif math.isnan(nearest_z) and gap <= least_gap:
                 nearest_z = z[j]
                 least_gap = gap
+            # the cell's higher surfaces are no options
             if option[j] == LAST_OPTION:
                 break
             j += 1
@@ -227,6 +229,7 @@ def grow_ring(state, ring_number, front, counts, columns, begin, end):
     num = 0
     for k in range(begin, end):
         num_before = num
+        # a cell has up to four neighbors to list
         if num + 4 > cells.shape[0]:
             return k
         if _grow_into(state, front[k], ring_number):

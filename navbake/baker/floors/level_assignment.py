@@ -308,6 +308,7 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
         np.argsort(height[lower], kind="stable"),
         np.argsort(height[upper], kind="stable"),
     )
+    # only what leads both up and down to larger floors lies between floors
     is_stair = STAIR_AREA_RATIO * area < np.minimum(above, below)
     return Candidates(group, components.number, is_stair[plateau_of_component])
 
@@ -456,6 +457,7 @@ def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> S
         lowered = _lower_grounds_once(assignment_input, surface_levels)
         if lowered == surface_levels.grounds:
             break
+        # lower grounds may take further parts from the level below, so this is repeated
         surface_levels = _assign_surfaces(assignment_input, lowered)
     if surface_levels.grounds != sorted(surface_levels.grounds):
         surface_levels = _assign_surfaces(assignment_input, sorted(surface_levels.grounds))
@@ -530,6 +532,7 @@ def _resolve_full_columns(
         full_regions = _list_full_regions(regions, surface_levels)
         if _are_dispensable(assignment_input, surface_levels, full_regions, walks):
             break
+        # stairs may be needed where floors under them are not
         without_floors = _assign_surfaces(
             assignment_input, surface_levels.grounds, skip_floors=True
         )
@@ -615,6 +618,7 @@ def _are_dispensable(
             return False
     candidate_group = assignment_input.candidates.group
     remaining_group = np.where(surface_levels.level <= NO_FREE_LEVEL, np.int8(-1), candidate_group)
+    # a cut divides a walk into several that are large enough
     remaining_walks = _find_walks(assignment_input, remaining_group)
     min_cells = area_test(lattice, settings).min_cells
     num_remaining = _count_walks(remaining_walks, full_regions, min_cells)

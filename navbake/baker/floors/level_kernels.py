@@ -237,6 +237,7 @@ def _assign_base_levels(surfaces, candidates, rule, cell, level):
         level[j] = -1
         if candidates.group[j] < 0:
             continue
+        # grounds and surfaces both ascend, so one pass finds all base levels
         base_below = base if count > 0 else -1
         z = surfaces.z[j]
         while base + 1 < grounds.shape[0] and grounds[base + 1] - rule.tolerance <= z:
@@ -318,6 +319,7 @@ def _assign_column(surfaces, candidates, rule, cell, level, count):
             base[num] = level[j]
             move_cost[num] = MOVE_STAIR if is_stair or skip_floors else MOVE_FLOOR
             skip_cost[num] = SKIP_STAIR if is_stair != skip_floors else SKIP_FLOOR
+            # upper surfaces cost more to skip, so that lower floors are left out first
             skip_cost[num] += num if skip_floors else 0
             num += 1
     _align_with_levels(base, move_cost, skip_cost, num_levels, aligned)
@@ -358,6 +360,7 @@ def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
         skip = skip_cost[i - 1]
         cost[i, 0] = cost[i - 1, 0] + skip
         for k in range(1, num_levels + 1):
+            # the i-th surface is on this level, or on a lower one, or is skipped
             cost_on_level = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
             cost[i, k] = min(cost_on_level, cost[i, k - 1], cost[i - 1, k] + skip)
     # trace back from the top: at equal costs the upper surface is skipped, not the lower one, and

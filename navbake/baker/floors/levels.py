@@ -138,6 +138,7 @@ def find_floors(
     rejected = find_rejected_regions(context, level_height_ranges(level_settings or ()))
     is_start = find_start_regions(context, rejected, settings.starts)
     is_furniture = rejected.is_top | rejected.is_shelf
+    # where agents start is a floor, whatever the rules say
     is_floor = is_large & ~(is_furniture | rejected.is_roof) | is_start
     if not is_floor.any():
         raise SceneError(
@@ -284,12 +285,14 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     holes, _ = label(np.isnan(level.floor))  # connected by cells' edges
     size = np.bincount(holes.ravel())
     too_large = holes.size + 1
+    # holes at the lattice's border are not surrounded by floor
     for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
         size[border] = too_large
     size[0] = too_large  # cells with a floor
     unseen: Bool = (size <= max_cells + LIMIT_SLACK)[holes]
     if not unseen.any():
         return replace(level, unseen=unseen)
+    # holes to close, with their rims
     near = binary_dilation(unseen, np.ones((3, 3)))
     rim = near & ~unseen & ~np.isnan(level.floor)
     floor = level.floor.copy()

@@ -142,6 +142,7 @@ class RegionContext(NamedTuple):
             is_inside = cells >= 0
             open_edges = open_edges[is_inside]
             cells = cells[is_inside]
+            # a surface within a step is no drop
             limits = edges.z[open_edges] - step - LIMIT_SLACK
             below, regions_below = find_highest_below(
                 labelled, cells, limits, edges.region[open_edges]
@@ -221,12 +222,14 @@ class RegionContext(NamedTuple):
             )
             with_floor = candidates[~np.isnan(edges.floors_below[candidates, k])]
             floors = edges.floors_below[with_floor, k]
+            # a surface that continues above the floor separates the floor from the region
             is_covered = continued_z[with_floor] > floors + agent.height + LIMIT_SLACK
             is_full = self.is_occupied(edges.cells_beyond[with_floor, k], floors, None)
             drop_edges = with_floor[~is_covered & ~is_full]
             kind[drop_edges] = DROP
             floor_height[drop_edges] = edges.floors_below[drop_edges, k]
             floor_region[drop_edges] = edges.regions_below[drop_edges, k]
+            # edges without an ending so far are tried one cell farther out
             candidates = candidates[kind[candidates] == OPEN]
         is_known = self.mark_known(kind, edges.direction)
         return EdgeEndings(kind, floor_height, floor_region, is_known)

@@ -110,6 +110,7 @@ def find_start_regions(
                 f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
                 f"an agent can stand on, at most a step higher; {in_cell}"
             )
+        # in this order: what the position lies on, a floor below it, a floor beside furniture
         at_position = regions_in_column[abs(heights - z) <= ON_SURFACE + LIMIT_SLACK]
         floors_below = below[may_start[below]]
         if len(at_position):
@@ -210,6 +211,7 @@ def find_voids(
     """
     is_void = np.zeros_like(is_reached)
     levels = np.unique(counts.level)
+    # headroom is measured only if some level is not reached at all
     if np.isin(levels, counts.level[is_reached[counts.region]]).all():
         return ReachedRegions(is_reached, is_void)
     num_low = count_low_surfaces(context)
@@ -316,6 +318,7 @@ def find_enclosed_floors(
         num_continuing = 0
         for direction in range(4):
             cells = neighbor_cells(regions.lattice, members.cell, direction)
+            # edges of the region in this direction, and how many of them continue outside
             at_edge = ~np.isin(cells, members.cell)
             num_edges += int(np.count_nonzero(at_edge))
             is_inside = at_edge & (cells >= 0)

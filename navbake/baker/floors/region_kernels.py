@@ -96,6 +96,7 @@ def shrink(mask, disc, remaining):
         disc: an `AreaTest`.
         remaining: receives which cells remain, bool, without the margin.
     """
+    # lengths of runs of marked cells, up to and including each cell
     for row in range(mask.shape[0]):
         for col in range(1, mask.shape[1]):
             mask[row, col] *= mask[row, col - 1] + 1
@@ -104,6 +105,7 @@ def shrink(mask, disc, remaining):
             remaining[r, c] = True
             for k in range(disc.half_widths.shape[0]):
                 half = disc.half_widths[k]
+                # the run that ends at the interval's right end has to cover the interval
                 if mask[r + k, c + disc.radius + half] <= 2 * half:
                     remaining[r, c] = False
                     break
@@ -171,6 +173,7 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, disc, is_large, 
             boxes[region, 3] - boxes[region, 1],
         )
         for b in range(start[n], start[n + 1]):
+            # enough cells remain, or none can
             if num_remaining >= disc.min_cells or shorter_side <= 2 * radius:
                 break
             row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
@@ -251,6 +254,7 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
                                 continue
                         if num == rows.shape[0]:
                             return k
+                        # no region has a surface below the lowest one
                         has_drop = limit > lowest and _has_drop(
                             labelled, row, col, direction, region, limit, reach
                         )
@@ -323,6 +327,7 @@ def mark_hole_edges(cells, directions, start, lattice, in_hole):
             parent[outer[n]] = outer[n]
         for n in range(first, end):
             cell = outer[n]
+            # each pair of neighbors once: east, and the three in the south
             for neighbor in (cell + 1, cell + stride - 1, cell + stride, cell + stride + 1):
                 if parent[neighbor] < 0:
                     continue

@@ -88,6 +88,7 @@ class Components(NamedTuple):
         lower = linked.min(axis=1)
         upper = linked.max(axis=1)
         differs = lower != upper
+        # one number for each pair, so that `unique` sorts numbers rather than rows
         pair_ids = np.unique(lower[differs] * self.num + upper[differs])
         return np.divmod(pair_ids, max(self.num, 1))
 
@@ -186,6 +187,7 @@ class Regions:
         """The surfaces of a region, in the order of their cells."""
         surfaces = self.surfaces
         row0, col0, row1, col1 = self.box[region].tolist()
+        # only the cells in the region's box have to be searched
         in_box = np.add.outer(np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1))
         cells = in_box.ravel()
         cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
@@ -243,6 +245,7 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
     sums = np.add.reduceat(measures[:, :2], start)
     minima = np.minimum.reduceat(measures[:, 2:5], start)
     maxima = np.maximum.reduceat(measures[:, 5:], start)
+    # number regions by their first surfaces, so that neither threads nor blocks change the order
     by_first_surface = np.argsort(minima[:, 0])
     number = np.argsort(by_first_surface).astype(np.int32)
     return Regions(
@@ -277,6 +280,7 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
     is_of_candidate = np.isin(regions.of_component, candidates)
     region_of_component = regions.of_component[is_of_candidate].astype(np.int64)
     block_of_component = regions.components.block[is_of_candidate]
+    # one number for each pair of a region and a block
     pair_ids = np.unique(region_of_component * regions.blocks.num + block_of_component)
     region, block = np.divmod(pair_ids, regions.blocks.num)
     start = np.searchsorted(region, [*candidates, regions.num])

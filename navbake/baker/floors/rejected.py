@@ -115,6 +115,7 @@ def find_rejected_regions(
     is_floor = is_large & ~(is_top | is_shelf | is_roof)
     if not is_floor.any():
         is_roof = no_regions
+    # a level of the configuration keeps its roof if it has no other floor
     for heights in height_ranges:
         on_level = regions.mark_in_range(is_large, heights)
         if not (on_level & is_floor).any():
@@ -170,6 +171,7 @@ def _find_tops(context: RegionContext) -> Bool:
             continue
         size = regions.size[region]
         is_small = size * regions.lattice.cell_size**2 <= LARGE_TOP
+        # or the largest floor that it drops to is larger
         is_small |= regions.size[list(drops.drops_to)].max() > EQUAL_SIZE * size
         # the drops to a floor in its holes, and those of things on that floor
         drops_around_floor = [
@@ -330,6 +332,7 @@ def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
     regions = context.regions
     lattice = regions.lattice
     reach = int(EAVES / lattice.cell_size + LIMIT_SLACK)
+    # all regions count, also furniture
     labelled = regions.label_surfaces(np.ones_like(candidates))
     for region in np.flatnonzero(candidates).tolist():
         members = regions.surfaces_of(region)
@@ -389,6 +392,7 @@ def mark_reported_roofs(context: RegionContext, is_roof: Bool, is_floor: Bool) -
     is_reported: Bool = is_roof & (size > REPORTED_ROOF_RATIO * size[is_floor].max())
     area = size * context.regions.lattice.cell_size**2
     is_large = is_roof & (area >= REPORTED_ROOF_AREA - LIMIT_SLACK)
+    # a large roof without walls under it may be a deck, which was meant as a floor
     for region in np.flatnonzero(is_large & ~is_reported).tolist():
         members = context.regions.surfaces_of(region)
         is_reported[region] = not mark_over_wall_tops(context, members).any()

@@ -167,6 +167,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
         first = hits.start[cells[n]]
         last = hits.start[cells[n] + 1]
         num_before = num
+        # every hit may become a row
         if num + last - first > heights.shape[0]:
             return n
         standable_z = -math.inf  # of the last standable surface
@@ -177,6 +178,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
             z = hits.z[i]
             up = hits.normal[i, 2]
             is_gentle = up >= limits.min_up
+            # too steep, and no low bump
             if not is_gentle and not (up > 0.0 and z - gentle_z <= limits.step + LIMIT_SLACK):
                 continue
             if not is_gentle and up <= MAX_SIDE_UP and gentle_z - standable_z > SAME_HEIGHT:
@@ -200,7 +202,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
                 if z - standable_z > SAME_HEIGHT and above - z >= limits.headroom - LIMIT_SLACK:
                     num_meshes, num_solids = _count_enclosing(hits, i, last)
                     num_planes, plane_geom = find_planes_above(planes, lattice, cells[n], z)
-                    # inside of meshes alone, or of planes alone
+                    # hollow meshes, or scenes without planes, help only if nothing else is around
                     in_meshes_or_planes_alone = num_solids <= 0 and (
                         num_meshes <= 0 or num_planes == 0
                     )
@@ -247,6 +249,7 @@ def slopes_join(surfaces, a, b, direction, step):
     rise_by_b = slope_sign * normal[b, axis] / normal[b, 2]
     if max(abs(rise_by_a), abs(rise_by_b)) <= step + LIMIT_SLACK:
         return False
+    # a bend between the two cells makes the real rise a mean of both predictions
     lowest_rise = min(rise_by_a, rise_by_b)
     highest_rise = max(rise_by_a, rise_by_b)
     if lowest_rise - LIMIT_SLACK <= rise <= highest_rise + LIMIT_SLACK:

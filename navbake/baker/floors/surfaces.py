@@ -88,6 +88,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             agent_limits(agent),
             least=LEAST_CELLS,
         )
+        # surfaces of this chunk come after those of earlier chunks
         end[cells] = num_surfaces + np.cumsum(counts)
         first[cells] = end[cells] - counts
         num_surfaces += int(counts.sum())
