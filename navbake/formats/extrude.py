@@ -21,6 +21,7 @@ import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -35,13 +36,18 @@ from navbake.types import Bool, Float, Json
 from navbake.yaml_text import encode_yaml
 
 WALL_HEIGHT = 2.5  # over the highest floor [m]
-SLAB = 0.02  # thickness of a floor [m]; thin, because it takes headroom from the level below
-INSET = 1e-3  # of a cell, by which a box is smaller on each side
-OVER_FLOORS = 0.01  # where the uppermost level ends, over its highest floor [m]; walls go on
+SLAB_THICKNESS = (
+    0.02  # thickness of a floor [m]; thin, because it takes headroom from the level below
+)
+BOX_INSET = 1e-3  # of a cell, by which a box is smaller on each side
+TOP_MARGIN = 0.01  # where the uppermost level ends, over its highest floor [m]; walls go on
 MAX_BOXES = 200_000
-HIGHEST = 1e4  # of walls [m]
-DIGITS = 9  # of lengths in the settings, after the point [m]
-HEAD = """\
+MAX_WALL_HEIGHT = 1e4  # [m]
+DECIMALS = 9  # of lengths in the settings [m]
+LATTICE_TOLERANCE = 1e-3  # by which the lattices of levels may be off [cells]
+SAME_CELL_SIZE = 1e-9  # by which the levels' cell sizes may differ [m]
+DEFAULT_MAX_CELLS = 25_000_000  # of the settings, unless the grid has more
+SCENE_HEAD = """\
   <default>
     <default class="floor"><geom type="box" rgba="0.82 0.8 0.76 1"/></default>
     <default class="wall"><geom type="box" rgba="0.45 0.5 0.58 1"/></default>
@@ -49,6 +55,14 @@ HEAD = """\
   <worldbody>
     <light directional="true" dir="-0.4 -0.2 -1" diffuse="0.8 0.8 0.8"/>
 """
+
+
+class _Boxes(NamedTuple):
+    """Boxes of one class of the scene: floors or walls of a level."""
+
+    kind: str  # class of the geoms, floor or wall
+    level: int
+    corners: Float  # lower and upper corner of each box [m], shape (n, 2, 3)
 
 
 def encode_mjcf(
@@ -62,138 +76,168 @@ def encode_mjcf(
     """Make a scene of a grid, and settings beside it that bake it to the same cells.
 
     Args:
-        path: ends in ``.xml``; the settings have the same name, with ``.yaml``.
-        level: this level only; all if None, each at its height.
+        grid: the grid.
+        path: the scene, which ends in ``.xml``; the settings have the same name, with ``.yaml``.
+        level: the number of the only level to write; None for all, each at its height.
         height: of walls over the highest floor [m], more than the agent's height. If None: 2.5,
             or more for a high agent.
         flat: put all floors of a level at its ground, as on a map without heights; needs fewer
             boxes on rough ground.
+
+    Returns:
+        The content of the scene and of the settings, each by its path.
 
     Raises:
         FormatError: there is no such level or no free cell, the walls are too low, levels don't
             lie over each other, or more than 200,000 boxes are needed.
     """
     levels = [grid.levels[k] for k in select_levels(grid, path, level, (".xml",))]
-    least = grid.agent_height
-    height = max(WALL_HEIGHT, least + 1.0) if height is None else height
-    if not least < height <= HIGHEST:
-        raise FormatError(f"expected walls higher than the agent ({least:g} m), got {height:g} m")
-    floors = [_floor_of(own, bool(flat)) for own in levels]
-    if not any((own.free & ~np.isnan(z)).any() for own, z in zip(levels, floors, strict=True)):
+    agent_height = grid.agent_height
+    if height is None:
+        height = max(WALL_HEIGHT, agent_height + 1.0)
+    if not agent_height < height <= MAX_WALL_HEIGHT:
+        expected = f"walls higher than the agent ({agent_height:g} m)"
+        raise FormatError(
+            f"expected {expected}, got {height:g} m", key="height", value=height, expected=expected
+        )
+    floors = [_find_floor(scene, bool(flat)) for scene in levels]
+    has_free_cell = any(
+        (scene.free & ~np.isnan(floor)).any() for scene, floor in zip(levels, floors, strict=True)
+    )
+    if not has_free_cell:
         raise FormatError("the grid has no free cell to make a scene of")
-    lattice, windows = _place_levels(levels)
-    stacked = np.full((len(levels), *lattice.shape), np.nan)
+
+    lattice, windows = _join_lattices(levels)
+    # floors of all levels on the common lattice, shape (level, row, col)
+    stacked_floors = np.full((len(levels), *lattice.shape), np.nan)
     for k, window in enumerate(windows):
-        stacked[(k, *window)] = floors[k]
-    top = float(np.nanmax(stacked)) + height
-    parts = list[tuple[str, Float]]()
-    for k, (own, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
+        stacked_floors[(k, *window)] = floors[k]
+    top = float(np.nanmax(stacked_floors)) + height
+    box_groups: list[_Boxes] = []
+    for k, (scene, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
         # walls end under the next floor above, else at the top
         with np.errstate(invalid="ignore"):
-            others = stacked[(slice(None), *window)]
-            above = np.where(others > floor, others, np.inf).min(axis=0)
-        ceiling = np.where(np.isinf(above), top, above - SLAB)
+            window_floors = stacked_floors[(slice(None), *window)]
+            next_floor = np.where(window_floors > floor, window_floors, np.inf).min(axis=0)
+        ceiling = np.where(np.isinf(next_floor), top, next_floor - SLAB_THICKNESS)
         has_floor = ~np.isnan(floor)
-        parts.append((f"floor_{k}", _boxes(own.lattice, has_floor, floor - SLAB, floor)))
-        stands = has_floor & ~own.free & (ceiling > np.nan_to_num(floor, nan=np.inf))
-        parts.append((f"wall_{k}", _boxes(own.lattice, stands, floor, ceiling)))
-    num_boxes = sum(len(boxes) for _, boxes in parts)
+        slabs = _make_boxes(scene.lattice, has_floor, floor - SLAB_THICKNESS, floor)
+        box_groups.append(_Boxes("floor", k, slabs))
+        has_wall = has_floor & ~scene.free & (ceiling > np.nan_to_num(floor, nan=np.inf))
+        walls = _make_boxes(scene.lattice, has_wall, floor, ceiling)
+        box_groups.append(_Boxes("wall", k, walls))
+    num_boxes = sum(len(boxes.corners) for boxes in box_groups)
     if num_boxes > MAX_BOXES:
         remedy = "extrude one level at a time, or with flat floors"
-        most = f"expected {MAX_BOXES:,} at most"
-        raise FormatError(f"the scene takes {num_boxes:,} boxes, {most}: {remedy}")
-    settings = _settings(grid, path, lattice, levels, stacked)
+        expected = f"{MAX_BOXES:,} at most"
+        message = f"the scene takes {num_boxes:,} boxes, expected {expected}: {remedy}"
+        raise FormatError(message, value=num_boxes, expected=expected, hint=remedy)
+
+    settings = _make_settings(grid, path, lattice, levels, stacked_floors)
     settings_path = path.with_suffix(".yaml")
     check_named(path)
-    head = f"# Bakes {_plain(path.name)} to the cells that it was made of.\n"
-    lines = _scene_lines(grid.scene_id or path.stem, parts, settings, settings_path.name)
+    head = f"# Bakes {_format_comment(path.name)} to the cells that it was made of.\n"
+    lines = _write_scene(grid.scene_id or path.stem, box_groups, settings, settings_path.name)
     return {path: "".join(lines).encode(), settings_path: head.encode() + encode_yaml(settings)}
 
 
-def _floor_of(level: SceneGrid2D, is_flat: bool) -> Float:
-    """World z of each cell's floor, NaN for none [m]; the ground if a grid has no floors."""
+def _find_floor(level: SceneGrid2D, is_flat: bool) -> Float:
+    """Return world z of each cell's floor [m], NaN for none; the ground if a grid has no floors."""
     if "floorHeight" not in level.attributes:
         return np.full(level.shape, level.ground)
-    return np.where(np.isnan(level.floor), np.nan, level.ground) if is_flat else level.floor
+    if is_flat:
+        return np.where(np.isnan(level.floor), np.nan, level.ground)
+    return level.floor
 
 
-def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice, slice]]]:
-    """The common lattice of all levels, and each level's rectangle in it."""
-    cell = levels[0].lattice.cell_size
+def _join_lattices(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice, slice]]]:
+    """Return a lattice that holds all levels, and each level's rows and columns in it."""
+    cell_size = levels[0].lattice.cell_size
     bounds = np.array([level.lattice.bounds for level in levels])
     x0, y0 = bounds[:, :2].min(axis=0)
     x1, y1 = bounds[:, 2:].max(axis=0)
-    whole = Lattice(float(x0), float(y1), cell, round((x1 - x0) / cell), round((y1 - y0) / cell))
+    width = round((x1 - x0) / cell_size)
+    height = round((y1 - y0) / cell_size)
+    common = Lattice(float(x0), float(y1), cell_size, width, height)
     windows = []
     for level in levels:
-        own = level.lattice
-        offset = (np.array(own.bounds) - whole.bounds) / cell
-        if abs(own.cell_size - cell) > 1e-9 or np.abs(offset - np.rint(offset)).max() > 1e-3:
+        lattice = level.lattice
+        offset = (np.array(lattice.bounds) - common.bounds) / cell_size
+        has_same_size = abs(lattice.cell_size - cell_size) <= SAME_CELL_SIZE
+        if not has_same_size or np.abs(offset - np.rint(offset)).max() > LATTICE_TOLERANCE:
             raise FormatError("expected levels on one lattice: extrude one (level) at a time")
-        row = round((whole.y_max - own.y_max) / cell)
-        col = round((own.x_min - whole.x_min) / cell)
-        windows.append((slice(row, row + own.height), slice(col, col + own.width)))
-    return whole, windows
+        row = round((common.y_max - lattice.y_max) / cell_size)
+        col = round((lattice.x_min - common.x_min) / cell_size)
+        windows.append((slice(row, row + lattice.height), slice(col, col + lattice.width)))
+    return common, windows
 
 
-def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
-    """Boxes over rectangles of cells with the same heights: (n, 2, 3), both corners [m]."""
-    spans = np.stack([low[mask], high[mask]], axis=1)
-    heights, labels = np.unique(spans, axis=0, return_inverse=True)
-    cells = np.zeros(mask.shape, dtype=np.int32)
-    cells[mask] = labels.ravel() + 1
-    first, rows, cols, _ = cover_quads(cells, np.zeros(mask.shape), 0.0, 0.0, -INSET)
-    z = heights[cells[first[:, 0], first[:, 1]].astype(np.int64) - 1]
-    x = lattice.x_min + lattice.cell_size * cols[:, :2]
-    y = lattice.y_max - lattice.cell_size * rows[:, 1:3]
+def _make_boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
+    """Return boxes over rectangles of cells of the mask with the same lower and upper heights.
+
+    Each is its lower and upper corner [m]; the shape is (n, 2, 3).
+    """
+    height_pairs = np.stack([low[mask], high[mask]], axis=1)
+    unique_pairs, pair_numbers = np.unique(height_pairs, axis=0, return_inverse=True)
+    labels = np.zeros(mask.shape, dtype=np.int32)
+    labels[mask] = pair_numbers.ravel() + 1
+    quads = cover_quads(labels, np.zeros(mask.shape), 0.0, 0.0, -BOX_INSET)
+    quad_labels = labels[quads.first_cell[:, 0], quads.first_cell[:, 1]]
+    z = unique_pairs[quad_labels.astype(np.int64) - 1]
+    # of the corners, the first two differ in x, the second and third in y
+    x = lattice.x_min + lattice.cell_size * quads.cols[:, :2]
+    y = lattice.y_max - lattice.cell_size * quads.rows[:, 1:3]
     return np.stack([x, y, z], axis=-1)
 
 
-def _settings(
-    grid: NavGrid, path: Path, lattice: Lattice, levels: list[SceneGrid2D], stacked: Float
+def _make_settings(
+    grid: NavGrid, path: Path, lattice: Lattice, levels: list[SceneGrid2D], stacked_floors: Float
 ) -> Json:
-    lowest = float(np.nanmin(stacked))
-    highest = float(np.nanmax(stacked))
-    grounds = [round(level.ground, DIGITS) + 0.0 for level in levels]
-    grounds[0] = min(grounds[0], round(lowest, DIGITS) + 0.0)
+    """Return the settings that bake the scene to the cells of the grid."""
+    lowest = float(np.nanmin(stacked_floors))
+    highest = float(np.nanmax(stacked_floors))
+    grounds = [round(level.ground, DECIMALS) + 0.0 for level in levels]
+    grounds[0] = min(grounds[0], round(lowest, DECIMALS) + 0.0)
     if not all(low < high for low, high in itertools.pairwise(grounds)):
         raise FormatError("expected levels with ascending grounds: extrude one (level) at a time")
-    stated: list[Json] = [{"ground": ground} for ground in grounds]
-    stated[-1]["top"] = round(max(highest, grounds[-1]) + OVER_FLOORS, DIGITS)
+    level_entries: list[Json] = [{"ground": ground} for ground in grounds]
+    level_entries[-1]["top"] = round(max(highest, grounds[-1]) + TOP_MARGIN, DECIMALS)
     step = min(grid.max_step, 0.99 * grid.agent_height)
     return {
         "scene": {"path": path.name},
         "agent": {"height": grid.agent_height, "radius": 0.0, "traversable_floor_height": step},
         "grid": {
             "cell_size": lattice.cell_size,
-            "bounds": [round(value, DIGITS) + 0.0 for value in lattice.bounds],
-            "max_cells": max(25_000_000, lattice.width * lattice.height),
+            "bounds": [round(value, DECIMALS) + 0.0 for value in lattice.bounds],
+            "max_cells": max(DEFAULT_MAX_CELLS, lattice.width * lattice.height),
         },
-        "levels": stated,
+        "levels": level_entries,
         "floors": {"min_area": 0, "shrink": 0, "crack": 0, "tops": True, "roofs": True},
     }
 
 
-def _scene_lines(
-    name: str, parts: list[tuple[str, Float]], settings: Json, settings_name: str
+def _write_scene(
+    name: str, box_groups: list[_Boxes], settings: Json, settings_name: str
 ) -> Iterator[str]:
+    """Yield the lines of the scene's MJCF."""
     cells = settings["grid"]
-    stated = f"cells of {cells['cell_size']!r} m, bounds {cells['bounds']}"
-    where = f"with the settings in {_plain(settings_name)}: {stated}"
+    cells_text = f"cells of {cells['cell_size']!r} m, bounds {cells['bounds']}"
+    settings_text = f"with the settings in {_format_comment(settings_name)}: {cells_text}"
     yield f"<mujoco model={quoteattr(''.join(filter(str.isprintable, name)))}>\n"
-    yield f"  <!-- It bakes to the cells that it was made of {where} -->\n{HEAD}"
-    for prefix, boxes in parts:
-        kind = prefix.split("_")[0]
-        low = boxes[:, 0]
-        high = boxes[:, 1]
-        both = zip(((low + high) / 2).tolist(), ((high - low) / 2).tolist(), strict=True)
-        for k, (at, size) in enumerate(both):
-            pos = " ".join(map(repr, at))
-            extent = " ".join(map(repr, size))
-            yield f'    <geom name="{prefix}_{k}" class="{kind}" pos="{pos}" size="{extent}"/>\n'
+    yield f"  <!-- It bakes to the cells that it was made of {settings_text} -->\n{SCENE_HEAD}"
+    for boxes in box_groups:
+        low = boxes.corners[:, 0]
+        high = boxes.corners[:, 1]
+        centers = ((low + high) / 2).tolist()
+        half_extents = ((high - low) / 2).tolist()
+        for number, (center, half_extent) in enumerate(zip(centers, half_extents, strict=True)):
+            geom_name = f"{boxes.kind}_{boxes.level}_{number}"
+            pos = " ".join(map(repr, center))
+            size = " ".join(map(repr, half_extent))
+            yield f'    <geom name="{geom_name}" class="{boxes.kind}" pos="{pos}" size="{size}"/>\n'
     yield "  </worldbody>\n</mujoco>\n"
 
 
-def _plain(text: str) -> str:
-    """Text for an XML comment: without two hyphens in a row."""
+def _format_comment(text: str) -> str:
+    """Return text that an XML comment can hold: without two hyphens in a row."""
     return re.sub("-(?=-)", "- ", "".join(filter(str.isprintable, text)))

@@ -15,7 +15,7 @@ import struct
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import orjson
@@ -27,52 +27,63 @@ from navbake.formats.source import Files
 from navbake.navgrid.colors import FREE, color_rooms, rgb_of, to_linear
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import FARTHEST
-from navbake.types import Float, Int, Json
+from navbake.types import Float, Int, Json, JsonValue
 
-TOLERANCE = 0.001  # [m]
-MAX_SLOPE = 45.0  # of files that state none [deg]
-SLACK = 1e-6  # relative rounding of the steepest slope
+HEIGHT_TOLERANCE = 0.001  # by which a quad may be off the floor, unless a caller says else [m]
+DEFAULT_MAX_SLOPE = 45.0  # of grids that state none [deg]
+SLOPE_TOLERANCE = 1e-6  # share by which a slope may exceed the steepest, for rounding
 NO_ROOM = "no room"
-COMPONENTS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
+COMPONENT_TYPES = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
 # targets of buffer views
-VERTICES = 34962
-INDICES = 34963
-UPS = ("y", "z")
-VERTEX = "v %.10g %.10g %.10g %.3f %.3f %.3f\n"
-FACE = "f %d %d %d\nf %d %d %d\n"
+VERTEX_TARGET = 34962
+INDEX_TARGET = 34963
+UP_AXES = ("y", "z")
+OBJ_VERTEX = "v %.10g %.10g %.10g %.3f %.3f %.3f\n"
+OBJ_QUAD = "f %d %d %d\nf %d %d %d\n"  # its two triangles
 
 
 @dataclass(frozen=True, eq=False)
 class LevelMesh:
-    """The walkable floor of a level: quads of two triangles and four vertices each."""
+    """The walkable floor of a level: quads of two triangles and four vertices each.
 
-    name: str  #: Of the level.
-    #: The outer corner of the level's cell 0, on its ground: world x, y, z [m].
+    Attributes:
+        name: the level's name.
+        origin: the outer corner of the level's cell 0, on its ground, world x, y, z [m].
+        vertices: world x, y, z [m], shape (4 n, 3), float64; four for each quad, anticlockwise
+            seen from above.
+        room: the number of each quad's room in `rooms`, shape (n,), int64, ascending; 0 for none.
+        rooms: the rooms' names by that number, each once; 0 is "no room".
+        indices: the rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
+    """
+
+    name: str
     origin: tuple[float, float, float]
-    #: World x, y, z [m], shape (4 n, 3), float64; of each quad anticlockwise from above.
     vertices: Float
-    room: Int  #: By quad, its number in `rooms`, shape (n,), int64, ascending; 0 for none.
-    rooms: list[str]  #: The rooms' names by that number, each once; 0 is "no room".
-    #: The rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
+    room: Int
+    rooms: list[str]
     indices: list[int]
 
     @property
     def faces(self) -> Int:
         """The vertices of each triangle, anticlockwise from above, shape (2 n, 3), int64."""
-        first = 4 * np.arange(len(self.room))[:, None, None]
-        faces: Int = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+        first_vertex = 4 * np.arange(len(self.room))[:, None, None]
+        faces: Int = (first_vertex + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
         return faces
 
     @property
     def area(self) -> float:
-        """Seen from above [m²]; that of the free cells."""
+        """The area seen from above [m²], which is that of the free cells."""
         quads = self.vertices.reshape(-1, 4, 3)
         return float(np.prod(quads[:, 2, :2] - quads[:, 0, :2], axis=1).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class FloorMesh:
-    """The walkable floor of a grid: a mesh a level, lowest first."""
+    """The walkable floor of a grid.
+
+    Attributes:
+        levels: the mesh of each level, lowest first.
+    """
 
     levels: list[LevelMesh]
 
@@ -84,16 +95,19 @@ class FloorMesh:
     @property
     def faces(self) -> Int:
         """The triangles of all levels as rows of `vertices`, shape (m, 3), int64."""
-        first = np.cumsum([0] + [len(level.vertices) for level in self.levels])
-        return np.concatenate([v.faces + n for v, n in zip(self.levels, first, strict=False)])
+        counts = [len(level.vertices) for level in self.levels]
+        first_vertex = np.cumsum([0, *counts])
+        return np.concatenate(
+            [level.faces + first_vertex[number] for number, level in enumerate(self.levels)]
+        )
 
     @property
     def area(self) -> float:
-        """Seen from above [m²]; that of the free cells."""
+        """The area seen from above [m²], which is that of the free cells."""
         return sum(level.area for level in self.levels)
 
 
-def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
+def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> FloorMesh:
     """Make a mesh of a grid's free cells.
 
     Each free cell is covered once, all others are left open. Cells of one room in a rectangle whose
@@ -106,87 +120,134 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height
     lies on the level's ground.
 
-    The mesh is off the floor at a cell's centre by at most `tolerance` [m], >= 0. Raises a
-    QueryError if that is invalid.
+    Args:
+        grid: the grid.
+        tolerance: by how much the mesh may be off the floor at a cell's centre [m], >= 0.
+
+    Returns:
+        The mesh, a part for each level.
+
+    Raises:
+        QueryError: the tolerance is invalid.
     """
     is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= FARTHEST
     if not is_length:
-        raise QueryError(f"expected a tolerance of 0 m or more, got {tolerance!r}")
-    # rooms by number, with unique names in the whole grid
+        raise QueryError(
+            f"expected a tolerance of 0 m or more, got {tolerance!r}",
+            key="tolerance",
+            value=tolerance,
+            expected="a tolerance of 0 m or more",
+        )
+    # rooms by level and index, with unique names in the grid
     count = Counter(room.name for room in grid.rooms)
     names = {
         (room.level, room.index): room.name if room.name and count[room.name] == 1 else room.id
         for room in grid.rooms
     }
-    stated: Any = grid.navbake.get("maxSlope")
-    is_angle = type(stated) in (int, float) and 0 <= stated < 90
-    steepest = math.tan(math.radians(stated if is_angle else MAX_SLOPE)) * (1 + SLACK)
+    max_slope: JsonValue = grid.navbake.get("maxSlope")
+    if type(max_slope) not in (int, float) or not 0 <= max_slope < 90:
+        max_slope = DEFAULT_MAX_SLOPE
+    max_gradient = math.tan(math.radians(max_slope)) * (1 + SLOPE_TOLERANCE)
+
     levels = []
     for number, level in enumerate(grid.levels):
         lattice = level.lattice
-        size = level.lattice.cell_size
-        index = level.room_index.astype(np.int32)
-        labels = np.where(level.free, index + 1, 0)
-        heights = level.floor_or_ground
-        first, rows, cols, z = cover_quads(labels, heights, float(tolerance), steepest * size)
-        own = index[first[:, 0], first[:, 1]]
-        order = np.argsort(own, kind="stable")
-        corners = [lattice.x_min + cols * size, lattice.y_max - rows * size, z]
-        found, room = np.unique(own[order], return_inverse=True)
-        indices = [i for i in found.tolist() if i]
+        size = lattice.cell_size
+        room_index = level.room_index.astype(np.int32)
+        labels = np.where(level.free, room_index + 1, 0)
+        quads = cover_quads(labels, level.floor_or_ground, float(tolerance), max_gradient * size)
+        quad_index = room_index[quads.first_cell[:, 0], quads.first_cell[:, 1]]
+        order = np.argsort(quad_index, kind="stable")
+        x = lattice.x_min + quads.cols * size
+        y = lattice.y_max - quads.rows * size
+        vertices = np.stack([x, y, quads.heights], axis=-1)[order].reshape(-1, 3)
+        level_indices, room = np.unique(quad_index[order], return_inverse=True)
+        indices = [index for index in level_indices.tolist() if index]
         mesh = LevelMesh(
             name=grid.level_names[number],
             origin=(lattice.x_min, lattice.y_max, level.ground),
-            vertices=np.stack(corners, axis=-1)[order].reshape(-1, 3),
-            # 0 is no room, also where all cells are in one
-            room=room.astype(np.int64) + (len(indices) == len(found)),
-            rooms=[NO_ROOM, *(names.get((number, i), f"{number}:{i}") for i in indices)],
+            vertices=vertices,
+            # number 0 is "no room", also where all cells are in a room
+            room=room.astype(np.int64) + (len(indices) == len(level_indices)),
+            rooms=[
+                NO_ROOM,
+                *(names.get((number, index), f"{number}:{index}") for index in indices),
+            ],
             indices=[0, *indices],
         )
         levels.append(mesh)
     return FloorMesh(levels)
 
 
+class Quads(NamedTuple):
+    """Quads that cover cells; corners are anticlockwise seen from above, the lower left one first.
+
+    Attributes:
+        first_cell: row and column of each quad's first cell in reading order, shape (n, 2), int64.
+        rows: the row of each corner, 0 at the upper edge of the first row, shape (n, 4), float64.
+        cols: the column of each corner, 0 at the left edge, shape (n, 4), float64.
+        heights: the height of each corner [m], shape (n, 4), float64.
+    """
+
+    first_cell: Int
+    rows: Float
+    cols: Float
+    heights: Float
+
+
 def cover_quads(
-    labels: NDArray[np.int32], heights: Float, tolerance: float, steepest: float, margin: float = 0
-) -> tuple[Int, Float, Float, Float]:
+    labels: NDArray[np.int32], heights: Float, tolerance: float, max_rise: float, margin: float = 0
+) -> Quads:
     """Cover cells by few quads, each of one label and one plane; see `cover_planes`.
 
+    Args:
+        labels: the label of each cell, shape (height, width); cells of label 0 stay uncovered.
+        heights: the height at each cell's centre, of the same shape [m].
+        tolerance: by how much a cell's height may be off its quad [m].
+        max_rise: the largest rise of a quad over a cell [m].
+        margin: by how much the quads are larger on each side [cells]; negative for smaller ones.
+
     Returns:
-        Row and column of each quad's first cell, shape (n, 2); and rows, columns and heights of its
-        corners, anticlockwise from above, the lower left one first, shape (n, 4) each. The quads
-        are larger by `margin` on each side [cells]; smaller if it is negative.
+        The quads, in reading order of their first cells.
     """
     from navbake.compiled import ensure_compiled  # numba loads slowly
     from navbake.formats.plane_kernels import cover_planes  # as above
 
     ensure_compiled("formats.plane_kernels.")
-    bounds, planes = cover_planes(labels, heights, tolerance, steepest)
+    bounds, planes = cover_planes(labels, heights, tolerance, max_rise)
     row0, col0, row1, col1 = bounds.T
     rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * margin
     cols = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * margin
-    # from the first centre
+    # planes are given at the first cell's centre
     down = rows - row0[:, None] - 0.5
     right = cols - col0[:, None] - 0.5
-    z = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
-    return bounds[:, :2], rows, cols, z
+    corner_heights = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
+    return Quads(bounds[:, :2], rows, cols, corner_heights)
 
 
 def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
-    """Colours of `LevelMesh.rooms`, sRGB, shape (n, 3), by level; neighbours' differ."""
-    found = []
+    """Return the colours of each level's `LevelMesh.rooms`; those of neighbours differ.
+
+    Args:
+        grid: the grid.
+        mesh: the mesh that was made of it.
+
+    Returns:
+        For each level, sRGB colours, shape (n, 3), uint8.
+    """
+    level_colors = []
     for number, level in enumerate(mesh.levels):
         colors = color_rooms(grid, number)[level.indices]
         colors[0] = rgb_of(FREE)
-        found.append(colors)
-    return found
+        level_colors.append(colors)
+    return level_colors
 
 
 # ---------------------------------------------------------------- files
 
 
 class GlbBuffer:
-    """The one buffer of a GLB, and its views and accessors."""
+    """The single buffer of a GLB, and its views and accessors."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -194,22 +255,35 @@ class GlbBuffer:
         self._accessors: list[Json] = []
 
     def add_bytes(self, content: bytes, target: int | None = None) -> int:
-        """Append bytes, and return the number of their buffer view."""
+        """Append bytes.
+
+        Args:
+            content: the bytes.
+            target: the kind of buffer that they are for, as glTF numbers it; None for an image.
+
+        Returns:
+            The number of their buffer view.
+        """
         view = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(content)}
         self._views.append(view if target is None else {**view, "target": target})
         self._data += content + bytes(-len(content) % 4)
         return len(self._views) - 1
 
     def add_indices(self, faces: NDArray[np.uint32]) -> int:
-        """Append indices into vertices, any shape, and return the number of their accessor."""
-        return self._add(np.ravel(faces), "SCALAR", INDICES)
+        """Append indices into vertices, of any shape; return the number of their accessor."""
+        return self._add(np.ravel(faces), "SCALAR", INDEX_TARGET)
 
-    def add_vectors(self, values: NDArray[Any], **more: Any) -> int:
-        """Append vectors, shape (n, 2 to 4), float32 or uint16, and return their accessor's number.
+    def add_vectors(self, values: NDArray[Any], **fields: JsonValue) -> int:
+        """Append vectors.
 
-        `more` are further entries of the accessor.
+        Args:
+            values: the vectors, shape (n, 2 to 4), float32 or uint16.
+            fields: further fields of their accessor.
+
+        Returns:
+            The number of their accessor.
         """
-        return self._add(values, f"VEC{values.shape[1]}", VERTICES, **more)
+        return self._add(values, f"VEC{values.shape[1]}", VERTEX_TARGET, **fields)
 
     def add_positions(self, vertices: NDArray[np.float32]) -> int:
         """Append vertices, shape (n, 3), n > 0, with their bounds, which glTF demands."""
@@ -217,22 +291,35 @@ class GlbBuffer:
         high = vertices.max(axis=0).tolist()
         return self.add_vectors(vertices, min=low, max=high)
 
-    def _add(self, values: NDArray[Any], shape: str, target: int, **more: Any) -> int:
+    def _add(self, values: NDArray[Any], kind: str, target: int, **fields: JsonValue) -> int:
+        """Append values and their accessor, of a kind as ``VEC3``; return its number."""
         values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
         view = self.add_bytes(values.tobytes(), target)
-        component = COMPONENTS[values.dtype]
-        entry = {"bufferView": view, "componentType": component, "count": len(values)}
-        self._accessors.append({**entry, "type": shape, **more})
+        component_type = COMPONENT_TYPES[values.dtype]
+        entry = {"bufferView": view, "componentType": component_type, "count": len(values)}
+        self._accessors.append({**entry, "type": kind, **fields})
         return len(self._accessors) - 1
 
     def pack(self, document: Json) -> bytes:
-        """The content of a GLB file, without the document's empty parts, as glTF demands."""
-        tables = {"accessors": self._accessors, "bufferViews": self._views}
-        if self._data:
-            tables["buffers"] = [{"byteLength": len(self._data)}]
+        """Encode a GLB file.
+
+        Args:
+            document: the other parts of glTF's JSON; empty ones are left out, as glTF demands.
+
+        Returns:
+            The content of the file.
+        """
         asset = {"version": "2.0", "generator": f"navbake {__version__}"}
-        whole = {"asset": asset, "scene": 0, **document, **tables}
-        text = orjson.dumps({key: value for key, value in whole.items() if value not in ([], {})})
+        content: Json = {
+            "asset": asset,
+            "scene": 0,
+            **document,
+            "accessors": self._accessors,
+            "bufferViews": self._views,
+        }
+        if self._data:
+            content["buffers"] = [{"byteLength": len(self._data)}]
+        text = orjson.dumps({key: value for key, value in content.items() if value not in ([], {})})
         text += b" " * (-len(text) % 4)
         chunks = struct.pack("<I4s", len(text), b"JSON") + text
         if self._data:
@@ -240,12 +327,23 @@ class GlbBuffer:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Files:
+def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = HEIGHT_TOLERANCE) -> Files:
     """Encode a grid's walkable floor as GLB; see `make_floor_mesh` for its quads.
 
     y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
     name, with its origin at the outer corner of cell 0 on the ground; each room a material by its
     name, in its colour of the pictures.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+        tolerance: by how much the mesh may be off the floor at a cell's centre [m], >= 0.
+
+    Returns:
+        The file's content by its path.
+
+    Raises:
+        QueryError: the tolerance is invalid.
     """
     mesh = make_floor_mesh(grid, tolerance)
     buffer = GlbBuffer()
@@ -261,58 +359,83 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
         primitives = list[Json]()
         document["meshes"].append({"name": level.name, "primitives": primitives})
         east, north, up = (level.vertices - level.origin).T
-        turned = np.stack([east, up, 0.0 - north], axis=1).astype(np.float32)
+        vertices = np.stack([east, up, 0.0 - north], axis=1).astype(np.float32)
         for room in np.unique(level.room).tolist():
-            # its quads in a row
+            # quads are sorted by room
             first, end = np.searchsorted(level.room, [room, room + 1]).tolist()
             name = level.rooms[room]
             materials = document["materials"]
-            part = {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])}
+            positions = buffer.add_positions(vertices[4 * first : 4 * end])
             faces = buffer.add_indices(level.faces[: 2 * (end - first)].astype(np.uint32))
-            own = {"material": len(materials), "extras": {"room": name}}
-            primitives.append({"attributes": part, "indices": faces, **own})
+            primitives.append(
+                {
+                    "attributes": {"POSITION": positions},
+                    "indices": faces,
+                    "material": len(materials),
+                    "extras": {"room": name},
+                }
+            )
             color = [*np.round(to_linear(colors[room] / 255), 6).tolist(), 1.0]
-            looks = {"baseColorFactor": color, "metallicFactor": 0.0}
-            materials.append({"name": name, "pbrMetallicRoughness": looks, "doubleSided": True})
+            surface = {"baseColorFactor": color, "metallicFactor": 0.0}
+            materials.append({"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
     return {path: buffer.pack(document)}
 
 
-def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y") -> Files:
+def encode_obj(
+    grid: NavGrid, path: Path, *, tolerance: float = HEIGHT_TOLERANCE, up: str = "y"
+) -> Files:
     """Encode a grid's walkable floor as OBJ; see `make_floor_mesh` for its quads.
 
     Each level is an object, each room a group of it. Vertices have their room's colour after their
     position, an extension that most programs read. Each character of a name that is no letter,
-    digit, ``.`` or ``-`` becomes ``_``. `up` is ``y``: ``(x, z, -y)`` of the world, or ``z``: the
-    world's own x, y, z, in metres. Raises a QueryError for any other.
+    digit, ``.`` or ``-`` becomes ``_``.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+        tolerance: by how much the mesh may be off the floor at a cell's centre [m], >= 0.
+        up: the axis that is up: ``y`` for ``(x, z, -y)`` of the world, ``z`` for the world's own
+            x, y, z, in metres.
+
+    Returns:
+        The file's content by its path.
+
+    Raises:
+        QueryError: the tolerance or `up` is invalid.
     """
-    if up not in UPS:
-        raise QueryError(f"expected y or z as up, got {up!r}")
+    if up not in UP_AXES:
+        raise QueryError(
+            f"expected y or z as up, got {up!r}", key="up", value=up, expected="y or z"
+        )
     mesh = make_floor_mesh(grid, tolerance)
     lines = [f"# the walkable floor of a navbake grid, in metres, {up} up\n"]
-    done = 0
-    levels = set[str]()
-    groups = set[str]()
+    num_vertices = 0
+    used_level_names = set[str]()
+    used_room_names = set[str]()
     for level, colors in zip(mesh.levels, find_room_colors(grid, mesh), strict=True):
-        lines.append(f"o {_own_name(level.name, levels)}\n")
+        lines.append(f"o {_unique_name(level.name, used_level_names)}\n")
         x, y, z = level.vertices.T
         z = np.round(z, 6)  # drops the noise of float32
         points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
-        shades = colors[np.repeat(level.room, 4)] / 255
-        values = np.hstack([points, shades]).ravel().tolist()
-        lines.append((VERTEX * len(points)) % tuple(values))
-        faces = level.faces + done + 1  # counted from 1 through the file
+        vertex_colors = colors[np.repeat(level.room, 4)] / 255
+        values = np.hstack([points, vertex_colors]).ravel().tolist()
+        lines.append((OBJ_VERTEX * len(points)) % tuple(values))
+        faces = level.faces + num_vertices + 1  # counted from 1 through the file
         for room in np.unique(level.room).tolist():
-            own = faces[np.repeat(level.room == room, 2)].ravel().tolist()
-            lines.append(f"g {_own_name(level.rooms[room], groups)}\n")
-            lines.append((FACE * (len(own) // 6)) % tuple(own))
-        done += len(points)
+            room_faces = faces[np.repeat(level.room == room, 2)].ravel().tolist()
+            lines.append(f"g {_unique_name(level.rooms[room], used_room_names)}\n")
+            lines.append((OBJ_QUAD * (len(room_faces) // 6)) % tuple(room_faces))
+        num_vertices += len(points)
     return {path: "".join(lines).encode()}
 
 
-def _own_name(name: str, used: set[str]) -> str:
-    """A unique name with the characters that OBJ allows."""
-    plain = re.sub(r"[^\w.\-]", "_", name) or "_"
-    numbered = (plain if k == 1 else f"{plain}_{k}" for k in itertools.count(1))
-    found = next(name for name in numbered if name not in used)
-    used.add(found)
-    return found
+def _unique_name(name: str, used_names: set[str]) -> str:
+    """Return an unused name of characters that OBJ allows, and add it to the used ones."""
+    base = re.sub(r"[^\w.\-]", "_", name) or "_"
+    unique = base
+    for number in itertools.count(2):
+        if unique not in used_names:
+            break
+        unique = f"{base}_{number}"
+    used_names.add(unique)
+    return unique

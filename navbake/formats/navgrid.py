@@ -102,7 +102,7 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     Example:
         >>> grid = navbake.load("house.grid.json")
         >>> grid.levels[0].shape
-        (82, 102)
+        (117, 126)
     """
     text, num_bytes, top = read_navgrid_text(source)
     content = _parse_file(text, top)

@@ -1,4 +1,4 @@
-"""The nodes of OctoMap's files, depth first, as leaves, and leaves as voxels.
+"""Decodes the nodes of OctoMap's files into leaves, and leaves into voxels.
 
 Source: OctoMap 1.9, `OccupancyOcTreeBase::readBinaryNode`, `OcTreeBaseImpl::readNodesRecurs`.
 """
@@ -8,29 +8,34 @@ import numpy as np
 from navbake.compiled import kernel
 
 DEPTH = 16
-# of a child, as a ``.bt`` has them
+# states of a child, as a ``.bt`` has them
 UNKNOWN = 0
 FREE = 1
 OCCUPIED = 2
 INNER = 3
+# faults, in place of a number of leaves
 OVERRUN = -1
 TOO_DEEP = -2
 
 
 @kernel
 def read_leaves(data, odds, has_odds, leaves):
-    """Read the nodes of a ``.bt``, or of an ``.ot``, which `has_odds`.
+    """Read the nodes of a ``.bt``, or of an ``.ot``, depth first.
 
-    `data` are bytes: in a ``.bt``, 2 bits for each child of a node with children; in an ``.ot``,
-    4 bytes of log-odds and one of which children there are, for each node. `odds` are these as
-    float32: 0 and more are occupied. `leaves`, (n, 5) int32, receives each leaf's first key x, y,
-    z, its level, and 1 if it is occupied; it is empty to count them only.
+    Args:
+        data: the nodes' bytes, shape (m,), uint8. In a ``.bt``, 2 bits for each child of a node
+            with children. In an ``.ot``, for each node 4 bytes of log-odds, and a byte whose bits
+            say which children exist.
+        odds: the log-odds of an ``.ot``, by node, float32; 0 and more are occupied.
+        has_odds: whether the data are those of an ``.ot``.
+        leaves: receives each leaf's first key x, y, z, its level, and 1 if it is occupied, shape
+            (n, 5), int32; empty to only count the leaves.
 
     Returns:
         The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where
         the data are wrong.
     """
-    fills = leaves.shape[0] > 0
+    writes_leaves = leaves.shape[0] > 0
     # of (level, x, y, z), level 16 the root, 0 a voxel; 8 children wait at each level at most
     stack = np.zeros((8 * (DEPTH + 1), 4), np.int64)
     stack[0, 0] = DEPTH
@@ -48,7 +53,7 @@ def read_leaves(data, odds, has_odds, leaves):
             place += 5
             num_nodes += 1
             if bits == 0:
-                if fills:
+                if writes_leaves:
                     leaves[num_leaves, 0] = x << level
                     leaves[num_leaves, 1] = y << level
                     leaves[num_leaves, 2] = z << level
@@ -76,7 +81,7 @@ def read_leaves(data, odds, has_odds, leaves):
                 stack[depth, 3] = cz
                 depth += 1
                 continue
-            if fills:
+            if writes_leaves:
                 size = level - 1
                 leaves[num_leaves, 0] = cx << size
                 leaves[num_leaves, 1] = cy << size
@@ -89,15 +94,22 @@ def read_leaves(data, odds, has_odds, leaves):
 
 @kernel
 def fill_leaves(leaves, first, values, known):
-    """Write leaves into voxels, occupied or not, and known; `first` is the first voxel's key."""
+    """Write leaves into voxels.
+
+    Args:
+        leaves: the leaves, as `read_leaves` has them, shape (n, 5), int32.
+        first: the key of the first voxel along each axis, shape (3,), int64.
+        values: receives whether each voxel is occupied, shape (nx, ny, nz), bool.
+        known: receives True in each voxel that a leaf covers, of the same shape.
+    """
     num_x, num_y, num_z = values.shape
-    for n in range(leaves.shape[0]):
-        size = 1 << leaves[n, 3]
-        x = leaves[n, 0] - first[0]
-        y = leaves[n, 1] - first[1]
-        z = leaves[n, 2] - first[2]
+    for leaf in range(leaves.shape[0]):
+        size = 1 << leaves[leaf, 3]
+        x = leaves[leaf, 0] - first[0]
+        y = leaves[leaf, 1] - first[1]
+        z = leaves[leaf, 2] - first[2]
         for i in range(max(x, 0), min(x + size, num_x)):
             for j in range(max(y, 0), min(y + size, num_y)):
                 for k in range(max(z, 0), min(z + size, num_z)):
                     known[i, j, k] = True
-                    values[i, j, k] = leaves[n, 4] != 0
+                    values[i, j, k] = leaves[leaf, 4] != 0

@@ -1,9 +1,10 @@
 """Covers cells by rectangles on each of which the floor is a plane, greedily, row by row.
 
-From each cell that isn't covered yet, the largest rectangle is taken whose upper left cell it is:
-the one with the most cells of all planes that it may begin with, level or sloped along its columns
-and rows; of equal ones the lower in height. That is not the least number possible, but near it on
-floor plans. Where all heights are the same, these are rectangles of one label.
+Each cell that isn't covered yet, in reading order, becomes the upper left cell of a rectangle. Of
+the planes through the cell (level, or sloped along its row, its column or both), the kernel takes
+the one whose rectangle has the most cells, and of equal rectangles the one with fewer rows. That
+does not find the smallest possible number of rectangles, but comes near it on floor plans. Where
+all heights are the same, these are rectangles of one label.
 """
 
 import numpy as np
@@ -14,14 +15,17 @@ FIRST_CAPACITY = 1024
 
 
 @kernel
-def cover_planes(labels, z, tolerance, steepest):
+def cover_planes(labels, heights, tolerance, max_rise):
     """Cover all cells whose label isn't 0 by rectangles of one label and one plane each.
 
-    The cells are visited row by row; each that isn't covered is the upper left corner of the next
-    rectangle. Its plane runs through the cell's height and is level, or has the slope of the two
-    cells to the right (and below), if these rise evenly and no more than `steepest` over a cell.
-    `labels` and `z`, the heights of cells' centres, have shape (height, width); a height may be off
-    its plane by `tolerance`.
+    A rectangle's plane runs through the height of its first cell. It is level, or has the slope of
+    the next two cells to the right, below, or both, if these rise evenly.
+
+    Args:
+        labels: the label of each cell, shape (height, width), int32.
+        heights: the height at each cell's centre, of the same shape, float64 [m].
+        tolerance: by how much a height may be off its plane [m].
+        max_rise: the largest rise of a plane over a cell [m].
 
     Returns:
         First row, first column, row and column after the last, shape (n, 4), int64; and of each
@@ -32,25 +36,27 @@ def cover_planes(labels, z, tolerance, steepest):
     is_open = labels != 0
     bounds = np.empty((FIRST_CAPACITY, 4), np.int64)
     planes = np.empty((FIRST_CAPACITY, 3))
-    num = 0
+    num_planes = 0
     for row in range(height):
         for col in range(width):
             if not is_open[row, col]:
                 continue
-            right = _slope(labels, z, is_open, row, col, 0, 1, tolerance)
-            down = _slope(labels, z, is_open, row, col, 1, 0, tolerance)
+            right = _even_rise(labels, heights, is_open, row, col, 0, 1, tolerance)
+            down = _even_rise(labels, heights, is_open, row, col, 1, 0, tolerance)
             best_rows = 0
             best_cols = 0
             best_x = 0.0
             best_y = 0.0
-            for way in range(4):
-                x = right * (way % 2)
-                y = down * (way // 2)
-                is_same = (way % 2 > 0 and right == 0.0) or (way // 2 > 0 and down == 0.0)
-                if is_same or x * x + y * y > steepest * steepest:
+            # level, sloped along the row, along the column, along both
+            for slope in range(4):
+                x = right * (slope % 2)
+                y = down * (slope // 2)
+                # without a rise, the plane is one of the others
+                is_same = (slope % 2 > 0 and right == 0.0) or (slope // 2 > 0 and down == 0.0)
+                if is_same or x * x + y * y > max_rise * max_rise:
                     continue
-                rows, cols = _largest(labels, z, is_open, row, col, x, y, tolerance)
-                # a slope takes three cells: two are on one whatever their heights
+                rows, cols = _largest_rectangle(labels, heights, is_open, row, col, x, y, tolerance)
+                # a slope takes three cells: any two heights lie on a line
                 is_short = (x != 0.0 and cols < 3) or (y != 0.0 and rows < 3)
                 if rows * cols > best_rows * best_cols and not is_short:
                     best_rows = rows
@@ -58,18 +64,18 @@ def cover_planes(labels, z, tolerance, steepest):
                     best_x = x
                     best_y = y
             is_open[row : row + best_rows, col : col + best_cols] = False
-            if num == bounds.shape[0]:
+            if num_planes == bounds.shape[0]:
                 bounds = np.concatenate((bounds, np.empty_like(bounds)))
                 planes = np.concatenate((planes, np.empty_like(planes)))
-            bounds[num] = row, col, row + best_rows, col + best_cols
-            planes[num] = z[row, col], best_x, best_y
-            num += 1
-    return bounds[:num].copy(), planes[:num].copy()
+            bounds[num_planes] = row, col, row + best_rows, col + best_cols
+            planes[num_planes] = heights[row, col], best_x, best_y
+            num_planes += 1
+    return bounds[:num_planes].copy(), planes[:num_planes].copy()
 
 
 @subkernel
-def _slope(labels, z, is_open, row, col, down, right, tolerance):
-    """The rise over a cell along three cells of one label; 0 where they don't rise evenly."""
+def _even_rise(labels, heights, is_open, row, col, down, right, tolerance):
+    """Return the rise over a cell along three cells of one label; 0 if they don't rise evenly."""
     last_row = row + 2 * down
     last_col = col + 2 * right
     if last_row >= labels.shape[0] or last_col >= labels.shape[1]:
@@ -80,32 +86,37 @@ def _slope(labels, z, is_open, row, col, down, right, tolerance):
         c = col + n * right
         if not is_open[r, c] or labels[r, c] != label:
             return 0.0
-    rise = (z[last_row, last_col] - z[row, col]) / 2
-    return rise if abs(z[row + down, col + right] - z[row, col] - rise) <= tolerance else 0.0
+    rise = (heights[last_row, last_col] - heights[row, col]) / 2
+    middle_rise = heights[row + down, col + right] - heights[row, col]
+    return rise if abs(middle_rise - rise) <= tolerance else 0.0
 
 
 @subkernel
-def _largest(labels, z, is_open, row, col, x, y, tolerance):
-    """Rows and columns of the largest rectangle on a plane, from its upper left cell."""
+def _largest_rectangle(labels, heights, is_open, row, col, x, y, tolerance):
+    """Return the rows and columns of the largest rectangle on a plane, from its upper left cell.
+
+    `x` and `y` are the plane's rise from column to column and from row to row. Row by row, the
+    width is the number of cells from the first column on that lie on the plane in all rows so far.
+    """
     label = labels[row, col]
-    here = z[row, col]
-    least = labels.shape[1] - col
+    first_height = heights[row, col]
+    width = labels.shape[1] - col
     best_rows = 0
     best_cols = 0
     for r in range(row, labels.shape[0]):
-        level = here + (r - row) * y
-        run = 0
-        while run < least:
-            c = col + run
+        row_height = first_height + (r - row) * y
+        num_fitting = 0
+        while num_fitting < width:
+            c = col + num_fitting
             if not is_open[r, c] or labels[r, c] != label:
                 break
-            if abs(z[r, c] - level - run * x) > tolerance:
+            if abs(heights[r, c] - row_height - num_fitting * x) > tolerance:
                 break
-            run += 1
-        least = run
-        if least * (labels.shape[0] - row) <= best_rows * best_cols:
-            break  # it gets no wider, so no height makes it larger
-        if least * (r - row + 1) > best_rows * best_cols:
+            num_fitting += 1
+        width = num_fitting
+        if width * (labels.shape[0] - row) <= best_rows * best_cols:
+            break  # the width never grows, so no number of rows makes it larger
+        if width * (r - row + 1) > best_rows * best_cols:
             best_rows = r - row + 1
-            best_cols = least
+            best_cols = width
     return best_rows, best_cols
