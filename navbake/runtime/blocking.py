@@ -419,8 +419,8 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
         ("steps", "traversable_floor_height", agent.step, grid.max_step),
     ):
         if size is not None and size > limit + SAME_SIZE:
-            got = f"got {size:g} m{agent_name}: bake it with agent.{key}={size:g}"
-            raise QueryError(f"{grid_name} is for {things} up to {limit:g} m, {got}")
+            got_text = f"got {size:g} m{agent_name}: bake it with agent.{key}={size:g}"
+            raise QueryError(f"{grid_name} is for {things} up to {limit:g} m, {got_text}")
     clean: NavGrid = grid.without_blocks()
     fitted = clean
     radius = agent.radius
@@ -429,8 +429,8 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME_SIZE):
         check_radius(radius)
         if radius < grid.inflated_radius:
-            got = f"got {radius:g} m{agent_name}: plan on the grid as it was baked"
-            raise QueryError(f"{grid_name} was inflated to {grid.radius:g} m, {got}")
+            got_text = f"got {radius:g} m{agent_name}: plan on the grid as it was baked"
+            raise QueryError(f"{grid_name} was inflated to {grid.radius:g} m, {got_text}")
         fitted = fitted.inflate(radius, ledges=ledges_setting(grid))
     if fitted is clean:
         return grid

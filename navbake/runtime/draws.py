@@ -76,7 +76,7 @@ class SpawnRules(NamedTuple):
 
 
 class Spacing(NamedTuple):
-    """When two agents clash: where both distances between them are less than these.
+    """Two agents clash where both distances between them are less than these.
 
     Attributes:
         distance: between their centres, on the map [m].

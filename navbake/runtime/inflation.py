@@ -33,9 +33,9 @@ ndimage = lazy("scipy.ndimage")
 
 AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 
-MODES = ("exact", "minos")
-COSTS = ("step", "nav2")
-LEDGES = ("avoid", "ignore")
+INFLATION_MODES = ("exact", "minos")
+CLEARANCE_COSTS = ("step", "nav2")
+LEDGE_RULES = ("avoid", "ignore")
 STEP_COST = 10.0  # weight of cells within the clearance, for costs ``step``
 LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
 INSCRIBED_COST = 253  # nav2's cost of cells within the inscribed radius
@@ -110,8 +110,10 @@ def inflate(
     """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
-        reaches_1 = math.log(LETHAL_COST) / scaling  # distance at which nav2's costs fall to 1
-        clearance = min(reaches_1, MAX_RADIUS) if costs == "nav2" else 0.0
+        distance_of_cost_1 = (
+            math.log(LETHAL_COST) / scaling
+        )  # distance at which nav2's costs fall to 1
+        clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
     weights = []
     for number, level in enumerate(grid.levels):
         if mode == "minos":
@@ -268,10 +270,10 @@ def check_arguments(
     Args:
         radius: expected to be 0 to 10,000 [m].
         clearance: expected to be 0 to 10,000 [m], or None.
-        mode: expected to be one of `MODES`.
-        costs: expected to be one of `COSTS`; ``step`` in mode ``minos``.
+        mode: expected to be one of `INFLATION_MODES`.
+        costs: expected to be one of `CLEARANCE_COSTS`; ``step`` in mode ``minos``.
         scaling: expected to be > 0 [1/m].
-        ledges: expected to be one of `LEDGES`.
+        ledges: expected to be one of `LEDGE_RULES`.
 
     Raises:
         QueryError: an argument is out of its range, or they exclude each other.
@@ -279,9 +281,9 @@ def check_arguments(
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
-    check_choice(mode, MODES, "mode")
-    check_choice(costs, COSTS, "costs")
-    check_choice(ledges, LEDGES, "ledges")
+    check_choice(mode, INFLATION_MODES, "mode")
+    check_choice(costs, CLEARANCE_COSTS, "costs")
+    check_choice(ledges, LEDGE_RULES, "ledges")
     if mode == "minos" and costs != "step":
         raise QueryError("mode minos has costs of its own (step): leave `costs` out")
     if not isinstance(scaling, RealNumber) or not 0 < scaling < math.inf:
@@ -338,14 +340,14 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     for number, level in enumerate(grid.levels):
         # not beside a neighbour whose floor is a step higher or lower, not a slope
         floor = level.floor_height.astype(np.float64)
-        is_even = np.ones(level.shape, dtype=np.bool_)
+        has_no_step = np.ones(level.shape, dtype=np.bool_)
         columns = (np.s_[:, :-1], np.s_[:, 1:])
         rows = (np.s_[:-1], np.s_[1:])
         for first, second in (columns, rows):
             rise = np.abs(floor[first] - floor[second])
             is_step = rise > STEEP_RISE * level.cell_size  # False for NaN
-            is_even[first] &= ~is_step
-            is_even[second] &= ~is_step
+            has_no_step[first] &= ~is_step
+            has_no_step[second] &= ~is_step
         cell = level.lattice.cell_size
         anywhere_radius = _anywhere_radius(radius, cell)
         is_blocked = find_blocked(grid, number, anywhere_radius, ledges)
@@ -353,9 +355,9 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
             grid, number, anywhere_radius, ledges, by_own_level=False
         )
         is_blocked_diagonally = find_blocked(grid, number, _diagonal_radius(radius, cell), ledges)
-        diagonal.append((is_even & ~is_blocked_diagonally).ravel())
-        anywhere.append((is_even & ~is_blocked).ravel())
-        sweepable.append((is_even & ~(is_blocked & is_blocked_by_floors)).ravel())
+        diagonal.append((has_no_step & ~is_blocked_diagonally).ravel())
+        anywhere.append((has_no_step & ~is_blocked).ravel())
+        sweepable.append((has_no_step & ~(is_blocked & is_blocked_by_floors)).ravel())
     return OffCenterMasks(
         diagonal=np.concatenate(diagonal),
         anywhere=np.concatenate(anywhere),
@@ -399,7 +401,7 @@ def inflate_footprint(
     Raises:
         QueryError: the polygon or another argument is not valid.
     """
-    check_choice(ledges, LEDGES, "ledges")
+    check_choice(ledges, LEDGE_RULES, "ledges")
     outline = _check_polygon(polygon)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
@@ -460,10 +462,10 @@ def count_runs(mask: Bool, runs: Int) -> Int32:
     """
     rows, cols = mask.shape
     pad = int(np.abs(runs).max(initial=0)) + 1
-    sums = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
+    running_sums = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
     count = np.zeros(mask.shape, dtype=np.int32)
     for row, first, last in (runs + pad).tolist():
-        row_sums = sums[row : row + rows]
+        row_sums = running_sums[row : row + rows]
         count += row_sums[:, last : last + cols] - row_sums[:, first - 1 : first - 1 + cols]
     return count
 

@@ -3,8 +3,8 @@
 `dilate` has two passes, as the exact distance transform of Meijster, Roerdink and Hesselink (2000):
 along the columns first, then along the rows, where it unites intervals instead of parabolas.
 
-Floors of several levels are compared cell by cell, but only where ranges of heights in tiles make a
-conflict possible: one step of a min-max pyramid.
+Floors of several levels are compared cell by cell, but only where ranges of heights in patches of
+cells make a conflict possible: one step of a min-max pyramid.
 
 Arrays have the shape (rows, cols), those of `LevelStack` (levels, rows, cols); `offsets` are the
 steps from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool and written.
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from navbake.compiled import kernel, subkernel
 from navbake.runtime.grid_arrays import EAST, NORTH, SOUTH, WEST
 
-TILE = 4  # edge of the squares of cells by which floors are compared first
-SLAB = 0.3  # [m] how thick the floor of a level above may be
+PATCH_SIZE = 4  # edge of the squares of cells by which floors are compared first
+SLAB_THICKNESS = 0.3  # [m] how thick the floor of a level above may be
 
 
 class LevelStack(NamedTuple):
@@ -126,12 +126,12 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
     the own level do not count in a column that another level covers, so that cells may become free.
     Then cells are blocked near a floor that is more than a step higher (of another level only up to
     an agent and a slab above) or a drop, unless a slope leads there. Offsets are tried only where
-    the floors of tiles make a conflict possible.
+    the floors of patches make a conflict possible.
 
     Args:
         stack: `LevelStack`.
-        lowest: the lowest floor of each level in the tiles that offsets lead to from each tile,
-            shape (levels, tile rows, tile columns).
+        lowest: the lowest floor of each level in the patches that offsets lead to from each patch,
+            shape (levels, patch rows, patch columns).
         highest: the highest floor, likewise.
         offsets: steps from an agent's cell to the cells that it meets, int64, shape (n, 2).
         counts_higher: whether higher floors block.
@@ -141,36 +141,36 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
     floor, occupied, slopes, level, step, height = stack
     levels, rows, cols = floor.shape
     overlap = height - step
-    reach_up = height + SLAB
+    highest_rise = height + SLAB_THICKNESS
     for row in range(rows if levels > 1 else 0):
         for col in range(cols):
             z = floor[level, row, col]
             meets_level = False
             for k in range(levels):
-                is_low = lowest[k, row // TILE, col // TILE] - z < overlap
-                is_high = z - highest[k, row // TILE, col // TILE] < overlap
+                is_low = lowest[k, row // PATCH_SIZE, col // PATCH_SIZE] - z < overlap
+                is_high = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
                 meets_level |= k != level and is_low and is_high
             if meets_level and not occupied[level, row, col]:
                 blocked[row, col] = _meets_occupied(
                     floor, occupied, level, row, col, offsets, overlap
                 )
-    for tile_row in range(lowest.shape[1]):
-        for tile_col in range(lowest.shape[2]):
-            least = lowest[level, tile_row, tile_col]
-            greatest = highest[level, tile_row, tile_col]
+    for patch_row in range(lowest.shape[1]):
+        for patch_col in range(lowest.shape[2]):
+            least = lowest[level, patch_row, patch_col]
+            greatest = highest[level, patch_row, patch_col]
             differs = False
             for k in range(levels):
-                differs |= highest[k, tile_row, tile_col] - least > step
-                differs |= greatest - lowest[k, tile_row, tile_col] > step
-            for index in range(TILE * TILE if differs else 0):
-                row = tile_row * TILE + index // TILE
-                col = tile_col * TILE + index % TILE
+                differs |= highest[k, patch_row, patch_col] - least > step
+                differs |= greatest - lowest[k, patch_row, patch_col] > step
+            for index in range(PATCH_SIZE * PATCH_SIZE if differs else 0):
+                row = patch_row * PATCH_SIZE + index // PATCH_SIZE
+                col = patch_col * PATCH_SIZE + index % PATCH_SIZE
                 if row >= rows or col >= cols:
                     continue
                 # what this column is to the cells of the level round it
                 is_wall = False
                 is_low = False
-                carries = False
+                has_floor_in_step = False
                 bottom = np.inf
                 top = -np.inf
                 for k in range(levels):
@@ -179,12 +179,12 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                     top = z if z > top else top
                     is_above = z - least > step
                     is_below = greatest - z > step
-                    is_wall |= is_above and (k == level or z - greatest < reach_up)
+                    is_wall |= is_above and (k == level or z - greatest < highest_rise)
                     is_low |= is_below
                     # no drop for an agent of any of these heights
-                    carries |= not (is_above or is_below or np.isnan(z))
+                    has_floor_in_step |= not (is_above or is_below or np.isnan(z))
                 is_wall &= counts_higher
-                is_low &= counts_lower and not carries and levels > 1
+                is_low &= counts_lower and not has_floor_in_step and levels > 1
                 for i in range(offsets.shape[0] if is_wall or is_low else 0):
                     agent_row = row - offsets[i, 0]
                     agent_col = col - offsets[i, 1]
@@ -194,7 +194,7 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                     z = floor[level, agent_row, agent_col]
                     for k in range(levels if is_wall and top - z > step else 0):
                         rise = floor[k, row, col] - z
-                        if step < rise and (k == level or rise < reach_up):
+                        if step < rise and (k == level or rise < highest_rise):
                             blocked[agent_row, agent_col] |= slopes.shape[0] == 0 or not _is_slope(
                                 floor, slopes, step, level, agent_row, agent_col, k, row, col
                             )

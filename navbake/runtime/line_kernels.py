@@ -315,13 +315,17 @@ def _pull_string(points, levels, link_to, graph, off_center):
         last = current + 1  # before the next link
         while last < num_points - 1 and not link_to[current] and not link_to[last]:
             last += 1
-        # `good` can be reached, `bad` can't. Sight is not monotonous, so the point that the search
-        # ends at need not be the very farthest.
-        good = current + 1
-        bad = last + 1
+        # the indices of a point that can be reached straight, and of one that can't. Sight is not
+        # monotonous, so the point that the search ends at need not be the very farthest.
+        reachable = current + 1
+        unreachable = last + 1
         stride = 2
-        while bad - good > 1:
-            candidate = min(current + stride, last) if bad > last else (good + bad) // 2
+        while unreachable - reachable > 1:
+            candidate = (
+                min(current + stride, last)
+                if unreachable > last
+                else (reachable + unreachable) // 2
+            )
             start = points[current]
             end = points[candidate]
             level = levels[current]
@@ -330,11 +334,11 @@ def _pull_string(points, levels, link_to, graph, off_center):
                 or line_cost(start, end, level, graph)
                 <= (cost[candidate] - cost[current]) * (1.0 + COST_SLACK)
             ):
-                good = candidate
+                reachable = candidate
             else:
-                bad = candidate
+                unreachable = candidate
             stride *= 2
-        current = good
+        current = reachable
         is_corner[current] = True
     # points on the straight line between those before and after go, but for ends of links
     before = 0

@@ -73,8 +73,8 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         return None
     description, nearest_cells = _describe_islands(search, start_cell, goals)
     reason = None
-    for find_reason in REASONS:
-        reason = find_reason(search, start_cell, goals)
+    for explain in EXPLANATIONS:
+        reason = explain(search, start_cell, goals)
         if reason:
             break
     if not reason and nearest_cells is not None:
@@ -134,11 +134,11 @@ def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str,
     # two cells of one level can be.
     level_distance = 10.0 * float(flat.layout.start[-1])
 
-    def spread(cells: Int) -> Float:
+    def separate_levels(cells: Int) -> Float:
         heights = flat.level_of(cells) * level_distance
         return np.column_stack([flat.positions(cells)[:, :2], heights])
 
-    distance, index = spatial.cKDTree(spread(goal_rim)).query(spread(start_rim))
+    distance, index = spatial.cKDTree(separate_levels(goal_rim)).query(separate_levels(start_rim))
     nearest = int(np.argmin(distance))
     cells = np.array([start_rim[nearest], goal_rim[index[nearest]]])
     goal_island = int(islands.number[cells[1]])
@@ -412,8 +412,8 @@ def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
         return None
     closed = _closed_steps(search)
     if closed:
-        leads = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
-        return f"{', '.join(closed)} {leads} to cells that aren't free"
+        verb = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
+        return f"{', '.join(closed)} {verb} to cells that aren't free"
     if not len(flat.steps.cell):
         return f"no steps lead from {_name_level(search.grid, start_level)} to another level"
     return None
@@ -439,7 +439,7 @@ def _closed_steps(search: Search) -> list[str]:
     return closed
 
 
-REASONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
+EXPLANATIONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
     explain_by_obstacles,
     explain_by_doors,
     explain_by_links_and_areas,

@@ -89,7 +89,7 @@ def find_passage(
     Raises:
         QueryError: start or goal is outside the grid or occupied, or the goal is an object.
     """
-    inflation.check_choice(ledges, inflation.LEDGES, "ledges")
+    inflation.check_choice(ledges, inflation.LEDGE_RULES, "ledges")
     grid = without_inflation(search.grid)
     flat = search.flat
     is_standable = find_free(grid, 0.0, ledges)
@@ -102,8 +102,8 @@ def find_passage(
         reason = refusal(start_cell >= 0)
         raise QueryError(f"no way from {format_position(start_position)}: {reason}")
     if isinstance(goal, str) and goal.startswith("object:"):
-        because = "how near an agent gets to an object depends on its radius"
-        raise QueryError(f"expected a position or room:NAME as goal, got {goal!r}: {because}")
+        explanation = "how near an agent gets to an object depends on its radius"
+        raise QueryError(f"expected a position or room:NAME as goal, got {goal!r}: {explanation}")
     target = find_target(search, goal, level)
     goals = np.unique(target.cells[target.cells >= 0])
     goals = goals[is_standable[goals]]

@@ -22,11 +22,15 @@ DRIVING = "driving"
 WAITING = "waiting"
 RIDING = "riding"
 ARRIVED = "arrived"
-TURN_ON_SPOT = math.radians(20.0)  # bearing of the point ahead over which a base turns on the spot
+SPOT_TURN_BEARING = math.radians(
+    20.0
+)  # bearing of the point ahead over which a base turns on the spot
 TURN_GAIN = 4.0  # [1/s] how fast it turns there, by the bearing
 LOOKAHEAD_SHARES = (1.0, 0.5, 0.25)  # of the lookahead, that are tried one after the other
-SHORTER_BY = 0.1  # share of the rest of the path by which a new path must be shorter to be taken
-STANDSTILL = 0.01  # [m] of free path; less counts as blocked
+LEAST_SHORTENING = (
+    0.1  # share of the rest of the path by which a new path must be shorter to be taken
+)
+STANDSTILL_DISTANCE = 0.01  # [m] of free path; less counts as blocked
 LEAST_LENGTH = 1e-9  # [m] that a leg's length is divided by at least
 EDGE_SHARE = 1e-3  # share of a line by which its ends are moved in, off the edges of cells
 NUM_HALVINGS = 10  # of a blocked line, to find how far it is free
@@ -135,10 +139,10 @@ class Follower:
         limits = self._limits
         offset = target[:2] - p[:2]
         bearing = math.remainder(math.atan2(offset[1], offset[0]) - heading, 2.0 * math.pi)
-        if abs(bearing) > TURN_ON_SPOT:
+        if abs(bearing) > SPOT_TURN_BEARING:
             rate = min(TURN_GAIN * abs(bearing), limits.turn_rate)
             return Command(0.0, math.copysign(rate, bearing), target)
-        curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*offset)), STANDSTILL)
+        curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*offset)), STANDSTILL_DISTANCE)
         free_ahead = max(self._free_until - self._distance, 0.0)
         stop = self._next_stop
         if stop is not None:
@@ -206,7 +210,9 @@ class Follower:
             self._free_until = self._find_free(self._distance)
             is_blocked = self._free_until < self._length
             path = self._plan(p)
-            if path is not None and (is_blocked or path.length < (1.0 - SHORTER_BY) * self.left):
+            if path is not None and (
+                is_blocked or path.length < (1.0 - LEAST_SHORTENING) * self.left
+            ):
                 self._start_path(path)
                 self.num_replans += 1
         self.state = self._find_state(p)
@@ -230,7 +236,7 @@ class Follower:
         if np.hypot(*p[:2] - end_point) <= self._limits.tolerance and is_near_end:
             return ARRIVED if stop is None else RIDING
         is_blocked = self._free_until < self._length
-        if is_blocked and self._free_until - self._distance <= STANDSTILL:
+        if is_blocked and self._free_until - self._distance <= STANDSTILL_DISTANCE:
             return WAITING
         return DRIVING
 

@@ -24,7 +24,7 @@ ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
-BY = ("cost", "time")
+CRITERIA = ("cost", "time")
 NO_POINT = np.full(2, np.nan)
 OBJECT_REACH = 1.0  # [m] from an object to a place next to it
 
@@ -67,7 +67,7 @@ class Path:
 
     @property
     def points(self) -> Float:
-        """The `positions`."""
+        """The array `positions`, by a second name."""
         return self.positions
 
     def at(self, distance: ArrayLike) -> Float:
@@ -111,7 +111,7 @@ class Target:
     positions: Float | None = None
 
     def free_cells(self, flat: FlatGrid) -> Int:
-        """List the free ones of the cells, ascending and each once."""
+        """List the goal's free cells by flat id, ascending and each once."""
         inside = self.cells[self.cells >= 0]
         return np.unique(inside[flat.free[inside]])
 
@@ -286,7 +286,7 @@ def find_path(
     Raises:
         QueryError: an argument is not valid.
     """
-    check_choice(by, BY, "by")
+    check_choice(by, CRITERIA, "by")
     flat = search.flat
     start_position, start_cell = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
@@ -353,7 +353,7 @@ def find_field(
     Raises:
         QueryError: an argument is not valid, or lengths are wanted by ``time``.
     """
-    check_choice(by, BY, "by")
+    check_choice(by, CRITERIA, "by")
     if not weighted and by == "time":
         raise QueryError("expected by='cost' for lengths (weighted=False), got by='time'")
     measure = by if weighted else "length"

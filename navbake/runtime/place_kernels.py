@@ -16,7 +16,7 @@ import numpy as np
 from navbake.compiled import kernel, subkernel
 from navbake.runtime.grid_arrays import cell_center, floor_at, level_of, to_cell_units
 
-BATCH = 512  # positions; what a batch needs stays in the processor's first cache
+BATCH_SIZE = 512  # positions; what a batch needs stays in the processor's first cache
 MAX_DROP = 0.5  # [m] that a position may be above the floor of an agent that stands there
 # What `find_nearest_cell` measures: on the map to a cell's centre; in space to the centre, on the
 # floor; on the map to the cell's square, except of cells over or under which another level goes on
@@ -55,9 +55,9 @@ def locate(layout, floors, level, positions):
     if level >= 0:
         _locate_on_level(layout, level, positions, cells)
         return cells
-    z = np.empty(BATCH)
-    for begin in range(0, len(positions), BATCH):
-        end = min(begin + BATCH, len(positions))
+    z = np.empty(BATCH_SIZE)
+    for begin in range(0, len(positions), BATCH_SIZE):
+        end = min(begin + BATCH_SIZE, len(positions))
         _locate_batch(layout, floors, positions[begin:end], cells[begin:end], z)
     return cells
 
@@ -69,10 +69,10 @@ def mark_standing(layout, floors, free, max_drop, positions):
     Returns bool, shape (n,). `free` is by cell.
     """
     is_standing = np.zeros(len(positions), dtype=np.bool_)
-    cells = np.empty(BATCH, dtype=np.int64)
-    z = np.empty(BATCH)
-    for begin in range(0, len(positions), BATCH):
-        end = min(begin + BATCH, len(positions))
+    cells = np.empty(BATCH_SIZE, dtype=np.int64)
+    z = np.empty(BATCH_SIZE)
+    for begin in range(0, len(positions), BATCH_SIZE):
+        end = min(begin + BATCH_SIZE, len(positions))
         _locate_batch(layout, floors, positions[begin:end], cells, z)
         heights = positions[begin:end, 2]
         for i in range(end - begin):
@@ -83,10 +83,10 @@ def mark_standing(layout, floors, free, max_drop, positions):
 
 @subkernel
 def _locate_batch(layout, floors, positions, cells, z):
-    """Locate at most `BATCH` positions: write their cells and the heights of the floors there."""
-    level_cells = np.empty(BATCH, dtype=np.int64)
-    ground_cells = np.full(BATCH, -1, dtype=np.int64)
-    highest_ground = np.full(BATCH, -np.inf)
+    """Locate at most `BATCH_SIZE` positions: write their cells and the floors' heights there."""
+    level_cells = np.empty(BATCH_SIZE, dtype=np.int64)
+    ground_cells = np.full(BATCH_SIZE, -1, dtype=np.int64)
+    highest_ground = np.full(BATCH_SIZE, -np.inf)
     floor = floors.z
     ground = floors.ground
     max_step = floors.max_step

@@ -39,7 +39,7 @@ CachedResult = TypeVar("CachedResult")
 
 
 class Route(NamedTuple):
-    """The cheapest cells from one to another.
+    """The cheapest sequence of cells from one cell to another.
 
     Attributes:
         cells: flat ids, from the start to the goal, shape (n,).
@@ -216,7 +216,7 @@ class Search:
         return graph
 
     def update(self) -> None:
-        """Follow the cells that were blocked or freed since the last call."""
+        """Update weights and moves of the cells that were blocked or freed since the last call."""
         for number, level in enumerate(self.grid.levels):
             state = level.obstacle_state
             if state is None or state.revision == self._seen_revisions[number]:
@@ -580,7 +580,7 @@ class Search:
             status, route = search_kernels.find_route(
                 graph, sources, goals, self._search_number, self._visits
             )
-            if status == search_kernels.DONE:
+            if status == search_kernels.SEARCH_DONE:
                 return np.asarray(route)
             queue_size = 4 * len(self._visits.entry_cell)
             self._visits = self._visits._replace(

@@ -36,7 +36,9 @@ from navbake.runtime.grid_arrays import (
 )
 
 # by direction, the bits of the two straight moves beside a diagonal one
-STRAIGHT_PARTS = np.array([0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST])
+STRAIGHT_MOVES_BESIDE = np.array(
+    [0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST]
+)
 # share of the cheapest step that a bucket is wide: up to 1, few cells are expanded twice
 BUCKET_SHARE = 0.5
 MAX_BUCKETS = 1 << 16
@@ -59,7 +61,7 @@ FROM_SOURCE = 8
 BY_LINK = 9
 NOT_REACHED = 15
 # how a search ended
-DONE = 0
+SEARCH_DONE = 0
 QUEUE_FULL = 1
 
 
@@ -123,7 +125,7 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
                 # The four cells of a corner must be connected: `bits` has the two edges of this
                 # cell already, the last two tests are about those of the target.
                 if (direction < 4 or (cut_corners and not is_steep)) or (
-                    bits & STRAIGHT_PARTS[direction] == STRAIGHT_PARTS[direction]
+                    bits & STRAIGHT_MOVES_BESIDE[direction] == STRAIGHT_MOVES_BESIDE[direction]
                     and (cut_corners or (fits_diagonally[cell] and fits_diagonally[target]))
                     and _is_step(row_neighbor, target, free, floor, max_step, slopes)
                     and _is_step(col_neighbor, target, free, floor, max_step, slopes)
@@ -222,8 +224,8 @@ def find_route(graph, sources, goals, search_number, visits):
         visits: `navbake.runtime.grid_arrays.Visits`, written.
 
     Returns:
-        `DONE`, or `QUEUE_FULL` if there are too few entries for the open cells; and the route's
-        flat ids from source to goal, int64, none where there is no route.
+        `SEARCH_DONE`, or `QUEUE_FULL` if there are too few entries for the open cells; and the
+        route's flat ids from source to goal, int64, none where there is no route.
     """
     layout = graph.layout
     route = np.empty(256, np.int64)
@@ -385,4 +387,4 @@ def find_route(graph, sources, goals, search_number, visits):
             cell = link_from[find_link_slot(link_cell, cell)]
         else:
             cell -= ROW_STEP[move] * width[level_of(start, cell)] + COL_STEP[move]
-    return DONE, route[:count][::-1].copy()
+    return SEARCH_DONE, route[:count][::-1].copy()

@@ -46,7 +46,7 @@ kernels = lazy("navbake.runtime.inflation_kernels")
 ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
-ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
+ALIGNMENT_TOLERANCE = 1e-3  # of a cell: levels offset by less share one lattice
 RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
 
 
@@ -171,34 +171,34 @@ def block_by_floors(
     highest_floor = np.fmax.reduce(stack.floor, axis=None)
     if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.step:
         return  # neither higher nor lower floors
-    # the lowest and the highest floors in the tiles that offsets lead to from each tile
-    tile = kernels.TILE
-    window = 2 * -(-int(np.abs(offsets).max()) // tile) + 1
-    padding = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
+    # the lowest and the highest floors in the patches that offsets lead to from each patch
+    patch_size = kernels.PATCH_SIZE
+    window = 2 * -(-int(np.abs(offsets).max()) // patch_size) + 1
+    padding = [(0, 0), *((0, -size % patch_size) for size in blocked.shape)]
     floor = np.pad(stack.floor, padding, constant_values=np.nan)
-    lowest = _extremes_of_windows(np.fmin, floor, tile, window)
-    highest = _extremes_of_windows(np.fmax, floor, tile, window)
+    lowest = _extremes_of_windows(np.fmin, floor, patch_size, window)
+    highest = _extremes_of_windows(np.fmax, floor, patch_size, window)
     counts_lower = ledges == "avoid"
     kernels.block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked)
 
 
 def _extremes_of_windows(
-    extreme: np.ufunc, floor: NDArray[np.float32], tile: int, window: int
+    extreme: np.ufunc, floor: NDArray[np.float32], patch_size: int, window: int
 ) -> NDArray[np.float32]:
-    """Compute the lowest or highest floors in the tiles of a window round each tile.
+    """Compute the lowest or highest floors in the patches of a window round each patch.
 
-    `extreme` is `numpy.fmin` or `numpy.fmax`; `window` is a number of tiles. Tiles without floor,
-    and beyond the array, count as infinitely high or low.
+    `extreme` is `numpy.fmin` or `numpy.fmax`; `window` is a number of patches. Patches without
+    floor, and beyond the array, count as infinitely high or low.
     """
     is_lowest = extreme is np.fmin
     beyond = np.float32(np.inf if is_lowest else -np.inf)
     # slice by slice, in a tenth of the time of `reduceat`
-    tiles = reduce(extreme, [floor[:, k::tile] for k in range(tile)])
-    tiles = reduce(extreme, [tiles[:, :, k::tile] for k in range(tile)])
-    tiles = np.where(np.isnan(tiles), beyond, tiles)
-    filter_tiles = ndimage.minimum_filter if is_lowest else ndimage.maximum_filter
-    extremes: NDArray[np.float32] = filter_tiles(
-        tiles, size=(1, window, window), mode="constant", cval=beyond
+    patches = reduce(extreme, [floor[:, k::patch_size] for k in range(patch_size)])
+    patches = reduce(extreme, [patches[:, :, k::patch_size] for k in range(patch_size)])
+    patches = np.where(np.isnan(patches), beyond, patches)
+    filter_patches = ndimage.minimum_filter if is_lowest else ndimage.maximum_filter
+    extremes: NDArray[np.float32] = filter_patches(
+        patches, size=(1, window, window), mode="constant", cval=beyond
     )
     return extremes
 
@@ -230,7 +230,7 @@ def find_disc_offsets(
 
 
 def _half_cells(steps: Int, of_squares: bool) -> Int:
-    """Compute the half cells along an axis to the near side, or to the centre, of squares."""
+    """Compute distances along an axis to squares' near sides or centres, in half cells."""
     half_cells = 2 * np.abs(steps)
     return np.maximum(half_cells - 1, 0) if of_squares else half_cells
 
@@ -306,7 +306,7 @@ def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[in
         col = (lattice.x_min - x_min) / size
         # by how many cells the levels drift apart where the sizes of their cells differ
         drift = abs(lattice.cell_size / size - 1) * max(*level.shape, *neighbor.shape)
-        if max(abs(row - round(row)), abs(col - round(col)), drift) < ALIGNED:
+        if max(abs(row - round(row)), abs(col - round(col)), drift) < ALIGNMENT_TOLERANCE:
             corners[number] = (round(row), round(col))
     return corners
 

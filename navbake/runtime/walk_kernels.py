@@ -26,7 +26,9 @@ from navbake.runtime.grid_arrays import (
 from navbake.runtime.place_kernels import locate
 
 MAX_STEP_LENGTH = 1e6  # [m]: a longer step is cut, so that no cells beyond all grids are counted
-DETOUR = 1.09  # a walk over eight neighbours is at most so many times as long as a straight line
+DETOUR_RATIO = (
+    1.09  # a walk over eight neighbours is at most so many times as long as a straight line
+)
 LENGTH_SLACK = 1e-9  # share of a length, or of a cell, that is rounding
 
 
@@ -205,7 +207,7 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
     """
     remaining = math.hypot(x1 - x0, y1 - y0)
     size = layout.cell_size.min()
-    limit = DETOUR * remaining + 1.5 * size
+    limit = DETOUR_RATIO * remaining + 1.5 * size
     # the cells of each level within reach: first row and column, number of rows and of columns,
     # and the slot of the first one in the arrays of this search
     reach = np.int64(math.ceil(limit / size) + 1)
