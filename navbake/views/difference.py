@@ -1,10 +1,10 @@
-"""What differs between two grids: cell by cell, and in their rooms, doors and settings."""
+"""The differences of two grids: of cells, rooms, doors and settings."""
 
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,19 @@ from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
-from navbake.types import Int, Json
+from navbake.types import Bool, Float, Int, Json
 from navbake.views.notebook import encode_png
 from navbake.views.page import pack, show_table
 from navbake.views.tables import make_table
 
 MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
-MOST_APART = 1.5  # of the grounds of two levels that are taken for the same storey [m]
-MOST_ADDED = 4  # times the cells of two levels that a lattice over both may have, and
-ALWAYS = 4_000_000  # as many cells at least
-SAME_FLOOR = 1e-3  # by how much floors differ that are taken for the same [m]
+MAX_GROUND_GAP = 1.5  # between two levels that are taken for the same level [m]
+# cells that a lattice over two levels may have: by the cells of both, and in any case
+MAX_COVER_FACTOR = 4
+MIN_COVER_LIMIT = 4_000_000
+SAME_FLOOR = 1e-3  # floors that differ by no more are the same [m]
 
-# what became of a cell, most telling first; colours differ by hue and by lightness
+# kinds of changes of a cell, most important first; colours differ by hue and by lightness
 COLORS = {
     "became free": "#009e73",
     "became blocked": "#d55e00",
@@ -38,233 +39,398 @@ COLORS = {
     "blocked in both": "#9aa2b1",
     "no floor in both": "#d9dde3",
 }
-CHANGES = tuple(COLORS)[:7]  # the others are alike in both
-ONLY = CHANGES[5:]
+CHANGES = tuple(COLORS)[:7]  # without what is alike in both
+ONLY_IN_FIRST = CHANGES[5]
+ONLY_IN_SECOND = CHANGES[6]
 
-Row = tuple[str, str, str]
+Row: TypeAlias = tuple[str, str, str]
 """What differs, and how the first and the second grid have it."""
 
 
 def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
-    """The sheet of two grids' difference, as a report has one of a grid."""
-    grids = (first, second)
-    warnings = []
+    """Describe the differences of two grids, as a sheet of a report.
+
+    Args:
+        first: the grid before.
+        second: the grid after.
+        names: of both grids.
+
+    Returns:
+        JSON of a sheet, like that of a grid.
+    """
     pairs = match_levels(first, second)
-    levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
-    called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
-    most = len(CHANGES)
-    counts = [np.bincount(level.change.ravel(), minlength=most)[:most] for level in levels]
-    cells = [(*both, *count.tolist()) for both, count in zip(called, counts, strict=True)]
-    alone = [
-        (ONLY[side], *("" if side else name, name if side else ""))
-        for side, grid in enumerate(grids)
-        for number, name in enumerate(grid.level_names)
-        if number not in [pair[side] for pair in pairs]
+    levels = [
+        compare_levels(first.levels[i], second.levels[j], level_numbers=(i, j)) for i, j in pairs
     ]
+    level_names = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
+    num_changes = len(CHANGES)
+    counts = [
+        np.bincount(level.change.ravel(), minlength=num_changes)[:num_changes] for level in levels
+    ]
+    changed_cells = [
+        (*names_of_level, *count.tolist())
+        for names_of_level, count in zip(level_names, counts, strict=True)
+    ]
+    unmatched_levels = [
+        (ONLY_IN_FIRST, name, "")
+        for number, name in enumerate(first.level_names)
+        if number not in [pair[0] for pair in pairs]
+    ]
+    unmatched_levels += [
+        (ONLY_IN_SECOND, "", name)
+        for number, name in enumerate(second.level_names)
+        if number not in [pair[1] for pair in pairs]
+    ]
+    doors = list_differences(
+        {door.id: door.state for door in first.doors},
+        {door.id: door.state for door in second.doors},
+    )
+    settings = list_differences(settings_of(first), settings_of(second))
     columns = ("what", *names)
-    doors = [{door.id: door.state for door in grid.doors} for grid in grids]
     tables = {
-        "Cells that changed": make_table((*names, *CHANGES), cells, numbers=CHANGES),
-        "Levels that only one has": make_table(columns, alone),
+        "Cells that changed": make_table((*names, *CHANGES), changed_cells, numbers=CHANGES),
+        "Levels that only one has": make_table(columns, unmatched_levels),
         "Rooms that changed": make_table(columns, list_changed_rooms(first, second, levels)),
-        "Doors that changed": make_table(columns, list_differences(*doors)),
-        "Settings that changed": make_table(columns, list_differences(*map(settings_of, grids))),
+        "Doors that changed": make_table(columns, doors),
+        "Settings that changed": make_table(columns, settings),
     }
-    if first.scene_id != second.scene_id:
-        warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
-    ours, theirs = (grid.levels[0].lattice.cell_size for grid in grids)
-    if abs(ours - theirs) > 1e-9:
-        where = f"with the cells of {theirs:g} m in which their centres lie"
-        warnings.append(f"cells of {ours:g} m are compared {where}")
-    areas = [[v.free.sum() * v.lattice.cell_size**2 for v in grid.levels] for grid in grids]
-    before, after = map(sum, areas)
-    changed = f"{sum(int(count.sum()) for count in counts):,}"
-    facts = {"first": names[0], "second": names[1], "cells that changed": changed}
-    facts["free area"] = f"{before:.2f} to {after:.2f} m² ({after - before:+.2f})"
+    free_before = _free_area(first)
+    free_after = _free_area(second)
+    num_changed = sum(int(count.sum()) for count in counts)
     return {
         "name": "difference",
-        "facts": [*facts.items()],
-        "warnings": warnings,
-        "levels": [_show_level(*each) for each in zip(levels, called, strict=True)],
-        "tables": [show_table(title, made) for title, made in tables.items() if made.rows],
+        "facts": [
+            ("first", names[0]),
+            ("second", names[1]),
+            ("cells that changed", f"{num_changed:,}"),
+            (
+                "free area",
+                f"{free_before:.2f} to {free_after:.2f} m² ({free_after - free_before:+.2f})",
+            ),
+        ],
+        "warnings": _warn_of_mismatch(first, second),
+        "levels": [
+            _show_level(level, names_of_level)
+            for level, names_of_level in zip(levels, level_names, strict=True)
+        ],
+        "tables": [show_table(title, table) for title, table in tables.items() if table.rows],
     }
+
+
+def _free_area(grid: NavGrid) -> float:
+    """The free area of all levels [m²]."""
+    area: float = sum(level.free.sum() * level.lattice.cell_size**2 for level in grid.levels)
+    return area
+
+
+def _warn_of_mismatch(first: NavGrid, second: NavGrid) -> list[str]:
+    """Say where two grids are of different scenes, or have cells of different sizes."""
+    warnings = []
+    if first.scene_id != second.scene_id:
+        warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
+    first_size = first.levels[0].lattice.cell_size
+    second_size = second.levels[0].lattice.cell_size
+    if abs(first_size - second_size) > 1e-9:
+        compared_with = f"with the cells of {second_size:g} m in which their centres lie"
+        warnings.append(f"cells of {first_size:g} m are compared {compared_with}")
+    return warnings
 
 
 def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
-    place = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
-    change = level.change[:: place["every"], :: place["every"]]
-    colors = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
-    legend = [entry for n, entry in enumerate(COLORS.items()) if (change == n).any()]
-    layer: Json = {"name": "changes", "title": "", "png": png_url(colors[change]), "legend": legend}
+    """Describe the map of a level's changes; `names` are those of both levels."""
+    extent = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
+    stride = extent["every"]
+    change = level.change[::stride, ::stride]
+    palette = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
+    legend = [entry for number, entry in enumerate(COLORS.items()) if (change == number).any()]
+    layer = {
+        "name": "changes",
+        "title": "",
+        "png": png_url(palette[change]),
+        "legend": legend,
+        "scale": None,
+        "labels": [],
+        "doors": [],
+        "ways": [],
+    }
     return {
-        **place,
+        **extent,
         "of": [[0, level.first], [1, level.second]],
         "cells": pack({"change": change.ravel()}),
-        "kinds": [*COLORS],
-        "layers": [{**layer, "scale": None, "labels": [], "doors": [], "ways": []}],
+        "kinds": list(COLORS),
+        "layers": [layer],
         "marks": [],
     }
 
 
 def describe_extent(name: str, lattice: Lattice) -> Json:
-    """Where a map lies in the world, and every which row and column of it a page shows."""
+    """Describe where a map lies in the world.
+
+    Args:
+        name: of the map.
+        lattice: of its cells.
+
+    Returns:
+        JSON. ``every`` is the stride of the rows and columns that a page shows, so that there are
+        at most `MAX_SHOWN` cells.
+    """
     every = 1
     while -(-lattice.height // every) * -(-lattice.width // every) > MAX_SHOWN:
         every += 1
-    place = {"name": name, "width": lattice.width, "height": lattice.height, "every": every}
-    return place | {"cellSize": lattice.cell_size, "xMin": lattice.x_min, "yMax": lattice.y_max}
+    return {
+        "name": name,
+        "width": lattice.width,
+        "height": lattice.height,
+        "every": every,
+        "cellSize": lattice.cell_size,
+        "xMin": lattice.x_min,
+        "yMax": lattice.y_max,
+    }
 
 
 def png_url(rgb: NDArray[np.uint8]) -> str:
-    """A picture, shape (rows, cols, 3), as the URL of a PNG that holds all of it."""
+    """A data URL that holds a picture, shape (rows, cols, 3), as PNG."""
     return "data:image/png;base64," + b64encode(encode_png(Image.fromarray(rgb))).decode("ascii")
 
 
-class LevelDifference(NamedTuple):
-    """How a level of the first grid and one of the second differ."""
+class RoomMatch(NamedTuple):
+    """A room of the first level and a room of the second that are taken for the same room."""
 
-    first: int  # their numbers
+    first: int  # index of the room
     second: int
-    lattice: Lattice  # the cells of the first one's lattice that cover both
-    change: NDArray[np.uint8]  # of each cell: the number of its entry in `COLORS`
-    rooms: list[tuple[int, int, float]]  # that are the same, and intersection over union
+    overlap: float  # intersection over union of their cells, 0 to 1
+
+
+class LevelDifference(NamedTuple):
+    """How a level of the first grid and a level of the second differ.
+
+    Attributes:
+        first: number of the first grid's level.
+        second: number of the second grid's level.
+        lattice: of the first level, extended to cover both.
+        change: of each cell of `lattice`, the number of its entry in `COLORS`.
+        rooms: rooms that are in both.
+    """
+
+    first: int
+    second: int
+    lattice: Lattice
+    change: NDArray[np.uint8]
+    rooms: list[RoomMatch]
 
 
 def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
-    """Pair the levels of two grids whose grounds are the nearest, at most `MOST_APART` apart.
+    """Pair the levels of two grids, those whose grounds are nearest first.
 
-    Levels too far from each other to be drawn together are no pair; see `MOST_ADDED`.
+    Levels are no pair if their grounds are more than `MAX_GROUND_GAP` apart, or if a lattice over
+    both would have too many cells, see `MAX_COVER_FACTOR`.
+
+    Args:
+        first: a grid.
+        second: a grid.
+
+    Returns:
+        Numbers of levels of the first and of the second grid, ascending.
     """
-    apart = []
-    for i, one in enumerate(first.levels):
-        for j, other in enumerate(second.levels):
-            both = _cover_both(one.lattice, other.lattice)
-            own = one.free.size + other.free.size
-            distance = abs(one.ground - other.ground)
-            is_near = both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
-            apart += [(distance, i, j)] if distance <= MOST_APART and is_near else []
+    candidates = []
+    for i, first_level in enumerate(first.levels):
+        for j, second_level in enumerate(second.levels):
+            cover = _cover_both(first_level.lattice, second_level.lattice)
+            num_cells = first_level.free.size + second_level.free.size
+            max_cells = max(MIN_COVER_LIMIT, MAX_COVER_FACTOR * num_cells)
+            gap = abs(first_level.ground - second_level.ground)
+            if gap <= MAX_GROUND_GAP and cover.width * cover.height <= max_cells:
+                candidates.append((gap, i, j))
     pairs: dict[int, int] = {}
-    for _, i, j in sorted(apart):
+    for _, i, j in sorted(candidates):
         if i not in pairs and j not in pairs.values():
             pairs[i] = j
     return sorted(pairs.items())
 
 
 def compare_levels(
-    first: SceneGrid2D, second: SceneGrid2D, pair: tuple[int, int]
+    first: SceneGrid2D, second: SceneGrid2D, level_numbers: tuple[int, int]
 ) -> LevelDifference:
-    """Compare two levels at the centres of the first one's cells, of both or beyond its edges.
+    """Compare two levels at the centres of the first level's cells, extended over both.
 
-    Each is compared with the cell of the second level that holds it.
+    Args:
+        first: a level.
+        second: a level; its cells that hold the centres are compared.
+        level_numbers: of both levels in their grids.
     """
     lattice = _cover_both(first.lattice, second.lattice)
-    sampled = _sample(first, lattice), _sample(second, lattice)
-    there, free, floor, room, weight = zip(*sampled, strict=True)
-    rooms = _match_rooms(*room)
-    both = there[0] & there[1]
-    same_room = np.zeros([int(of_one.max(initial=0)) + 1 for of_one in room], bool)
-    same_room[0, 0] = True
-    for a, b, _ in rooms:
-        same_room[a, b] = True
-    has_none = [np.isnan(heights) for heights in floor]
-    moved = ~np.isclose(*floor, rtol=0, atol=SAME_FLOOR, equal_nan=True)
-    happened = [
-        free[1] & ~free[0] & there[0],
-        free[0] & ~free[1] & there[1],
-        moved & both,
-        ~same_room[room] & both,
-        (weight[0] != weight[1]) & both,
-        ~there[1] & (free[0] | ~has_none[0]),
-        ~there[0] & (free[1] | ~has_none[1]),
-        free[0],
-        ~has_none[0],
+    before = _sample(first, lattice)
+    after = _sample(second, lattice)
+    in_both = before.inside & after.inside
+    rooms = _match_rooms(before.room, after.room)
+    # by room indices of the first and of the second level
+    num_rooms = (int(before.room.max(initial=0)) + 1, int(after.room.max(initial=0)) + 1)
+    is_same_room = np.zeros(num_rooms, bool)
+    is_same_room[0, 0] = True
+    for match in rooms:
+        is_same_room[match.first, match.second] = True
+    no_floor_before = np.isnan(before.floor)
+    no_floor_after = np.isnan(after.floor)
+    same_floor = np.isclose(before.floor, after.floor, rtol=0, atol=SAME_FLOOR, equal_nan=True)
+    # in the order of `COLORS`: the first that holds counts
+    conditions = [
+        after.free & ~before.free & before.inside,
+        before.free & ~after.free & after.inside,
+        ~same_floor & in_both,
+        ~is_same_room[before.room, after.room] & in_both,
+        (before.weight != after.weight) & in_both,
+        ~after.inside & (before.free | ~no_floor_before),
+        ~before.inside & (after.free | ~no_floor_after),
+        before.free,
+        ~no_floor_before,
     ]
-    change = np.select(happened, [*range(len(happened))], len(happened)).astype(np.uint8)
-    return LevelDifference(*pair, lattice, change, rooms)
+    change = np.select(conditions, list(range(len(conditions))), len(conditions))
+    first_number, second_number = level_numbers
+    return LevelDifference(first_number, second_number, lattice, change.astype(np.uint8), rooms)
 
 
-def _sample(level: SceneGrid2D, lattice: Lattice) -> tuple[NDArray[Any], ...]:
-    """Whether a level has a cell at the centres of a lattice's; free; floor [m]; room; weight."""
-    own = level.lattice
-    rows = np.floor((own.y_max - lattice.center_y()) / own.cell_size).astype(np.int64)
-    cols = np.floor((lattice.center_x() - own.x_min) / own.cell_size).astype(np.int64)
-    inside = ((rows >= 0) & (rows < own.height))[:, None] & ((cols >= 0) & (cols < own.width))
-    at = np.ix_(np.clip(rows, 0, own.height - 1), np.clip(cols, 0, own.width - 1))
-    return (
-        inside,
-        level.free[at] & inside,
-        np.where(inside, level.floor[at], np.nan),
-        np.where(inside, level.room_index[at].astype(np.int64), 0),
-        np.where(inside, level.weights[at].astype(np.float64), np.inf),
+class LevelSample(NamedTuple):
+    """A level at the centres of a lattice's cells; arrays of the lattice's shape."""
+
+    inside: Bool  # the level has a cell there; elsewhere the cell is blocked, without a floor
+    free: Bool
+    floor: Float  # [m], NaN for none
+    room: Int  # index, 0 for none
+    weight: Float
+
+
+def _sample(level: SceneGrid2D, lattice: Lattice) -> LevelSample:
+    """Read the cells of a level that hold the centres of a lattice's cells."""
+    source = level.lattice
+    rows = np.floor((source.y_max - lattice.center_y()) / source.cell_size).astype(np.int64)
+    cols = np.floor((lattice.center_x() - source.x_min) / source.cell_size).astype(np.int64)
+    has_row = (rows >= 0) & (rows < source.height)
+    has_col = (cols >= 0) & (cols < source.width)
+    inside = has_row[:, None] & has_col
+    cells = np.ix_(np.clip(rows, 0, source.height - 1), np.clip(cols, 0, source.width - 1))
+    return LevelSample(
+        inside=inside,
+        free=level.free[cells] & inside,
+        floor=np.where(inside, level.floor[cells], np.nan),
+        room=np.where(inside, level.room_index[cells].astype(np.int64), 0),
+        weight=np.where(inside, level.weights[cells].astype(np.float64), np.inf),
     )
 
 
-def _cover_both(lattice: Lattice, other: Lattice) -> Lattice:
-    """The cells of a lattice, and as many more beside them as cover another one, too."""
+def _cover_both(lattice: Lattice, second: Lattice) -> Lattice:
+    """Extend a lattice by whole cells so that it covers a second one, too."""
     size = lattice.cell_size
-    # of each side; what lies on an edge but for rounding isn't beyond it
-    beyond = (np.array(lattice.bounds) - other.bounds) * (1, 1, -1, -1) / size - 1e-6
-    left, bottom, right, top = np.ceil(beyond).clip(min=0).astype(np.int64).tolist()
-    shape = lattice.width + left + right, lattice.height + top + bottom
-    return Lattice(lattice.x_min - left * size, lattice.y_max + top * size, size, *shape)
+    # cells that the second lattice reaches beyond each side; rounding alone makes none
+    beyond = (np.array(lattice.bounds) - second.bounds) * (1, 1, -1, -1) / size - 1e-6
+    west, south, east, north = np.ceil(beyond).clip(min=0).astype(np.int64).tolist()
+    return Lattice(
+        lattice.x_min - west * size,
+        lattice.y_max + north * size,
+        size,
+        lattice.width + west + east,
+        lattice.height + south + north,
+    )
 
 
-def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
-    """Pair rooms each of which overlaps the other the most, with intersection over union."""
-    pairs, common = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1, return_counts=True)
-    all_one = np.bincount(one.ravel())
-    all_other = np.bincount(other.ravel())
-    share = common / (all_one[pairs[0]] + all_other[pairs[1]] - common)
-    # the largest share last; of equal ones the lowest rooms
-    order = [k for k in np.lexsort((-pairs[1], -pairs[0], share)).tolist() if pairs[:, k].all()]
-    found = [(*pairs[:, k].tolist(), float(share[k])) for k in order]
-    best_of_one = {a: (a, b, share) for a, b, share in found}
-    best_of_other = {b: (a, b, share) for a, b, share in found}
-    return sorted(pair for pair in best_of_one.values() if best_of_other[pair[1]] == pair)
+def _match_rooms(first: Int, second: Int) -> list[RoomMatch]:
+    """Pair the rooms each of which overlaps the other most; arrays hold a room index a cell."""
+    pairs, common = np.unique(np.stack([first.ravel(), second.ravel()]), axis=1, return_counts=True)
+    first_sizes = np.bincount(first.ravel())
+    second_sizes = np.bincount(second.ravel())
+    union = first_sizes[pairs[0]] + second_sizes[pairs[1]] - common
+    overlap = common / union
+    # the largest overlap last; of equal ones the lowest rooms
+    order = np.lexsort((-pairs[1], -pairs[0], overlap)).tolist()
+    matches = [
+        RoomMatch(int(pairs[0, k]), int(pairs[1, k]), float(overlap[k]))
+        for k in order
+        if pairs[:, k].all()
+    ]
+    # later matches replace earlier ones
+    best_of_first = {match.first: match for match in matches}
+    best_of_second = {match.second: match for match in matches}
+    return sorted(
+        match for match in best_of_first.values() if best_of_second[match.second] == match
+    )
 
 
-def list_changed_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Row]:
-    """The rooms that changed: names and areas."""
-    rows = []
-    rooms = [{(room.level, room.index): room for room in grid.rooms} for grid in (first, second)]
+def list_changed_rooms(
+    first: NavGrid, second: NavGrid, levels: Sequence[LevelDifference]
+) -> list[Row]:
+    """List the rooms that were renamed, have other cells, or are in one grid alone.
 
-    def shown(room: Room) -> str:
+    Args:
+        first: a grid.
+        second: a grid.
+        levels: differences of their levels.
+    """
+    first_rooms = {(room.level, room.index): room for room in first.rooms}
+    second_rooms = {(room.level, room.index): room for room in second.rooms}
+
+    def describe_room(room: Room) -> str:
         return f"{room.name or room.id}, {room.area:.2f} m²"
 
+    rows = []
     for level in levels:
-        for a, b, share in level.rooms:
-            one = rooms[0].pop((level.first, a), None)
-            other = rooms[1].pop((level.second, b), None)
-            if one is None or other is None:
+        for match in level.rooms:
+            before = first_rooms.pop((level.first, match.first), None)
+            after = second_rooms.pop((level.second, match.second), None)
+            if before is None or after is None:
                 continue
-            whats = ["renamed"] if one.name != other.name else []
-            whats += [f"{share:.1%} of their cells are common"] if share != 1 else []
-            if whats:
-                rows.append(("; ".join(whats), shown(one), shown(other)))
-    rows += [(ONLY[0], shown(room), "") for room in rooms[0].values()]
-    return rows + [(ONLY[1], "", shown(room)) for room in rooms[1].values()]
+            changes = []
+            if before.name != after.name:
+                changes.append("renamed")
+            if match.overlap != 1:
+                changes.append(f"{match.overlap:.1%} of their cells are common")
+            if changes:
+                rows.append(("; ".join(changes), describe_room(before), describe_room(after)))
+    rows += [(ONLY_IN_FIRST, describe_room(room), "") for room in first_rooms.values()]
+    rows += [(ONLY_IN_SECOND, "", describe_room(room)) for room in second_rooms.values()]
+    return rows
 
 
 def settings_of(grid: NavGrid) -> dict[str, str]:
     """The settings and digests of a grid, by their path in the metadata."""
-    own = {key: grid.navbake.get(key) for key in ("settings", "sceneDigest")}
-    own |= {"radius": f"{grid.agent_radius:g} m", "inflation": grid.metadata.get("inflation")}
-    return flatten({**own, "cell size": f"{grid.cell_size * grid.unit:g} m"})
+    return flatten(
+        {
+            "settings": grid.navbake.get("settings"),
+            "sceneDigest": grid.navbake.get("sceneDigest"),
+            "radius": f"{grid.agent_radius:g} m",
+            "inflation": grid.metadata.get("inflation"),
+            "cell size": f"{grid.cell_size * grid.unit:g} m",
+        }
+    )
 
 
-def list_differences(one: dict[str, str], other: dict[str, str]) -> list[Row]:
-    """The entries that only one has, or that are others."""
-    keys = sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
-    return [(key, one.get(key, ""), other.get(key, "")) for key in keys]
+def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[Row]:
+    """List the entries that only one of two mappings has, or that have different values.
+
+    Args:
+        first: values by key.
+        second: values by key.
+
+    Returns:
+        Key, first and second value, ``""`` for none; sorted by key.
+    """
+    keys = sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
+    return [(key, first.get(key, ""), second.get(key, "")) for key in keys]
 
 
-def flatten(value: Any, path: str = "") -> dict[str, str]:
-    """The values in nested objects by their paths; lists of objects count from 0."""
-    if isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
-        value = dict(enumerate(value))
-    if not isinstance(value, dict):
-        return {} if value is None else {path: str(value)}
-    found: dict[str, str] = {}
-    for key, inner in value.items():
-        found |= flatten(inner, f"{path}.{key}" if path else str(key))
-    return found
+def flatten(json: object, path: str = "") -> dict[str, str]:
+    """Flatten nested JSON objects.
+
+    Args:
+        json: an object, a list or a value; lists without objects are values.
+        path: of the object, before the paths of its entries.
+
+    Returns:
+        Values as text by their paths, such as ``scene.sites.0``; no entry for null.
+    """
+    if isinstance(json, list) and any(isinstance(entry, dict) for entry in json):
+        json = dict(enumerate(json))
+    if not isinstance(json, dict):
+        return {} if json is None else {path: str(json)}
+    flat: dict[str, str] = {}
+    for key, entry in json.items():
+        flat |= flatten(entry, f"{path}.{key}" if path else str(key))
+    return flat

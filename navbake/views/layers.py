@@ -1,4 +1,4 @@
-"""What a picture shows of each level: a colour or a value for every cell, names and doors.
+"""The layers of a level as pictures show them: a colour or a value for each cell, names, doors.
 
 Values are coloured by viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its dark
 end, which would look occupied. It gets lighter all the way, for grey and for the colour-blind.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,29 +24,34 @@ from navbake.views.describe import Connection, describe_area, find_connections
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
 
-RELIEF = 0.04  # a step that is lit or shaded well [m]
-RELIEF_SLOPE = 0.3  # or one of a cell, at this slope, so that large cells of hills aren't all dark
-# most that relief mixes white or black into a colour
-LIT = 0.3
-SHADED = 0.35
-MAX_SIDE = 400  # cells of a room that are looked at for a name's place, along its longer side
+RELIEF_STEP = 0.04  # a step of the floor that relief shows clearly [m]
+# at least this slope between neighbouring cells, so that hills of large cells aren't all dark
+RELIEF_SLOPE = 0.3
+# largest shares of white and of black that relief mixes into a colour
+MAX_LIGHT = 0.3
+MAX_SHADE = 0.35
+MAX_SAMPLES = 400  # cells along the longer side of a room, of which a name's place is found
 OCCUPANCY = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 # From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
 # or both
-VIRIDIS = ["#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89", "#24ab82", "#39b976", "#5bc863"]
-VIRIDIS += ["#8ed644", "#fde725"]
+VIRIDIS = [
+    "#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89",
+    "#24ab82", "#39b976", "#5bc863", "#8ed644", "#fde725",
+]  # fmt: skip
 SHADES = 1024  # colours that a scale is rounded to
-MIN_RANGE = 0.1  # least span of a scale, so that flat floors look flat
-HEIGHT_STEP = 0.01  # heights nearer than this are one [m]
-MIN_LENGTH = 5.0  # of a scale of heights, in steps that lie beside each other
+MIN_RANGE = 0.1  # least range of a scale, so that flat floors look flat
+HEIGHT_STEP = 0.01  # heights are rounded to multiples of this [m]
+MIN_SCALE_LENGTH = 5.0  # of a scale of heights, in adjacent height steps
 MAX_HEIGHTS = 1 << 16  # steps that a range of heights is split into at most
 MAX_TICKS = 6
 TICK_GAP = 0.11  # least distance of two ticks, of the scale's length
 
-Legend = tuple[tuple[str, str], ...]
+Legend: TypeAlias = tuple[tuple[str, str], ...]
 """Meanings and their colours."""
+Reals: TypeAlias = NDArray[np.floating]
+"""Values in float32 or float64."""
 
 
 class Tick(NamedTuple):
@@ -57,62 +62,98 @@ class Tick(NamedTuple):
 
 
 class ColorScale(NamedTuple):
-    """Which colour stands for which value, on a bar from 0, the lowest value, to 1, the highest."""
+    """Which colour stands for which value, on a bar from 0, the lowest value, to 1, the highest.
 
-    label: str  # what the values are, with their unit
-    values: Sequence[float]  # ascending; other values lie between them on straight lines
-    positions: Sequence[float]  # ascending, 0 to 1, of each of them
+    Attributes:
+        label: what the values are, with their unit.
+        values: ascending; between them, positions are interpolated.
+        positions: of the values on the bar, ascending, 0 to 1.
+        ticks: values that are written beside the bar.
+        colors: of the bar, at equal distances.
+    """
+
+    label: str
+    values: Sequence[float]
+    positions: Sequence[float]
     ticks: tuple[Tick, ...]
-    colors: Sequence[str] = VIRIDIS  # at equal distances
+    colors: Sequence[str] = VIRIDIS
 
     def bar(self, count: int) -> NDArray[np.uint8]:
         """Colours at equal distances along the bar, lowest value first, shape (count, 3)."""
-        where = np.linspace(0.0, len(self.colors) - 1, count)
+        positions = np.linspace(0.0, len(self.colors) - 1, count)
         rgb = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
-        mixed = [np.interp(where, np.arange(len(rgb)), channel) for channel in rgb.T]
-        return np.round(np.stack(mixed, axis=1)).astype(np.uint8)
+        channels = [np.interp(positions, np.arange(len(rgb)), channel) for channel in rgb.T]
+        return np.round(np.stack(channels, axis=1)).astype(np.uint8)
 
-    def color(self, values: NDArray[Any]) -> NDArray[np.uint8]:
-        """The colours of finite values of any shape, shape (…, 3); those beyond it are clipped."""
-        place = np.interp(values, self.values, self.positions)
-        shade = np.round(place * (SHADES - 1)).astype(np.intp)
-        painted: NDArray[np.uint8] = self.bar(SHADES).take(shade, axis=0)
+    def color(self, values: Reals) -> NDArray[np.uint8]:
+        """Colours of finite values of any shape, shape (…, 3); values off the bar are clipped."""
+        positions = np.interp(values, self.values, self.positions)
+        shades = np.round(positions * (SHADES - 1)).astype(np.intp)
+        painted: NDArray[np.uint8] = self.bar(SHADES).take(shades, axis=0)
         return painted
 
 
 class Label(NamedTuple):
-    """A name on a picture."""
+    """A name on a picture.
+
+    Attributes:
+        text: the name.
+        fallback: written instead if no font has the letters of the name.
+        x: of its middle, world frame [m].
+        y: of its middle, world frame [m].
+        width: how wide the name may be [m]; 0 for the name of a point.
+        height: how high the name may be [m]; 0 for the name of a point.
+        number: written where there is no space for the name.
+    """
 
     text: str
-    fallback: str  # written in its place if no font has its letters
-    x: float  # of its middle, world frame [m]
+    fallback: str
+    x: float
     y: float
-    width: float  # of what it names at this place [m]; 0 for a point
+    width: float
     height: float
-    number: int = 0  # written where there is no space for the name
+    number: int = 0
 
 
 class Panel(NamedTuple):
-    """One layer of one level; cells whose value is finite are coloured by that, not by `rgb`."""
+    """A layer of a level.
+
+    Attributes:
+        title: of the picture.
+        rgb: colours of cells, shape (height, width, 3).
+        values: of cells, shape (height, width); finite ones are coloured by `scale`, not by `rgb`.
+        scale: of the values.
+        legend: meanings of the colours of `rgb`.
+        labels: names on the picture.
+        doors: lines across doorways.
+        connections: links and stairs to draw, of all levels.
+        relief: step of values that gets 3/4 of the strongest light or shade, 0 for no relief.
+    """
 
     title: str
-    rgb: NDArray[np.uint8]  # shape (height, width, 3)
-    values: NDArray[np.float32] | None = None  # shape (height, width)
-    scale: ColorScale | None = None  # of the values
+    rgb: NDArray[np.uint8]
+    values: NDArray[np.float32] | None = None
+    scale: ColorScale | None = None
     legend: Legend = ()
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorLine, ...] = ()
-    connections: tuple[Connection, ...] = ()  # links and stairs that are drawn, of all levels
-    relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
+    connections: tuple[Connection, ...] = ()
+    relief: float = 0.0
 
 
 def make_panel(
     grid: NavGrid, layer: str, number: int, *, findings: Sequence[Finding] | None = None
 ) -> Panel:
-    """Show one of `LAYERS` of a level, 0 is the lowest; `paint` turns it into colours.
+    """Show a layer of a level; `paint` turns it into colours.
 
-    `DISAGREEMENTS` is a layer, too, if there are findings of a verification. Another layer or
-    level is a QueryError.
+    Args:
+        grid: a grid of one or several levels.
+        layer: one of `LAYERS`, or `DISAGREEMENTS`.
+        number: of the level, 0 is the lowest.
+        findings: of a verification, for `DISAGREEMENTS`.
+
+    Raises:
+        QueryError: there is no such layer or level, or there are no findings for `DISAGREEMENTS`.
     """
     check_level(number, len(grid.levels))
     if layer == DISAGREEMENTS:
@@ -139,36 +180,44 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     painted = panel.scale.color(panel.values[shown])
     if panel.relief:
         lit = relief_shading(panel.values, panel.relief)[shown][:, None]
-        share = np.where(lit > 0, lit * LIT, -lit * SHADED)
+        share = np.where(lit > 0, lit * MAX_LIGHT, -lit * MAX_SHADE)
         painted = np.round(painted * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
     rgb = panel.rgb.copy()
     rgb[shown] = painted
     return rgb
 
 
-def relief_shading(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
+def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
     """Relief shading of floors, from -1, in shade, to 1, lit: shape (height, width).
 
     The light comes from the upper left, as on maps. A cell that is higher than its neighbours
-    above and to the left is lit, a lower one lies in shade, by 3/4 at a difference of `step`;
-    neighbours without a floor don't count.
+    above and to the left is lit, a lower one lies in shade.
+
+    Args:
+        heights: shape (height, width) [m]; neighbours without a finite height don't count.
+        step: difference of heights at which light or shade is 3/4 of the strongest [m].
     """
     finite = np.where(np.isfinite(heights), heights, np.nan)
-    beside = np.float32(np.nan)
-    rises = [np.nan_to_num(np.diff(finite, axis=axis, prepend=beside)) for axis in (0, 1)]
-    lit: NDArray[np.float32] = np.tanh((rises[0] + rises[1]) / np.float32(step))
+    outside = np.float32(np.nan)
+    rise_down = np.nan_to_num(np.diff(finite, axis=0, prepend=outside))
+    rise_right = np.nan_to_num(np.diff(finite, axis=1, prepend=outside))
+    lit: NDArray[np.float32] = np.tanh((rise_down + rise_right) / np.float32(step))
     return lit
 
 
 # --- scales of values -----------------------------------------------------------------------------
 
 
-def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -> ColorScale:
-    """A scale of finite values, shape (n,); its ticks are round numbers, or the only value.
+def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> ColorScale:
+    """A linear scale, whose ticks are round numbers, or the only value.
 
-    The largest is the lightest, or the darkest if `dark_high`.
+    Args:
+        values: finite, shape (n,).
+        label: what the values are, with their unit.
+        dark_high: the largest value is the darkest, not the lightest.
     """
-    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
+    low = float(values.min()) if values.size else 0.0
+    high = float(values.max()) if values.size else MIN_RANGE
     ticks = [(low, f"{low:g}")]
     if high > low:
         step = nice_step((high - low) / MAX_TICKS)
@@ -176,10 +225,15 @@ def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -
         first = math.ceil(low / step - 1e-9)
         last = math.floor(high / step + 1e-9)
         ticks = [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
-    widen = max(0.0, MIN_RANGE - (high - low)) / 2
-    low, high = (low, high + 2 * widen) if dark_high else (low - widen, high + widen)
-    placed = tuple(Tick((value - low) / (high - low), text) for value, text in ticks)
-    return ColorScale(label, (low, high), (0.0, 1.0), placed, VIRIDIS[:: -1 if dark_high else 1])
+    margin = max(0.0, MIN_RANGE - (high - low)) / 2
+    if dark_high:
+        high += 2 * margin
+    else:
+        low -= margin
+        high += margin
+    bar_colors = VIRIDIS[::-1] if dark_high else VIRIDIS
+    bar_ticks = tuple(Tick((value - low) / (high - low), text) for value, text in ticks)
+    return ColorScale(label, (low, high), (0.0, 1.0), bar_ticks, bar_colors)
 
 
 def nice_step(least: float) -> float:
@@ -188,12 +242,16 @@ def nice_step(least: float) -> float:
     return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
 
 
-def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
-    """A scale that tells floors 2 cm apart and 3 m apart in one picture.
+def height_scale(heights: Reals, label: str) -> ColorScale:
+    """A scale on which floors 2 cm apart and floors 3 m apart differ visibly.
 
-    Finite heights, shape (n,) [m], are rounded to centimetres. Gaps without floors shrink to their
-    cube root: 3 m take 5 times as much of it as 2 cm, not 150 times. Ticks are at the height of the
+    Heights are rounded to centimetres. Gaps without floors are as long on the bar as their cube
+    root: 3 m take 5 times as much as 2 cm, not 150 times. Ticks are at the height of the
     largest area, at the ends, then at the next largest areas.
+
+    Args:
+        heights: finite, shape (n,) [m].
+        label: what the heights are, with their unit.
     """
     if not heights.size:
         return linear_scale(heights, label)
@@ -204,30 +262,30 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     steps = np.flatnonzero(counts)
     length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
-    spread = max(float(length[-1]), MIN_LENGTH)
+    spread = max(float(length[-1]), MIN_SCALE_LENGTH)
     positions = 0.5 + (length - length[-1] / 2) / spread
     values = low + steps * step
     order = np.argsort(-counts[steps], kind="stable").tolist()
     ticks: list[Tick] = []
     for number in [order[0], 0, len(steps) - 1, *order]:
-        place = float(positions[number])
-        if all(abs(place - other.position) >= TICK_GAP for other in ticks[:MAX_TICKS]):
-            ticks.append(Tick(place, f"{values[number] + 0.0:.2f}"))
+        position = float(positions[number])
+        if all(abs(position - tick.position) >= TICK_GAP for tick in ticks[:MAX_TICKS]):
+            ticks.append(Tick(position, f"{values[number] + 0.0:.2f}"))
     if positions[0] > 0:
         positions = np.concatenate([[0.0], positions, [1.0]])
         values = np.concatenate([[low - step], values, [values[-1] + step]])
-    chosen = tuple(sorted(ticks[:MAX_TICKS]))
-    return ColorScale(label, values.tolist(), positions.tolist(), chosen)
+    bar_ticks = tuple(sorted(ticks[:MAX_TICKS]))
+    return ColorScale(label, values.tolist(), positions.tolist(), bar_ticks)
 
 
 # --- the layers -----------------------------------------------------------------------------------
 
 
 def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
-    """Colours of cells, shape (height, width, 3), and what they mean; free stands first, always."""
+    """Colours of cells, shape (height, width, 3), and a legend, which always begins with free."""
     kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(np.uint8)
-    there = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
-    legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or there[n]]
+    occurs = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
+    legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or occurs[n]]
     palette = np.array([colors.rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
     return palette[kind], tuple(legend)
 
@@ -246,7 +304,7 @@ def _show_floor(grid: NavGrid, number: int) -> Panel:
     metres = level.floor_height * np.float32(level.unit)
     scale = height_scale(metres[np.isfinite(metres)], "z [m]")
     legend = (("no floor", colors.NO_FLOOR),) if np.isnan(metres).any() else ()
-    step = max(RELIEF, RELIEF_SLOPE * level.lattice.cell_size)
+    step = max(RELIEF_STEP, RELIEF_SLOPE * level.lattice.cell_size)
     return Panel("floor height [m]", rgb, metres, scale, legend, relief=step)
 
 
@@ -272,23 +330,33 @@ def _show_weights(grid: NavGrid, number: int) -> Panel:
 def _show_islands(grid: NavGrid, number: int) -> Panel:
     islands = islands_of(grid)
     level = grid.levels[number]
-    count = max(int(each.max(initial=0)) for each in islands)
+    num_islands = max(int(labels.max(initial=0)) for labels in islands)
     reach = math.ceil(colors.WALL / level.lattice.cell_size)
     # an island may span several levels, and has one colour on all of them
-    pairs = set().union(*(colors.find_neighbours(each, reach) for each in islands))
+    neighbours = set().union(*(colors.find_neighbours(labels, reach) for labels in islands))
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
-    color = colors.choose_colors(count, pairs, len(palette))[islands[number][level.free]]
+    color_of_island = colors.choose_colors(num_islands, neighbours, len(palette))
     rgb, legend = _occupancy(level)
-    rgb[level.free] = palette[color]
+    rgb[level.free] = palette[color_of_island[islands[number][level.free]]]
     return Panel("islands", rgb, legend=legend[1:])
 
 
 def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """Colours of cells by room, darker where occupied, and of doors, shape (height, width, 3)."""
+    """Paint cells by room, darker where occupied, and doors.
+
+    Args:
+        grid: a grid of one or several levels.
+        number: of the level, 0 is the lowest.
+
+    Returns:
+        Colours, shape (height, width, 3).
+    """
     level = grid.levels[number]
     rooms = colors.color_rooms(grid, number)
     palette = np.stack([colors.darken_rooms(rooms), rooms], axis=1).reshape(-1, 3)
-    palette[:2] = colors.rgb_of(colors.OCCUPIED), colors.rgb_of(colors.FREE)
+    # the room 0 is none
+    palette[0] = colors.rgb_of(colors.OCCUPIED)
+    palette[1] = colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
     rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
     _paint_doors(rgb, grid, number)
@@ -296,8 +364,8 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
 
 def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> None:
-    for color, blocked in ((colors.DOORWAY, False), (colors.DOOR, True)):
-        rgb[doorway_cells(grid, number, blocked=blocked)] = colors.rgb_of(color)
+    rgb[doorway_cells(grid, number, blocked=False)] = colors.rgb_of(colors.DOORWAY)
+    rgb[doorway_cells(grid, number, blocked=True)] = colors.rgb_of(colors.DOOR)
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
@@ -307,7 +375,7 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
     no_floor = np.isnan(level.floor_height)
     doors = doorway_cells(grid, number, blocked=True)
     doorways = doorway_cells(grid, number, blocked=False)
-    outdoors = [r.index for r in grid.rooms if r.level == number and r.outdoors]
+    outdoors = [room.index for room in grid.rooms if room.level == number and room.outdoors]
     entries = {
         ("outdoors", colors.OUTDOORS): np.isin(index, outdoors),
         ("occupied, no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
@@ -318,47 +386,72 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
         ("doorway", colors.DOORWAY): doorways & ~doors,
     }
     legend = tuple(entry for entry, cells in entries.items() if cells.any())
-    names = [(r.index, r.name, f"{number}:{r.index}") for r in grid.rooms if r.level == number]
-    labels = _label_parts(level, index, names)
+    names = [
+        RegionName(room.index, room.name, f"{number}:{room.index}")
+        for room in grid.rooms
+        if room.level == number
+    ]
+    labels = _label_regions(level, index, names)
     lines = find_door_lines(grid, number)
     return Panel("rooms", paint_rooms(grid, number), legend=legend, labels=labels, doors=lines)
 
 
-def _label_parts(
-    level: SceneGrid2D, index: NDArray[Any], names: Iterable[tuple[int, str | None, str]]
-) -> tuple[Label, ...]:
-    """Names of a level's parts, each in the middle of the runs of cells through its largest disc.
+class RegionName(NamedTuple):
+    """The name of a room or area of a level."""
 
-    Each has a number in `index`, a name or None, and what is written where it has no name.
+    number: int  # of its cells
+    name: str | None
+    fallback: str  # written if it has no name
+
+
+def _label_regions(
+    level: SceneGrid2D, index: NDArray[np.integer], names: Iterable[RegionName]
+) -> tuple[Label, ...]:
+    """Place the names of rooms or areas of a level.
+
+    A name stands in the middle of the runs of cells through the room's largest inscribed disc.
+    `index` has the number of each cell's room or area, shape (height, width).
     """
     from scipy import ndimage  # takes longer to load than most pictures to draw
 
-    def ends_of_run(line: NDArray[np.bool_], at: int) -> list[int]:
-        """The first and the last of the true values in a row round one of them."""
-        part = ndimage.label(line)[0]
-        ends: list[int] = np.flatnonzero(part == part[at])[[0, -1]].tolist()
+    def ends_of_run(line: NDArray[np.bool_], position: int) -> list[int]:
+        """The first and the last index of the run of true values through a position."""
+        runs = ndimage.label(line)[0]
+        ends: list[int] = np.flatnonzero(runs == runs[position])[[0, -1]].tolist()
         return ends
 
     labels = []
     boxes = dict(enumerate(ndimage.find_objects(index.astype(np.int32)), 1))
-    for which, name, fallback in names:
-        box = boxes.get(which)
+    for region in names:
+        box = boxes.get(region.number)
         if box is None:
             continue
-        mask = index[box] == which
-        stride = max(1, -(-max(mask.shape) // MAX_SIDE))
+        mask = index[box] == region.number
+        stride = max(1, -(-max(mask.shape) // MAX_SAMPLES))
         mask = mask[::stride, ::stride]
-        edge = level.lattice.cell_size * stride
-        space = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-        row, col = (int(v) for v in np.unravel_index(np.argmax(space), space.shape))
+        sample_size = level.lattice.cell_size * stride
+        distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+        row, col = divmod(int(np.argmax(distance)), distance.shape[1])
         first, last = ends_of_run(mask[row], col)
         top, bottom = ends_of_run(mask[:, (first + last) // 2], row)
-        across = box[1].start + (first + last) / 2 * stride
-        x, y = level.lattice.positions(box[0].start + row * stride, across).tolist()
-        half = min(row - top, bottom - row)  # the name's middle is in this row
-        size = (last - first + 1) * edge, (2 * half + 1) * edge
-        labels.append(Label(name or fallback, fallback, x, y, *size, which))
+        middle_col = box[1].start + (first + last) / 2 * stride
+        x, y = level.lattice.positions(box[0].start + row * stride, middle_col).tolist()
+        half_height = min(row - top, bottom - row)  # the name's middle is in this row
+        label = Label(
+            text=region.name or region.fallback,
+            fallback=region.fallback,
+            x=x,
+            y=y,
+            width=(last - first + 1) * sample_size,
+            height=(2 * half_height + 1) * sample_size,
+            number=region.number,
+        )
+        labels.append(label)
     return tuple(labels)
+
+
+def _label_point(text: str, fallback: str, x: float, y: float, number: int) -> Label:
+    return Label(text, fallback, x, y, width=0.0, height=0.0, number=number)
 
 
 def _show_doors(grid: NavGrid, number: int) -> Panel:
@@ -366,65 +459,80 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
     lines = find_door_lines(grid, number)
     labels = []
-    for place, line in enumerate(lines, 1):
+    for door_number, line in enumerate(lines, 1):
         width = f"{line.width:.1f} m"
-        labels.append(Label(f"{line.id} {width}", width, *line.middle, 0.0, 0.0, place))
+        x, y = line.middle
+        labels.append(_label_point(f"{line.id} {width}", width, x, y, door_number))
     _paint_doors(rgb, grid, number)
     return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=lines)
 
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
+    # rows: level and cell of this end of a step, level and cell of the opposite end
     ends = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
-    colored = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
-    for color, sign in zip(colored.values(), (1, -1, 0), strict=True):
-        cells = ends[np.sign(ends[:, 2] - number) == sign, 1]
+    direction = np.sign(ends[:, 2] - number)
+    step_colors = (
+        ("leads up", colors.UP, 1),
+        ("leads down", colors.DOWN, -1),
+        ("steep, same level", colors.ACROSS, 0),
+    )
+    for _, color, sign in step_colors:
+        cells = ends[direction == sign, 1]
         rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
-    ways = find_connections(grid)
+    legend = (*((meaning, color) for meaning, color, _ in step_colors), *legend)
+    if grid.links:
+        legend = (("link", colors.LINK), *legend)
+    connections = find_connections(grid)
     labels = []
-    for place, way in enumerate(ways, 1):
-        here = [(x, y) for level, x, y, _ in way.stops if level == number]
-        labels += [Label(way.label(), str(place), *at, 0.0, 0.0, place) for at in here[:1]]
-    drawn = (*colored.items(), *legend)
-    drawn = (("link", colors.LINK), *drawn) if grid.links else drawn
-    return Panel("links", rgb, legend=drawn, labels=tuple(labels), connections=tuple(ways))
+    for key, connection in enumerate(connections, 1):
+        stop = next((stop for stop in connection.stops if stop.level == number), None)
+        if stop is not None:
+            labels.append(_label_point(connection.label(), str(key), stop.x, stop.y, key))
+    return Panel("links", rgb, legend=legend, labels=tuple(labels), connections=tuple(connections))
 
 
 def _show_areas(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    index = grid.levels[number].area_index
     names = []
     rgb, legend = _occupancy(level)
     entries = []
-    for place, area in enumerate(grid.areas, 1):
-        color = colors.ROOMS[place % len(colors.ROOMS)]
-        color = colors.KEEP_OUT if math.isinf(area.cost) else color
-        here = index == place
+    for index, area in enumerate(grid.areas, 1):
+        color = colors.ROOMS[index % len(colors.ROOMS)]
+        if math.isinf(area.cost):
+            color = colors.KEEP_OUT
+        in_area = level.area_index == index
         tint = np.array(colors.rgb_of(color), dtype=np.uint8)
-        rgb[here & level.free] = tint
-        rgb[here & ~level.free] = colors.darken_rooms(tint)
-        entries += [(describe_area(area), color)] if here.any() else []
-        names.append((place, area.name, str(place)))
-    return Panel("areas", rgb, legend=(*entries, *legend), labels=_label_parts(level, index, names))
+        rgb[in_area & level.free] = tint
+        rgb[in_area & ~level.free] = colors.darken_rooms(tint)
+        if in_area.any():
+            entries.append((describe_area(area), color))
+        names.append(RegionName(index, area.name, str(index)))
+    labels = _label_regions(level, level.area_index, names)
+    return Panel("areas", rgb, legend=(*entries, *legend), labels=labels)
 
 
 def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
     """Show the cells where a verification found that grid and scene disagree, by kind."""
     level = grid.levels[number]
     rgb, legend = _occupancy(level)
-    kinds = colors_of_kinds(finding.kind for finding in findings)
-    here = [finding for finding in findings if finding.level == number]
-    for finding in here:
+    color_of_kind = colors_of_kinds(finding.kind for finding in findings)
+    on_level = [finding for finding in findings if finding.level == number]
+    for finding in on_level:
         row, col = finding.cell or level.lattice.rows_cols(finding.position)
         if 0 <= row < level.height and 0 <= col < level.width:
-            rgb[row, col] = colors.rgb_of(kinds[finding.kind])
-    return Panel(count_of(len(here), "disagreement"), rgb, legend=(*kinds.items(), *legend))
+            rgb[row, col] = colors.rgb_of(color_of_kind[finding.kind])
+    title = count_of(len(on_level), "disagreement")
+    return Panel(title, rgb, legend=(*color_of_kind.items(), *legend))
 
 
 def colors_of_kinds(kinds: Iterable[str]) -> dict[str, str]:
-    """A colour for each kind of mark."""
-    return {kind: colors.MARKS[n % len(colors.MARKS)] for n, kind in enumerate(sorted(set(kinds)))}
+    """A colour for each kind of mark; many kinds share colours."""
+    return {
+        kind: colors.MARKS[number % len(colors.MARKS)]
+        for number, kind in enumerate(sorted(set(kinds)))
+    }
 
 
 LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {

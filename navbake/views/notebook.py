@@ -19,21 +19,23 @@ from navbake.voxels.grid import VoxelGrid
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
-MAX_LEVELS = 16  # that are shown; the facts count them all
+MAX_LEVELS = 16  # that are shown; the summary counts them all
 MAX_NAME = 60  # letters of a scene's or a level's name
 THUMBNAIL_SIDE = 240  # longest side of a thumbnail [pixels]
 THUMBNAIL_COLORS = 64  # of which each pixel has one: a byte a pixel, a third of true colours
 
 
 def show_html(grid: NavGrid) -> str:
-    """A line of facts, and the levels beside each other, lowest first: for a notebook.
+    """Show a grid in a notebook: a line of facts, and the levels side by side, lowest first.
 
-    Colours are those of `paint_rooms`. The pictures are inside, and at most `LEVEL_SIDE` pixels
+    Colours are those of `paint_rooms`. The HTML holds the pictures, at most `LEVEL_SIDE` pixels
     long; names are escaped. The same grid gives the same text.
     """
     scale = _scale_for(grid, LEVEL_SIDE)
-    num_rooms = [int(np.count_nonzero(np.bincount(v.room_index.ravel())[1:])) for v in grid.levels]
-    areas = [np.count_nonzero(v.free) * v.lattice.cell_size**2 for v in grid.levels]
+    num_rooms = [
+        int(np.count_nonzero(np.bincount(level.room_index.ravel())[1:])) for level in grid.levels
+    ]
+    areas = [np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels]
     figures = []
     for number, level in enumerate(grid.levels[:MAX_LEVELS]):
         picture = b64encode(encode_png(_draw_level(grid, number, scale))).decode("ascii")
@@ -48,25 +50,25 @@ def show_html(grid: NavGrid) -> str:
     count = len(grid.levels)
     if count > MAX_LEVELS:
         figures.append(f"and {count - MAX_LEVELS} more")
-    whole = (
+    summary = (
         f"{count_of(count, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
         f"{count_of(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
         f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high"
     )
     return (
-        f"<div><b>{_short(grid.scene_id or type(grid).__name__)}</b>: {whole}"
+        f"<div><b>{_short(grid.scene_id or type(grid).__name__)}</b>: {summary}"
         '<div style="display:flex;flex-wrap:wrap;gap:8px;margin-top:4px">'
         f"{''.join(figures)}</div></div>"
     )
 
 
 def draw_png(grid: NavGrid) -> bytes:
-    """One picture of the levels, row by row from the lowest: at most `PICTURE_SIDE` pixels long."""
+    """Draw all levels as a PNG, row by row from the lowest, at most `PICTURE_SIDE` pixels long."""
     return encode_png(draw_levels(grid, PICTURE_SIDE))
 
 
 def draw_voxels(grid: VoxelGrid) -> bytes:
-    """Voxels from above as PNG, the higher a column's topmost one, the lighter; white for none."""
+    """Draw voxels from above as PNG: the higher a column's top, the lighter; white if empty."""
     filled = grid.occupied
     num_z = grid.shape[2]
     top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
@@ -74,34 +76,37 @@ def draw_voxels(grid: VoxelGrid) -> bytes:
     longest = max(shade.shape)
     image = Image.fromarray(shade.T[::-1]).reduce(-(-longest // PICTURE_SIDE))
     pixels = max(PICTURE_SIDE // longest, 1)
-    size = image.width * pixels, image.height * pixels
+    size = (image.width * pixels, image.height * pixels)
     return encode_png(image.resize(size, Image.Resampling.NEAREST))
 
 
 def draw_path(path: Path) -> bytes | None:
-    """The picture of a path's grid with the path on it; None where it knows of no grid."""
+    """Draw a path on its grid as PNG; None for a path without a grid."""
     if path.grid is None:
         return None
     return encode_png(draw_levels(path.grid, PICTURE_SIDE, path))
 
 
 def draw_thumbnail(grid: NavGrid) -> bytes:
-    """A small picture of the levels as PNG, of at most `THUMBNAIL_COLORS` colours.
+    """Draw a small picture of the levels as PNG, in at most `THUMBNAIL_COLORS` colours.
 
     The same grid gives the same bytes.
     """
     image = draw_levels(grid, THUMBNAIL_SIDE)
     if image.getcolors(THUMBNAIL_COLORS) is None:
-        how = Image.Quantize.MEDIANCUT
-        dither = Image.Dither.NONE
-        image = image.quantize(THUMBNAIL_COLORS, method=how, dither=dither)
+        image = image.quantize(
+            THUMBNAIL_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
+        )
     return encode_png(image)
 
 
 def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Image:
-    """The levels on one picture, row by row from the lowest: at most `side` pixels long.
+    """Draw all levels as one picture, row by row from the lowest.
 
-    A path is drawn on them, with a dot where it begins.
+    Args:
+        grid: a grid of one or several levels.
+        side: longest side of the picture [pixels].
+        path: a path to draw, with a dot where it begins.
     """
     count = min(len(grid.levels), MAX_LEVELS)
     columns = math.ceil(math.sqrt(count))
@@ -119,7 +124,7 @@ def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Ima
 
 
 def encode_png(image: Image.Image) -> bytes:
-    """A picture as PNG, a byte a pixel where it has no more than 256 colours."""
+    """Encode a picture as PNG, with a byte a pixel where it has no more than 256 colours."""
     if image.mode == "RGB" and image.getcolors(256) is not None:
         image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
     content = io.BytesIO()
@@ -128,7 +133,7 @@ def encode_png(image: Image.Image) -> bytes:
 
 
 def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
-    """How many pixels a cell has, and how many cells a pixel; one of them is 1.
+    """How many pixels a cell takes, and how many cells a pixel; one of them is 1.
 
     Whole numbers keep cells square and alike. One scale for all levels keeps them comparable.
     """

@@ -1,4 +1,4 @@
-"""What pages are made of: a skeleton, one style, functions that scripts share, and packed content.
+"""Makes HTML pages of a skeleton, one style, scripts with shared functions, and packed content.
 
 A page needs neither a server nor the network. `kit.js` unpacks what is packed here.
 """
@@ -15,18 +15,29 @@ import orjson
 from navbake.types import Json
 from navbake.views.tables import Table
 
-INSIDE = "data:"  # where pictures may be: in the page itself
+DATA_URLS = "data:"  # policy: pictures are in the page itself
 MAX_ROWS = 2000  # of a table; the page says how many more there are
-LEVEL = 6  # of compression: 9 takes five times as long for 2 % less
+COMPRESSION_LEVEL = 6  # 9 takes five times as long for 2 % less
 
 
-def make_page(title: str, content: Json, package: str, name: str, pictures: str = INSIDE) -> bytes:
-    """The page that shows some content, UTF-8; the same content, the same bytes.
+def make_page(
+    title: str, content: Json, package: str, name: str, pictures: str = DATA_URLS
+) -> bytes:
+    """Make a page. The same arguments give the same bytes.
 
-    Its body, ``name.html``, and its script, ``name.js``, are in `package`; the script reads the
-    content. Its policy (Content-Security-Policy) names the hashes of its script and its style, and
-    forbids everything else but pictures from `pictures`. So nothing that a file calls a room can
-    run, and the page asks the network for nothing.
+    The page's policy (Content-Security-Policy) allows only its own script and style, by their
+    hashes, and pictures. So no name from a file can run as a script, and the page loads nothing
+    from the network.
+
+    Args:
+        title: of the page, as plain text.
+        content: JSON that the script reads, with arrays of numpy.
+        package: the package that has the files of the page.
+        name: of the files: ``name.html`` is the body, ``name.js`` the script.
+        pictures: from where pictures may be loaded, as the policy states it.
+
+    Returns:
+        HTML, UTF-8.
     """
 
     def read(package: str, name: str) -> str:
@@ -51,7 +62,16 @@ def make_page(title: str, content: Json, package: str, name: str, pictures: str 
 
 
 def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
-    """A table of a page, without the columns that are empty in all rows."""
+    """Describe a table for a page, without the columns that are empty in all rows.
+
+    Args:
+        title: over the table.
+        table: of which `MAX_ROWS` rows are shown.
+        folded: whether it is closed at first.
+
+    Returns:
+        JSON that the page's script reads.
+    """
     shown = table.without_empty_columns()
     return {
         "title": title,
@@ -64,10 +84,10 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
 
 
 def pack(content: Json) -> str:
-    """Pack JSON with arrays, as `to_text`."""
+    """Pack JSON with arrays of numpy as compressed text, see `to_text`."""
     return to_text(orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
-def to_text(data: bytes) -> str:
+def to_text(content: bytes) -> str:
     """Compress JSON into text: zlib, then base64; `unpack` in ``kit.js`` undoes it."""
-    return b64encode(zlib.compress(data, LEVEL)).decode("ascii")
+    return b64encode(zlib.compress(content, COMPRESSION_LEVEL)).decode("ascii")

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from PIL import Image
@@ -24,41 +24,52 @@ from navbake.runtime.paths import Path as Route
 from navbake.views.describe import Connection
 from navbake.views.layers import Label, Panel, colors_of_kinds, make_panel, paint
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
+
+    class PanelAxes(Axes):
+        """The axes of a panel, with what is known of their size before the layout."""
+
+        title_width: float  # [inches]
+        min_pixels_per_metre: float
+
+
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
 DEFAULT_LAYERS = ("occupancy", "floor")
 DPI = 150  # of a PNG: 1.5 pixels for each of a README's
 MAX_COLUMNS = 3
-WIDE = 2.4  # maps so much wider than high lie below each other
-LONGEST = 40.0  # times its other side that a map is long at most: the world goes on beside it
+WIDE_ASPECT = 2.4  # maps so many times wider than high lie below each other
+MAX_ASPECT = 40.0  # a longer map shows some of the world beside it
 
 # Lengths in inches. A picture is 8.3 inches wide at most, 830 pixels of a README at 100 an inch:
 # letters of 8 points are 11 pixels high there.
 WIDTH = 8.3
 MAX_HEIGHT = 290.0
 MIN_WIDTH = 4.6
-# AROUND: ticks, title and colour bar
 MAX_MAP_HEIGHT = 5.6
-AROUND_X = 1.1
-AROUND_Y = 0.65
+# of a map, for ticks, title and colour bar
+MARGIN_X = 1.1
+MARGIN_Y = 0.65
 LINE = 0.2  # a line of the heading or the legend
-LETTERS = 13  # of a title or a legend in an inch
+LETTERS = 13  # of a title or a legend, per inch
 
 HEADING_POINTS = 10.5
 TITLE_POINTS = 9.0
 LEGEND_POINTS = 8.0
 TICK_POINTS = 7.5
-# sizes that are tried
+# sizes that are tried, the largest first
 NAME_POINTS = (9.0, 8.0, 7.0)
 NUMBER_POINTS = (8.0, 7.0, 6.0)
-POINT = 12  # half a side of what a point's name keeps clear of [pixels]
-# of a name on a map; names in the key to numbers
-MOST_LETTERS = 40
-MOST_KEYS = 40
+POINT_HALF_SIDE = 12  # half a side of the square round a point, which stays free of names [pixels]
+MAX_LETTERS = 40  # of a name on a map
+MAX_KEY_ENTRIES = 40  # of the key to numbers on a map
 FONT = "DejaVu Sans"  # comes with matplotlib
 INK = "#222222"
 FAINT = "#9aa0a8"
-STROKES = {  # colours and widths [points] of lines, from below
+STROKES = {  # colours and widths [points] of the strokes of a line, the lowest first
     "door, closed": (("#ffffff", 4.2), (DOOR, 2.6)),
     "door, open": ((DOOR, 3.8), ("#ffffff", 1.6)),
     "path, from o to x": (("#ffffff", 3.4), (ROUTE, 1.8)),
@@ -69,25 +80,42 @@ STROKES = {  # colours and widths [points] of lines, from below
 
 
 Mark: TypeAlias = tuple[int, float, float, str]
-"""A place to mark on a picture: level (-1 for all), world x and y [m], and what is there."""
+"""A place to mark on a picture: level (-1 for all), world x and y [m], and its kind."""
 
 
-def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
-    """Write the picture of `render_picture`, an SVG if the name says so, else a PNG."""
+def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
+    """Write a picture of a grid.
+
+    Args:
+        grid: a grid of one or several levels.
+        path: of the file: an SVG if it ends in ``.svg``, else a PNG.
+        options: see `render_picture`.
+
+    Returns:
+        The path.
+    """
     path = Path(path)
     form = "svg" if path.name.lower().endswith(".svg") else "png"
-    write_bytes(render_picture(grid, form, **drawn), path)
+    write_bytes(render_picture(grid, form, **options), path)
     return path
 
 
-def plot(grid: NavGrid, path: str | PathLike[str] | None = None, **more: Any) -> Image.Image | Path:
-    """Draw a grid: an image, which notebooks show and which has ``show()``; see `render_picture`.
+def plot(
+    grid: NavGrid, path: str | PathLike[str] | None = None, **options: Any
+) -> Image.Image | Path:
+    """Draw a grid.
 
-    With a path, the picture is written there, and the path returned; see `plot_grid`.
+    Args:
+        grid: a grid of one or several levels.
+        path: of a file to write, see `plot_grid`; None for none.
+        options: see `render_picture`.
+
+    Returns:
+        The path, if there is one; else an image, which notebooks show and which has ``show()``.
     """
     if path is not None:
-        return plot_grid(grid, path, **more)
-    return Image.open(io.BytesIO(render_picture(grid, **more)))
+        return plot_grid(grid, path, **options)
+    return Image.open(io.BytesIO(render_picture(grid, **options)))
 
 
 def render_picture(
@@ -120,74 +148,107 @@ def render_picture(
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+        from matplotlib.font_manager import FontProperties
         from matplotlib.transforms import Bbox
     except ImportError as error:
         message = 'plots need matplotlib: pip install "navbake[plot]"'
         raise MissingDependencyError(message) from error
 
     check_level(level, len(grid.levels))
-    chosen = list(range(len(grid.levels))) if level is None else [level]
     if not layers:
         raise QueryError("expected at least one layer to draw, got none")
-    shown = [(number, make_panel(grid, layer, number)) for number in chosen for layer in layers]
-    panels = [panel for _, panel in shown]
-    kinds = colors_of_kinds(kind for *_, kind in marks)
-    bounds = np.array([grid.levels[number].lattice.bounds for number in chosen])
+    numbers = list(range(len(grid.levels))) if level is None else [level]
+    panel_levels = [number for number in numbers for _ in layers]
+    panels = [make_panel(grid, layer, number) for number in numbers for layer in layers]
+    color_of_kind = colors_of_kinds(kind for *_, kind in marks)
+    bounds = np.array([grid.levels[number].lattice.bounds for number in numbers])
     view = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
-    texts = [grid.scene_id or "", *kinds, *(panel.title for panel in panels)]
+    texts = [grid.scene_id or "", *color_of_kind, *(panel.title for panel in panels)]
     texts += [label.text for panel in panels for label in panel.labels]
     families, missing = find_fonts("".join(texts))
-    # ids in an SVG are hashes, salted at random unless told not to; letters are drawn as shapes,
-    # so that a picture looks alike where its fonts are missing; no name is markup
-    settings: Any = {"svg.hashsalt": "navbake", "svg.fonttype": "path", "text.parse_math": False}
-    settings |= {"font.family": families, "text.color": INK}
+    settings: dict[Any, object] = {
+        "svg.hashsalt": "navbake",  # else ids in an SVG are hashes with a random salt
+        "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
+        "text.parse_math": False,  # no name is markup
+        "font.family": families,
+        "text.color": INK,
+    }
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
-        figure: Any = Figure(facecolor="white", dpi=DPI)
+        figure = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
         axes = add_axes(figure, view, panels, len(layers))
-        name = wrap(grid.scene_id or "grid", figure.get_figwidth())
-        figure.suptitle(name, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
-        for ax, (number, panel) in zip(axes, shown, strict=True):
+        heading = wrap(grid.scene_id or "grid", figure.get_figwidth())
+        figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
+        for ax, number, panel in zip(axes, panel_levels, panels, strict=True):
             _draw_panel(ax, panel, grid.levels[number].lattice.bounds)
-            if route is not None:  # its parts on the level, and its ends
-                x, y = np.where(route.levels == number, route.positions[:, :2].T, np.nan)
-                ax.plot(x, y, **_strokes("path, from o to x"), solid_joinstyle="round")
-                style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8}
-                for end, marker in ((0, "o"), (-1, "X")):
-                    ax.plot(x[end], y[end], marker, clip_on=False, **style)
-            for on, x, y, kind in marks:
-                if on in (number, -1):
-                    style = {"color": kinds[kind], "markersize": 5, "mew": 1.2}
-                    ax.plot(x, y, "s", markerfacecolor="none", **style)
-        legend = _draw_legend(figure, panels, kinds, route is not None)
-        figure.draw_without_rendering()  # the layout: names need to know how large rooms are
+            if route is not None:
+                _draw_route(ax, route, number)
+            for mark_level, x, y, kind in marks:
+                if mark_level in (number, -1):
+                    color = color_of_kind[kind]
+                    ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
+        legend = _draw_legend(figure, panels, color_of_kind, route is not None)
+        # names fit rooms: the layout must be known before they are written
+        figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        keys: dict[str, None] = {}
-        for ax, panel in zip(axes, panels, strict=True):
-            labels = [
-                label._replace(text=label.fallback) if missing & {*label.text} else label
-                for label in panel.labels
-            ]
-            keys |= dict.fromkeys(write_names(ax, labels))
-        more = [f"and {len(keys) - MOST_KEYS} more"] if len(keys) > MOST_KEYS else []
-        entries = [e.replace(" ", "\N{NO-BREAK SPACE}") for e in [*keys][:MOST_KEYS] + more]
+        key = _write_all_names(axes, panels, missing)
         facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
-        text = wrap("   ".join([facts, *entries]), figure.get_figwidth() * 1.2, lines=99)
-        legend.set_title(text, {"size": LEGEND_POINTS})
-        own = [
-            (ax, number)
-            for ax, (number, panel) in zip(axes, shown, strict=True)
+        text = wrap("   ".join([facts, *key]), figure.get_figwidth() * 1.2, lines=99)
+        legend.set_title(text, FontProperties(size=LEGEND_POINTS))
+        axes_of_levels = {
+            number: ax
+            for ax, number, panel in zip(axes, panel_levels, panels, strict=True)
             if panel.connections
-        ]
-        _draw_ways(figure, {number: ax for ax, number in own}, panels)
+        }
+        _draw_connections(figure, axes_of_levels, panels)
         content = io.BytesIO()
-        metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
-        # lines of the key hang below the figure, which grows by them
-        low = min(0.0, legend.get_window_extent().y0 / DPI - LINE / 2)
-        box = Bbox([[0, low], figure.get_size_inches()])
-        figure.savefig(content, format=form, metadata=metadata, bbox_inches=box)
+        # the lines of the key hang below the figure, which is extended by them
+        bottom = min(0.0, legend.get_window_extent().y0 / DPI - LINE / 2)
+        figure.savefig(
+            content,
+            format=form,
+            metadata={"Software": None} if form == "png" else {"Creator": None, "Date": None},
+            bbox_inches=Bbox(np.array([(0.0, bottom), figure.get_size_inches()])),
+        )
     return content.getvalue()
+
+
+def _draw_route(ax: PanelAxes, route: Route, number: int) -> None:
+    """Draw the parts of a path that are on a level, and both of its ends."""
+    x, y = np.where(route.levels == number, route.positions[:, :2].T, np.nan)
+    ax.plot(x, y, **_line_style("path, from o to x"), solid_joinstyle="round")
+    for end, marker in ((0, "o"), (-1, "X")):
+        ax.plot(
+            x[end],
+            y[end],
+            marker,
+            clip_on=False,
+            color=ROUTE,
+            markeredgecolor="white",
+            markersize=8,
+        )
+
+
+def _write_all_names(
+    axes: Sequence[PanelAxes], panels: Sequence[Panel], missing: set[str]
+) -> list[str]:
+    """Write the names of all panels, and return the entries of the key to their numbers.
+
+    `missing` are letters that no font has: names with them are replaced by their fallbacks.
+    """
+    entries: dict[str, None] = {}
+    for ax, panel in zip(axes, panels, strict=True):
+        labels = [
+            label._replace(text=label.fallback) if missing & set(label.text) else label
+            for label in panel.labels
+        ]
+        entries |= dict.fromkeys(write_names(ax, labels))
+    key = list(entries)[:MAX_KEY_ENTRIES]
+    if len(entries) > MAX_KEY_ENTRIES:
+        key.append(f"and {len(entries) - MAX_KEY_ENTRIES} more")
+    # lines are broken between entries, not inside of them
+    return [entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in key]
 
 
 def find_fonts(text: str) -> tuple[list[str], set[str]]:
@@ -197,182 +258,236 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
     families = [FONT]
     missing = {letter for letter in printable(text) if letter > "~"}
     # a Last Resort font has a box for every letter
-    fonts = [f for f in font_manager.fontManager.ttflist if not f.name.startswith("Last Resort")]
+    fonts = [
+        font for font in font_manager.fontManager.ttflist if not font.name.startswith("Last Resort")
+    ]
     for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
         if not missing:
             break
         try:
-            known = {*map(chr, font_manager.get_font(font.fname).get_charmap())}
+            letters = {*map(chr, font_manager.get_font(font.fname).get_charmap())}
         except (OSError, RuntimeError):  # matplotlib's list names a font that was removed
             continue
-        if missing & known and font.name not in families:
+        if missing & letters and font.name not in families:
             families.append(font.name)
-        missing -= known
+        missing -= letters
     return families, missing
 
 
 def wrap(text: str, width: float, lines: int = 3) -> str:
-    """A text in a few lines that are so wide [inches]."""
+    """Break a text into at most so many lines of a width [inches]; what doesn't fit is cut."""
     letters = max(int(width * LETTERS), 8)
     return textwrap.fill(printable(text), letters, max_lines=lines, placeholder="…")
 
 
 def add_axes(
-    figure: Any, view: tuple[float, float, float, float], panels: Sequence[Panel], num_layers: int
-) -> list[Any]:
-    """Give a figure its size and each panel a place, as `render_picture` says.
+    figure: Figure,
+    view: tuple[float, float, float, float],
+    panels: Sequence[Panel],
+    num_layers: int,
+) -> list[PanelAxes]:
+    """Give a figure its size, and each panel a place, see `render_picture`.
 
-    Maps much wider than high lie below each other, as wide as the picture.
+    Maps that are much wider than high lie below each other, as wide as the picture.
+
+    Args:
+        figure: an empty one.
+        view: what all panels show: x_min, y_min, x_max, y_max, world frame [m].
+        panels: level by level, the layers of each.
+        num_layers: how many layers a level has.
+
+    Returns:
+        The axes of the panels.
     """
-    sides = np.array([view[2] - view[0], view[3] - view[1]])
-    wide, high = sides = np.maximum(sides, max(sides.max() / LONGEST, 1e-3))
+    extent = np.array([view[2] - view[0], view[3] - view[1]])
+    extent = np.maximum(extent, max(extent.max() / MAX_ASPECT, 1e-3))
+    width, height = extent  # of a map [m]
     middle = np.array(view).reshape(2, 2).mean(axis=0)
-    in_line = num_layers if num_layers > 1 else len(panels)
-    columns = 1 if wide > WIDE * high else min(in_line, MAX_COLUMNS)
-    rows_each = math.ceil(in_line / columns)  # of a level, or of all
-    rows = rows_each * (len(panels) // in_line)
-    most_wide = WIDTH / columns - AROUND_X
-    most_high = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / rows - AROUND_Y)
-    map_wide, map_high = sides * min(most_wide / wide, most_high / high)
-    width = min(max(columns * (map_wide + AROUND_X), MIN_WIDTH), WIDTH)
-    figure.set_size_inches(width, rows * (map_high + AROUND_Y) + 1.0)
+    # a row holds the layers of a level, or, of one layer, all levels
+    per_group = num_layers if num_layers > 1 else len(panels)
+    columns = 1 if width > WIDE_ASPECT * height else min(per_group, MAX_COLUMNS)
+    rows_of_group = math.ceil(per_group / columns)
+    rows = rows_of_group * (len(panels) // per_group)
+    max_map_width = WIDTH / columns - MARGIN_X
+    max_map_height = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / rows - MARGIN_Y)
+    map_width, map_height = extent * min(max_map_width / width, max_map_height / height)  # [inch]
+    figure_width = min(max(columns * (map_width + MARGIN_X), MIN_WIDTH), WIDTH)
+    figure.set_size_inches(figure_width, rows * (map_height + MARGIN_Y) + 1.0)
     figure.set_layout_engine("compressed", w_pad=0.05, h_pad=0.05)
     grid = figure.subplots(rows, columns, squeeze=False)
-    x_limits, y_limits = zip(middle - sides / 2, middle + sides / 2, strict=True)
-    axes = []
+    x_min, y_min = middle - extent / 2
+    x_max, y_max = middle + extent / 2
+    axes: list[PanelAxes] = []
     for number in range(len(panels)):
-        row, column = divmod(number % in_line, columns)
-        ax = grid[number // in_line * rows_each + row, column]
-        ax.set(xlim=x_limits, ylim=y_limits, aspect="equal")
-        ax.panel_width = width / columns - 0.5  # what its title has [inches]
-        ax.pixels = 0.9 * map_wide * DPI / wide  # of a metre, at least
+        row, column = divmod(number % per_group, columns)
+        ax = grid[number // per_group * rows_of_group + row, column]
+        ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
+        ax.title_width = figure_width / columns - 0.5
+        ax.min_pixels_per_metre = 0.9 * map_width * DPI / width
         axes.append(ax)
     for ax in {*grid.flat} - {*axes}:
         ax.remove()
     return axes
 
 
-def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
+def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
     """Draw title, cells and doors, and the colour bar of a panel."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap
 
-    ax.set_title(wrap(panel.title, ax.panel_width), loc="left", fontsize=TITLE_POINTS, pad=5)
+    ax.set_title(wrap(panel.title, ax.title_width), loc="left", fontsize=TITLE_POINTS, pad=5)
     ax.tick_params(labelsize=TICK_POINTS, length=2.5, width=0.6, color=FAINT, labelcolor=INK, pad=2)
     ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
     x_min, y_min, x_max, y_max = bounds
-    limits = ax.get_xlim(), ax.get_ylim()
+    x_limits = ax.get_xlim()
+    y_limits = ax.get_ylim()
     image = paint(panel)
     # cells have sharp edges, unless several share a pixel
-    how = "nearest" if image.shape[1] <= ax.pixels * (x_max - x_min) else "antialiased"
-    ax.imshow(image, extent=(x_min, x_max, y_min, y_max), interpolation=how)
-    ax.set(xlim=limits[0], ylim=limits[1])
+    is_magnified = image.shape[1] <= ax.min_pixels_per_metre * (x_max - x_min)
+    interpolation = "nearest" if is_magnified else "antialiased"
+    ax.imshow(image, extent=(x_min, x_max, y_min, y_max), interpolation=interpolation)
+    ax.set(xlim=x_limits, ylim=y_limits)
     if panel.scale is not None and len(panel.scale.ticks) > 1:
         colors = ScalarMappable(cmap=ListedColormap(panel.scale.bar(256) / 255))
-        bar = ax.get_figure().colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
+        figure = ax.get_figure()
+        assert figure is not None
+        bar = figure.colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
         numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in panel.scale.ticks]
         bar.set_ticks([tick.position for tick in panel.scale.ticks], labels=numbers)
         bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
         bar.outline.set_visible(False)
     for door in panel.doors:
-        x, y = zip(door.start, door.end, strict=True)
-        ax.plot(x, y, **_strokes(_door_line(door.state)), solid_capstyle="butt")
+        x = (door.start[0], door.end[0])
+        y = (door.start[1], door.end[1])
+        ax.plot(x, y, **_line_style(_door_line(door.state)), solid_capstyle="butt")
 
 
-def _strokes(name: str) -> dict[str, Any]:
+def _line_style(name: str) -> dict[str, Any]:
     """The style of a line of several strokes over each other, by its name in `STROKES`."""
     from matplotlib.patheffects import Stroke
 
-    drawn = [Stroke(linewidth=width, foreground=color) for color, width in STROKES[name]]
-    return {"path_effects": drawn, "linewidth": max(width for _, width in STROKES[name])}
+    strokes = [Stroke(linewidth=width, foreground=color) for color, width in STROKES[name]]
+    return {"path_effects": strokes, "linewidth": max(width for _, width in STROKES[name])}
 
 
-def _draw_ways(figure: Any, axes: dict[int, Any], panels: Sequence[Panel]) -> None:
-    """Draw links and stairs from stop to stop, also from storey to storey; axes are by level."""
+def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequence[Panel]) -> None:
+    """Draw links and stairs from stop to stop, also between levels; axes are by level."""
     from matplotlib.patches import ConnectionPatch
 
-    for way in next((panel.connections for panel in panels if panel.connections), ()):
-        style = _strokes(_way_line(way))
-        color = STROKES[_way_line(way)][1][0]
-        places = way.stops
-        for level, x, y, _ in places[: 1 if way.one_way else None]:
-            if level in axes and way.link is not None:
-                axes[level].plot(x, y, "o", color=color, markeredgecolor="white", markersize=6)
-        for (one, x0, y0, _), (other, x1, y1, _) in itertools.pairwise(places):
-            if one in axes and other in axes:
-                arc = ConnectionPatch(
-                    (x0, y0), (x1, y1), coordsA=axes[one].transData, coordsB=axes[other].transData,
-                    arrowstyle="-|>" if way.one_way else "-", mutation_scale=7,
-                    connectionstyle=f"arc3,rad={0.15 if one != other else 0}", shrinkA=0,
-                    shrinkB=0, color=color, alpha=0.9, **style,
-                )  # fmt: skip
-                figure.add_artist(arc)
+    # each panel of links has the connections of all levels
+    connections = next((panel.connections for panel in panels if panel.connections), ())
+    for connection in connections:
+        name = _connection_line(connection)
+        color = STROKES[name][1][0]
+        marked_stops = connection.stops[:1] if connection.one_way else connection.stops
+        for stop in marked_stops:
+            if stop.level in axes and connection.link is not None:
+                axes[stop.level].plot(
+                    stop.x, stop.y, "o", color=color, markeredgecolor="white", markersize=6
+                )
+        for start, end in itertools.pairwise(connection.stops):
+            if start.level not in axes or end.level not in axes:
+                continue
+            curvature = 0.15 if start.level != end.level else 0
+            arc = ConnectionPatch(
+                (start.x, start.y),
+                (end.x, end.y),
+                coordsA=axes[start.level].transData,
+                coordsB=axes[end.level].transData,
+                arrowstyle="-|>" if connection.one_way else "-",
+                mutation_scale=7,
+                connectionstyle=f"arc3,rad={curvature}",
+                shrinkA=0,
+                shrinkB=0,
+                color=color,
+                alpha=0.9,
+                **_line_style(name),
+            )
+            figure.add_artist(arc)
 
 
-def _way_line(way: Connection) -> str:
+def _connection_line(connection: Connection) -> str:
     """The name of the line of a link or stair in `STROKES`."""
-    if way.link is None:
+    if connection.link is None:
         return "stairs"
-    return "link, closed" if way.is_closed else "link"
+    return "link, closed" if connection.is_closed else "link"
 
 
 def _door_line(state: str) -> str:
+    """The name of the line of a door in `STROKES`."""
     return "door, closed" if state == "closed" else "door, open"
 
 
-def write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
-    """Write names on a map, those of large rooms first, none over another; yields the key.
+def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
+    """Write names on a map, those of large rooms first, so that none overlaps another.
 
     A name stands in the middle of its room, in one line or two, as large as fits, or beside its
-    point. Where it doesn't fit, a number does, which the key explains; else nothing.
+    point. Where it doesn't fit, its number is written; where that doesn't fit, nothing.
+
+    Args:
+        ax: the map, whose size is final.
+        labels: the names.
+
+    Yields:
+        Entries of the key that explains the numbers, such as ``3: kitchen``.
     """
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox
 
     to_pixels = ax.transData
     frame = ax.get_window_extent()
-    scale = frame.width / np.ptp(ax.get_xlim())  # pixels a metre
+    pixels_per_metre = frame.width / np.ptp(ax.get_xlim())
     points = [to_pixels.transform((label.x, label.y)) for label in labels if not label.width]
-    taken = [Bbox([at - POINT, at + POINT]) for at in points]
+    occupied = [Bbox([point - POINT_HALF_SIDE, point + POINT_HALF_SIDE]) for point in points]
     for label in sorted(labels, key=lambda label: -label.width * label.height):
-        whole = printable(label.text)
+        full_name = printable(label.text)
         is_point = not label.width
-        name = whole if len(whole) <= MOST_LETTERS else f"{whole[:MOST_LETTERS]}…"
+        name = full_name
+        if len(full_name) > MAX_LETTERS:
+            name = f"{full_name[:MAX_LETTERS]}…"
         middle = to_pixels.transform((label.x, label.y))
-        room = np.array([label.width, label.height]) * scale if not is_point else np.inf
+        available = np.array([np.inf, np.inf])
+        if not is_point:
+            available = np.array([label.width, label.height]) * pixels_per_metre
         sizes = NAME_POINTS[-1:] if is_point else NAME_POINTS
-        forms = [(text, size) for size in sizes for text in _broken(name)]
-        forms += [(str(label.number), size) for size in NUMBER_POINTS]
+        candidates = [(text, size) for size in sizes for text in _line_breaks(name)]
+        candidates += [(str(label.number), size) for size in NUMBER_POINTS]
         written = ax.text(label.x, label.y, "", ha="center", va="center", linespacing=1.05)
-        for text, size in forms:
+        for text, size in candidates:
             written.set(text=text, fontsize=size)
             extent = np.array(written.get_window_extent().size)
             half = extent / 2 + 3
-            away = half + POINT + 1  # above, below, to the right or to the left of a point
-            ways = [(0, 1), (0, -1), (1, 0), (-1, 0)] if is_point else [(0, 0)]
-            # moved so that it lies on the map
-            moved = [np.clip(middle + way * away, frame.p0 + half, frame.p1 - half) for way in ways]
-            boxes = [Bbox([at - half, at + half]) for at in moved]
-            free = [box for box in boxes if not any(box.overlaps(each) for each in taken)]
-            if free and (extent <= room).all() and (2 * half <= frame.size).all():
+            # above, below, to the right or to the left of a point
+            directions = [(0, 1), (0, -1), (1, 0), (-1, 0)] if is_point else [(0, 0)]
+            offset = half + POINT_HALF_SIDE + 1
+            boxes = []
+            for direction in directions:
+                # moved so that it lies on the map
+                center = np.clip(middle + direction * offset, frame.p0 + half, frame.p1 - half)
+                boxes.append(Bbox([center - half, center + half]))
+            free_boxes = [box for box in boxes if not any(map(box.overlaps, occupied))]
+            fits = (extent <= available).all() and (2 * half <= frame.size).all()
+            if free_boxes and fits:
                 break
         else:
             written.remove()
             continue
-        taken.append(free[0])
-        written.set_position(to_pixels.inverted().transform((free[0].p0 + free[0].p1) / 2))
+        box = free_boxes[0]
+        occupied.append(box)
+        x, y = to_pixels.inverted().transform((box.p0 + box.p1) / 2)
+        written.set_position((x, y))
         if is_point:  # it may lie over anything
             written.set_bbox({"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"})
         else:
             written.set_path_effects([withStroke(linewidth=2, foreground="white", alpha=0.65)])
         if text == str(label.number):
-            yield f"{label.number}: {whole}"
+            yield f"{label.number}: {full_name}"
 
 
-def _broken(text: str) -> list[str]:
+def _line_breaks(text: str) -> list[str]:
     """A text in one line, and in two if it has words to break between."""
-    letters = " " if " " in text.strip() else "_-"
-    breaks = [at for at, letter in enumerate(text) if letter in letters and at > 0]
+    separators = " " if " " in text.strip() else "_-"
+    breaks = [at for at, letter in enumerate(text) if letter in separators and at > 0]
     if not breaks:
         return [text]
     at = min(breaks, key=lambda at: abs(at - len(text) / 2))
@@ -380,28 +495,48 @@ def _broken(text: str) -> list[str]:
 
 
 def _draw_legend(
-    figure: Any, panels: Sequence[Panel], kinds: dict[str, str], with_route: bool
-) -> Any:
-    """Say below the maps what colours and lines mean."""
+    figure: Figure, panels: Sequence[Panel], color_of_kind: dict[str, str], with_route: bool
+) -> Legend:
+    """Explain colours and lines below the maps; makes the figure higher by as much."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    meanings = dict(entry for panel in panels for entry in panel.legend)
+    color_of_meaning: dict[str, str] = {}
+    for panel in panels:
+        color_of_meaning |= dict(panel.legend)
     lines = {_door_line(door.state) for panel in panels for door in panel.doors}
-    lines |= {_way_line(way) for panel in panels for way in panel.connections}
-    if lines:  # they stand for doors and links in the legend
-        meanings = {name: c for name, c in meanings.items() if c not in (DOOR, DOORWAY, LINK)}
-    lines |= {"path, from o to x"} if with_route else set()
-    entries: list[Any] = [
-        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=printable(name))
-        for name, color in (meanings | kinds).items()
+    lines |= {_connection_line(connection) for panel in panels for connection in panel.connections}
+    if lines:  # doors and links are explained by their lines
+        color_of_meaning = {
+            meaning: color
+            for meaning, color in color_of_meaning.items()
+            if color not in (DOOR, DOORWAY, LINK)
+        }
+    if with_route:
+        lines.add("path, from o to x")
+    entries: list[Patch | Line2D] = [
+        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=printable(meaning))
+        for meaning, color in (color_of_meaning | color_of_kind).items()
     ]
-    entries += [Line2D([], [], label=name, **_strokes(name)) for name in STROKES if name in lines]
-    letters = max((len(entry.get_label()) for entry in entries), default=1) + 6
-    columns = min(max(int(figure.get_figwidth() * LETTERS / letters), 1), max(len(entries), 1))
-    figure.set_figheight(figure.get_figheight() + LINE * -(-len(entries) // columns))
+    entries += [
+        Line2D([], [], label=name, **_line_style(name)) for name in STROKES if name in lines
+    ]
+    entry_letters = max((len(str(entry.get_label())) for entry in entries), default=1) + 6
+    max_columns = max(int(figure.get_figwidth() * LETTERS / entry_letters), 1)
+    columns = min(max_columns, max(len(entries), 1))
+    rows = -(-len(entries) // columns)
+    figure.set_figheight(figure.get_figheight() + LINE * rows)
     return figure.legend(
-        handles=entries, ncols=columns, loc="outside lower left", frameon=False, borderpad=0,
-        fontsize=LEGEND_POINTS, handlelength=1.6, handletextpad=0.5, columnspacing=1.4,
-        title=" ", title_fontsize=LEGEND_POINTS, alignment="left",
-    )  # fmt: skip
+        handles=entries,
+        ncols=columns,
+        loc="outside lower left",
+        frameon=False,
+        borderpad=0,
+        fontsize=LEGEND_POINTS,
+        handlelength=1.6,
+        handletextpad=0.5,
+        columnspacing=1.4,
+        title=" ",
+        title_fontsize=LEGEND_POINTS,
+        alignment="left",
+    )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypedDict
 
 import msgspec
 import numpy as np
 import orjson
+from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError, printable
 from navbake.formats.source import read_json, write_bytes
@@ -29,14 +30,12 @@ if TYPE_CHECKING:
     from navbake.auditor.facts import AuditReport
 
 PRINTED = "what `navbake verify --json` prints"
-Place = tuple[float, float, float]
-Remarked = tuple[str, int | None, Place | None, str | None, str]
-"""What was found: its kind, level, place [m], a further fact, and in words."""
+Position: TypeAlias = tuple[float, float, float]
 KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
 DIGITS = 3  # floors and clearances are rounded to millimetres
-NONE = -1  # the entry of cells in which nothing stands
-FOLDED = ("Timings", "Made by")  # tables that few readers need
-BAR = 64  # colours of the bar beside a layer
+NO_NAMES = -1  # number of cells without names
+FOLDED = ("Timings", "Made by")  # tables that are closed at first
+NUM_BAR_COLORS = 64  # of the bar beside a layer
 
 
 class VerifiedFinding(TypedDict):
@@ -44,7 +43,7 @@ class VerifiedFinding(TypedDict):
 
     kind: str
     level: int
-    position: Place
+    position: Position
     text: str
 
 
@@ -65,10 +64,20 @@ def write_report(
     audits: Sequence[AuditReport | None] | None = None,
     verifications: Sequence[Json | None] | None = None,
 ) -> Path:
-    """Write what `render_report` makes, whole or not at all, and return the path.
+    """Write the page that `render_report` makes; after an error there is no file.
+
+    Args:
+        grids: one or more.
+        path: of the HTML file.
+        names: see `render_report`.
+        audits: see `render_report`.
+        verifications: see `render_report`.
+
+    Returns:
+        The path.
 
     Raises:
-        FormatError: it can't be written.
+        FormatError: the file can't be written.
         QueryError: see `render_report`.
     """
     content = render_report(grids, names=names, audits=audits, verifications=verifications)
@@ -90,43 +99,69 @@ def render_report(
 
     Args:
         grids: one or more.
-        names: what the page calls them; their scenes' names if None.
-        audits: what an audit said of each, None for none.
-        verifications: what `VerifyReport.to_json` gave of each, None for none.
+        names: of the grids on the page; their scenes' names if None.
+        audits: reports of `navbake.audit`, one a grid, None for a grid without.
+        verifications: what `VerifyReport.to_json` returns, one a grid, None for a grid without.
 
     Raises:
         QueryError: there is no grid, or another number of names, audits or verifications, or a
             verification is of another grid, as far as its scene's name and the cells tell.
     """
-    grids = [grids] if not isinstance(grids, Sequence) else list(grids)
-    num = len(grids)
+    grids = list(grids) if isinstance(grids, Sequence) else [grids]
+    num_grids = len(grids)
     if not grids:
         raise QueryError("expected at least one grid to report on, got none")
-    for what, given in (("names", names), ("audits", audits), ("verifications", verifications)):
-        if given is not None and len(given) != num:
-            raise QueryError(f"expected as many {what} as grids, {num}, got {len(given)}")
-    audits = audits or [None] * num
-    verifications = verifications or [None] * num
-    called = [printable(name) for name in names or [grid.scene_id or "grid" for grid in grids]]
-    called = [  # numbered where two are the same
-        name if called.count(name) == 1 else f"{name} ({called[: i + 1].count(name)})"
-        for i, name in enumerate(called)
+    for argument, values in (
+        ("names", names),
+        ("audits", audits),
+        ("verifications", verifications),
+    ):
+        if values is not None and len(values) != num_grids:
+            raise QueryError(
+                f"expected as many {argument} as grids, {num_grids}, got {len(values)}"
+            )
+    audits = audits or [None] * num_grids
+    verifications = verifications or [None] * num_grids
+    titles = _number_duplicates(
+        [printable(name) for name in names or [grid.scene_id or "grid" for grid in grids]]
+    )
+    sheets = list(map(_describe_grid, grids, titles, audits, verifications))
+    if num_grids == 2:
+        sheets.append(describe_changes(grids[0], grids[1], titles))
+    return make_page(", ".join(titles), {"sheets": sheets}, "navbake.views", "report")
+
+
+def _number_duplicates(names: Sequence[str]) -> list[str]:
+    """Names, with a number appended to those that occur more than once."""
+    return [
+        name if names.count(name) == 1 else f"{name} ({names[: i + 1].count(name)})"
+        for i, name in enumerate(names)
     ]
-    sheets = list(map(_describe_grid, grids, called, audits, verifications))
-    if num == 2:
-        sheets.append(describe_changes(grids[0], grids[1], called))
-    return make_page(", ".join(called), {"sheets": sheets}, "navbake.views", "report")
 
 
 def read_verification(path: str | PathLike[str]) -> Json:
-    """Read a verification's JSON, see `VerifyReport.to_json`; raises a FormatError."""
+    """Read the JSON file of a verification, see `VerifyReport.to_json`.
+
+    Raises:
+        FormatError: it can't be read, or isn't a verification.
+    """
     report, name = read_json(path, expected=PRINTED)
     try:
         msgspec.convert(report, Verification)
     except msgspec.ValidationError as error:
         raise FormatError(f"expected {PRINTED} in {name}: {error}") from error
-    checked: Json = report
-    return checked
+    verification: Json = report
+    return verification
+
+
+class Remark(NamedTuple):
+    """A finding of an audit or a verification, as a page shows it."""
+
+    kind: str
+    level: int | None
+    position: Position | None  # world frame [m]
+    detail: str | None  # how severe it is, or the geom
+    text: str
 
 
 def _describe_grid(
@@ -134,49 +169,39 @@ def _describe_grid(
 ) -> Json:
     """A sheet of the page: everything that it shows of a grid."""
     facts = describe(grid)
-    marks = list[Json]()
-    noted = dict[str, Table]()
-
-    def note(source: str, title: str, more: str, found: list[Remarked], otherwise: str) -> None:
-        """Mark what was found on the map, and list it; `more` names a remark's further fact."""
-        rows: list[Any] = []
-        for kind, level, place, fact, text in found:
-            if place is not None:
-                mark = {"level": level, "x": place[0], "y": place[1]}
-                marks.append({**mark, "kind": f"{source}: {kind}", "text": text})
-            at = ", ".join(f"{value:.2f}" for value in place or ())
-            rows.append((kind, level, at, fact, text))
-        columns = ("kind", "level", "x, y, z [m]", more, "what")
-        noted[title] = make_table(columns, rows or [("none", None, "", "", otherwise)])
-
+    marks: list[Json] = []
+    remark_tables: dict[str, Table] = {}
     if audit is not None:
-        found: list[Remarked] = [
-            (each.check, each.level, each.place, each.severity, each.text) for each in audit.remarks
+        remarks = [
+            Remark(remark.check, remark.level, remark.place, remark.severity, remark.text)
+            for remark in audit.remarks
         ]
-        otherwise = f"{len(audit.checks)} checks, nothing to say"
-        note("audit", "Audit", "how bad", found, otherwise)
+        nothing = f"{len(audit.checks)} checks, nothing to say"
+        marks += _mark_remarks("audit", remarks)
+        remark_tables["Audit"] = _list_remarks("how bad", remarks, nothing)
     if verification is not None:
-        cells = sum(level.free.size for level in grid.levels)
-        num = len(grid.levels)
-        stated = verification.get("sceneId"), verification["cells"]
-        if stated != (grid.scene_id, cells):
-            raise QueryError(
-                f"expected the verification of {grid.scene_id!r}, {cells} cells, got one of "
-                f"{stated[0]!r}, {stated[1]} cells: give them in the order of the grids"
+        _check_verification(grid, verification)
+        remarks = [
+            Remark(
+                finding["kind"],
+                finding["level"],
+                finding["position"],
+                finding.get("geom"),
+                finding["text"],
             )
-        for level in (finding["level"] for finding in verification["findings"]):
-            if not 0 <= level < num:
-                raise FormatError(f"expected levels below {num} in the verification, got {level}")
-        keys = ("kind", "level", "position", "geom", "text")
-        found = [tuple(map(each.get, keys)) for each in verification["findings"]]
-        looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
-        title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
-        note("verify", title, "geom", found, looked_at)
+            for finding in verification["findings"]
+        ]
+        sample = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
+        verdict = "agrees" if verification["ok"] else "disagrees"
+        marks += _mark_remarks("verify", remarks)
+        remark_tables[f"Verification: {verdict}, {sample}"] = _list_remarks("geom", remarks, sample)
     levels = []
     for number in range(len(grid.levels)):
-        own = [mark for mark in marks if mark["level"] in (number, None)]
-        rooms = {str(r.index): r.name or r.id for r in grid.rooms if r.level == number}
-        levels.append({**describe_map(grid, number), "marks": own, "rooms": rooms})
+        level_marks = [mark for mark in marks if mark["level"] in (number, None)]
+        rooms = {
+            str(room.index): room.name or room.id for room in grid.rooms if room.level == number
+        }
+        levels.append({**describe_map(grid, number), "marks": level_marks, "rooms": rooms})
     timings = [
         (key.removesuffix("Millis"), f"{value:.1f}")
         for key, value in grid.timings.items()
@@ -191,36 +216,91 @@ def _describe_grid(
         "Links": tables.link_table(grid.links, grid.level_names),
         "Areas": tables.area_table(facts["areas"]),
         "Agents": tables.agent_table(facts["agents"]),
-        **noted,
+        **remark_tables,
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
         "Made by": make_table(("what", "version or digest"), facts["made_by"].items()),
     }
-    area = sum(level["free_area"] for level in facts["levels"])
-    cells = sum(level.free.size for level in grid.levels)
-    shown = [*summarize(facts), ("rooms", str(len(grid.rooms))), ("levels", str(len(levels)))]
+    free_area = sum(level["free_area"] for level in facts["levels"])
+    num_cells = sum(level.free.size for level in grid.levels)
     return {
         "name": name,
-        "facts": [*shown, ("cells", f"{cells:,}"), ("free", f"{area:.2f} m²")],
+        "facts": [
+            *summarize(facts),
+            ("rooms", str(len(grid.rooms))),
+            ("levels", str(len(levels))),
+            ("cells", f"{num_cells:,}"),
+            ("free", f"{free_area:.2f} m²"),
+        ],
         "warnings": facts["warnings"],
         "levels": levels,
         "tables": [
-            show_table(*one, folded=one[0] in FOLDED) for one in named_tables.items() if one[1].rows
+            show_table(title, table, folded=title in FOLDED)
+            for title, table in named_tables.items()
+            if table.rows
         ],
     }
 
 
-def describe_map(grid: NavGrid, number: int) -> Json:
-    """The map of one level: its place, its layers, and its cells.
+def _mark_remarks(source: str, remarks: Sequence[Remark]) -> list[Json]:
+    """Marks on the map for remarks that have a position."""
+    return [
+        {
+            "level": remark.level,
+            "x": remark.position[0],
+            "y": remark.position[1],
+            "kind": f"{source}: {remark.kind}",
+            "text": remark.text,
+        }
+        for remark in remarks
+        if remark.position is not None
+    ]
 
-    ``cells`` is JSON, packed by `pack`, with a list of all cells, row by row, for each fact; null
-    stands for no floor and for blocked. ``names`` are numbers into the list ``nameLists``, -1 for
-    none: the names of what stands in a cell, and of what blocks it, by `KINDS`.
+
+def _list_remarks(detail_heading: str, remarks: Sequence[Remark], nothing: str) -> Table:
+    """A table of remarks; without any, it has one row that says `nothing`."""
+    rows = []
+    for remark in remarks:
+        position = ", ".join(f"{coordinate:.2f}" for coordinate in remark.position or ())
+        rows.append((remark.kind, remark.level, position, remark.detail, remark.text))
+    columns = ("kind", "level", "x, y, z [m]", detail_heading, "what")
+    return make_table(columns, rows or [("none", None, "", "", nothing)])
+
+
+def _check_verification(grid: NavGrid, verification: Json) -> None:
+    """Raise an error if a verification is of another grid, or names levels that don't exist."""
+    num_cells = sum(level.free.size for level in grid.levels)
+    num_levels = len(grid.levels)
+    scene_id = verification.get("sceneId")
+    if (scene_id, verification["cells"]) != (grid.scene_id, num_cells):
+        raise QueryError(
+            f"expected the verification of {grid.scene_id!r}, {num_cells} cells, got one of "
+            f"{scene_id!r}, {verification['cells']} cells: give them in the order of the grids"
+        )
+    for finding in verification["findings"]:
+        level = finding["level"]
+        if not 0 <= level < num_levels:
+            raise FormatError(
+                f"expected levels below {num_levels} in the verification, got {level}"
+            )
+
+
+def describe_map(grid: NavGrid, number: int) -> Json:
+    """Describe the map of a level: its place in the world, its layers, and its cells.
+
+    Args:
+        grid: a grid of one or several levels.
+        number: of the level, 0 is the lowest.
+
+    Returns:
+        JSON. ``cells`` is packed by `pack`: for each fact a list of its values by cell, row by row,
+        null where there is no floor or the cell is blocked. ``names`` are indices into
+        ``nameLists``, -1 for none: names of a cell's occupants and blockers, by `KINDS`.
     """
     level = grid.levels[number]
     place = describe_extent(grid.level_names[number], level.lattice)
     names, name_lists = _number_names(level)
-    layers: dict[str, Any] = {
+    layers: dict[str, NDArray[np.generic]] = {
         "floor": np.round(level.floor, DIGITS),
         "clearance": np.round(np.where(level.free, clearance(level), np.nan), DIGITS),
         "weight": np.where(level.free, level.weights, np.nan),
@@ -236,23 +316,28 @@ def describe_map(grid: NavGrid, number: int) -> Json:
 
 
 def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
-    """Which entry of the list of names each cell has, -1 for none, shape (height, width)."""
-    found: dict[bytes, int] = {}  # by an entry's JSON: most cells have the entry of others
-    lists: list[Json] = []
+    """Number the different lists of names that cells have.
+
+    Returns:
+        The number of each cell's lists, -1 for none, shape (height, width); and the lists.
+    """
+    numbers_by_entry: dict[bytes, int] = {}  # by an entry's JSON: most cells share entries
+    name_lists: list[Json] = []
 
     def number_of(entry: Json) -> int:
         key = orjson.dumps(entry, default=str)
-        if key not in found:
+        if key not in numbers_by_entry:
             names = {kind: sorted(names_in(entry, kind)) for kind in KINDS}
-            names = {kind: some for kind, some in names.items() if some}
-            found[key] = len(lists) if names else NONE
-            lists.extend([names] if names else [])
-        return found[key]
+            names = {kind: names_of_kind for kind, names_of_kind in names.items() if names_of_kind}
+            numbers_by_entry[key] = len(name_lists) if names else NO_NAMES
+            if names:
+                name_lists.append(names)
+        return numbers_by_entry[key]
 
-    numbers = np.full(level.height * level.width, NONE, dtype=np.int64)
-    cells, number, entries = UserData.of(level.user_data).shared()
-    numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[number]
-    return numbers.reshape(level.shape), lists
+    numbers = np.full(level.height * level.width, NO_NAMES, dtype=np.int64)
+    cells, entry_of_cell, entries = UserData.of(level.user_data).shared()
+    numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[entry_of_cell]
+    return numbers.reshape(level.shape), name_lists
 
 
 def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
@@ -267,7 +352,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
     if panel.scale is not None:
         scale = {
             "label": panel.scale.label,
-            "colors": [f"#{bytes(color).hex()}" for color in panel.scale.bar(BAR)],
+            "colors": [f"#{bytes(color).hex()}" for color in panel.scale.bar(NUM_BAR_COLORS)],
             "ticks": [tick._asdict() for tick in panel.scale.ticks],
         }
     return {
@@ -281,11 +366,13 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "ways": [
             {
                 # in order, null on another level
-                "stops": [[x, y] if level == number else None for level, x, y, _ in way.stops],
-                "link": way.link is not None,
-                "closed": way.is_closed,
-                "oneWay": way.one_way,
+                "stops": [
+                    [x, y] if level == number else None for level, x, y, _ in connection.stops
+                ],
+                "link": connection.link is not None,
+                "closed": connection.is_closed,
+                "oneWay": connection.one_way,
             }
-            for way in panel.connections
+            for connection in panel.connections
         ],
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from navbake.errors import printable
 
@@ -27,27 +27,41 @@ LEVEL_COLUMNS = {
 
 
 class Table(NamedTuple):
-    """Rows of as many cells as there are headings."""
+    """A table of text.
 
-    headings: Sequence[str]  # one a column; all empty for a table without a line of them
-    rows: Sequence[Sequence[str]]  # cells as text, control characters escaped
-    numbers: frozenset[str] = frozenset()  # headings of the columns that are aligned on the right
-    gap: int = 2  # spaces between printed columns
+    Attributes:
+        headings: of the columns; all empty for a table without headings.
+        rows: texts of the cells, one a column, control characters escaped.
+        numbers: headings of the columns that are aligned on the right.
+        gap: spaces between printed columns.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: frozenset[str] = frozenset()
+    gap: int = 2
 
     def without_empty_columns(self) -> Table:
-        """The table without the columns in which no row has anything."""
-        kept = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
-        rows = [[row[i] for i in kept] for row in self.rows]
-        return self._replace(headings=[self.headings[i] for i in kept], rows=rows)
+        """Drop the columns that are empty in all rows."""
+        columns = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
+        rows = [[row[i] for i in columns] for row in self.rows]
+        return self._replace(headings=[self.headings[i] for i in columns], rows=rows)
 
 
 def make_table(
     headings: Sequence[str],
-    rows: Iterable[Sequence[Any]],
+    rows: Iterable[Sequence[object]],
     numbers: Iterable[str] = (),
     gap: int = 2,
 ) -> Table:
-    """A table of any values; None is an empty cell."""
+    """Make a table of values.
+
+    Args:
+        headings: of the columns.
+        rows: values, one a column; None is an empty cell.
+        numbers: headings of the columns that are aligned on the right.
+        gap: spaces between printed columns.
+    """
     cells = [[printable("" if cell is None else str(cell)) for cell in row] for row in rows]
     return Table(headings, cells, frozenset(numbers), gap)
 
@@ -80,55 +94,90 @@ def level_table(facts: Json) -> Table:
     for index, level in enumerate(facts["levels"]):
         has_floor = level["floor_min"] is not None
         floor = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
-        known = {**level, "index": index, "floor": floor}
-        rows.append([text.format_map(known) for text in columns.values()])
+        level_facts = {**level, "index": index, "floor": floor}
+        rows.append([text.format_map(level_facts) for text in columns.values()])
     return make_table(tuple(columns), rows, numbers=columns.keys() - {"name"}, gap=1)
 
 
 def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
-    """A row for each room, without empty columns; `levels` are the levels' names."""
+    """Make a row for each room, without empty columns.
+
+    Args:
+        rooms: of a grid.
+        levels: names of the grid's levels.
+    """
     rows = []
     for room in rooms:
         opens_to = []
         for neighbour in room.neighbours:
-            how = neighbour.door or ("steps" if neighbour.kind == "link" else "")
-            opens_to.append(f"{neighbour.room} ({how})" if how else neighbour.room)
-        index = "" if room.id == f"{room.level}:{room.index}" else room.index
-        named = (room.id, room.name, levels[room.level] if len(levels) > 1 else "", index)
-        source = f"{room.source or ''}{', outdoors' if room.outdoors else ''}"
-        facts = f"{room.area:.2f}", _place(room.centroid), source, ", ".join(opens_to)
-        rows.append((*named, *facts))
+            opening = neighbour.door or ("steps" if neighbour.kind == "link" else "")
+            opens_to.append(f"{neighbour.room} ({opening})" if opening else neighbour.room)
+        source = room.source or ""
+        if room.outdoors:
+            source += ", outdoors"
+        rows.append(
+            (
+                room.id,
+                room.name,
+                levels[room.level] if len(levels) > 1 else "",
+                "" if room.id == f"{room.level}:{room.index}" else room.index,
+                f"{room.area:.2f}",
+                _position_text(room.centroid),
+                source,
+                ", ".join(opens_to),
+            )
+        )
     headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
     return make_table(headings, rows, numbers=("index", "m2")).without_empty_columns()
 
 
 def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
-    """A row for each door, without empty columns; `levels` are the levels' names."""
+    """Make a row for each door, without empty columns.
+
+    Args:
+        doors: of a grid.
+        levels: names of the grid's levels.
+    """
     has_joints = any(door.joint != door.id for door in doors)
     rows = []
     for door in doors:
         joint = (door.joint or "none") if has_joints else ""
-        on = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
+        level_names = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
         # a body that a pattern made a door may stand anywhere
         rooms = [room or "outside" for room in door.rooms] if any(door.rooms) else ["nothing"]
-        # of a door as modelled also the state that this is the same as, if it is known
+        # a door as modelled may be in the same pose as in another state
         is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
-        like = door.like or ("half-open" if is_between else None)
-        state = f"{door.state} ({like})" if like else door.state
-        rows.append((door.id, joint, on, " - ".join(rooms), state, ", ".join(door.states)))
+        equal_state = door.like or ("half-open" if is_between else None)
+        state = f"{door.state} ({equal_state})" if equal_state else door.state
+        states = ", ".join(door.states)
+        rows.append((door.id, joint, level_names, " - ".join(rooms), state, states))
     headings = ("door", "joint", "level", "joins", "is", "can be")
     return make_table(headings, rows).without_empty_columns()
 
 
 def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
-    """A row for each named link, without empty columns; `levels` are the levels' names."""
+    """Make a row for each named link, without empty columns.
+
+    Args:
+        links: of a grid.
+        levels: names of the grid's levels.
+    """
     rows = []
     for link in links:
-        way = " > " if link.one_way else " - "
-        stops = way.join(_place(stop.position) for stop in link.stops)
-        on = ", ".join(dict.fromkeys(levels[stop.level] for stop in link.stops))
-        sizes = map(_number, (link.width, link.cost, link.seconds))
-        rows.append((link.name, link.kind, stops, on, *sizes, _names(link.agents), link.state))
+        separator = " > " if link.one_way else " - "
+        rows.append(
+            (
+                link.name,
+                link.kind,
+                separator.join(_position_text(stop.position) for stop in link.stops),
+                ", ".join(dict.fromkeys(levels[stop.level] for stop in link.stops)),
+                _number_text(link.width),
+                _number_text(link.cost),
+                _number_text(link.seconds),
+                _agents_text(link.agents),
+                link.state,
+            )
+        )
     headings = ("link", "kind", "stops x y z m", "levels", "wide m", "cost m", "s", "for", "is")
     return make_table(headings, rows, numbers=("wide m", "cost m", "s")).without_empty_columns()
 
@@ -136,8 +185,14 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
 def area_table(areas: Sequence[Json]) -> Table:
     """A row for each area, from `navbake.views.describe.describe`, without empty columns."""
     rows = [
-        (a["name"], a["cost"], _number(a.get("speed")), _names(a.get("agents")), f"{a['m2']:.2f}")
-        for a in areas
+        (
+            area["name"],
+            area["cost"],
+            _number_text(area.get("speed")),
+            _agents_text(area.get("agents")),
+            f"{area['m2']:.2f}",
+        )
+        for area in areas
     ]
     headings = ("area", "cost", "m/s", "for", "m2")
     return make_table(headings, rows, numbers=("cost", "m/s", "m2")).without_empty_columns()
@@ -146,31 +201,33 @@ def area_table(areas: Sequence[Json]) -> Table:
 def agent_table(agents: Mapping[str, Json]) -> Table:
     """A row for each agent, from `navbake.views.describe.describe`, without empty columns."""
     keys = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
-    rows = [(name, *(_number(agent.get(key)) for key in keys)) for name, agent in agents.items()]
+    rows = [
+        (name, *(_number_text(agent.get(key)) for key in keys)) for name, agent in agents.items()
+    ]
     return make_table(("agent", *keys.values()), rows, keys.values()).without_empty_columns()
 
 
-def _place(position: Iterable[float]) -> str:
+def _position_text(position: Iterable[float]) -> str:
     return " ".join(f"{value:.2f}" for value in position)
 
 
-def _number(value: float | None) -> str:
+def _number_text(value: float | None) -> str:
     return "" if value is None else f"{value:g}"
 
 
-def _names(agents: Iterable[str] | None) -> str:
+def _agents_text(agents: Iterable[str] | None) -> str:
     return "" if agents is None else ", ".join(agents) or "nobody"
 
 
 def cell_facts(facts: Json) -> dict[str, str | list[str]]:
-    """The facts of `navbake.views.describe.describe_cell`, as text or lists of names."""
+    """Turn the facts of `navbake.views.describe.describe_cell` into texts and lists of names."""
     room = facts["room"]
     weight = facts["weight"]
     floor = facts["floor"]
     return {
         "level": str(facts["level"]),
         "cell": "{cell} (row {row}, col {col})".format_map(facts),
-        "center [m]": ", ".join(f"{v:.3f}" for v in facts["center"]),
+        "center [m]": ", ".join(f"{coordinate:.3f}" for coordinate in facts["center"]),
         "floor [m]": "none" if floor is None else f"{floor:.3f}",
         "weight": "infinite" if weight is None else f"{weight:g}",
         "room": str(room["id"] if isinstance(room, dict) else room or "none"),
