@@ -13,7 +13,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import filelock
 
@@ -54,25 +55,25 @@ def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
     name = NAME if part is None else part.file
-    for own in (LOCK, name, TABLE):
-        store.check_inside(folder, folder / own)
+    for name_in_folder in (LOCK, name, TABLE):
+        store.check_inside(folder, folder / name_in_folder)
     slices: list[str] = []
     with ExitStack() as stack:
 
-        def hold(name: str) -> Any:
+        def hold(name: str) -> filelock.BaseFileLock:
             lock = filelock.FileLock(folder / name, timeout=PATIENCE if part else 0)
             return stack.enter_context(lock.acquire())
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            whole = hold(LOCK)
+            batch_lock = hold(LOCK)
             if part is None:
                 slices = [*filter(PART_LOCK.fullmatch, os.listdir(folder))]
-                for own in slices:
-                    hold(own)
+                for name_in_folder in slices:
+                    hold(name_in_folder)
             else:
                 hold(f".navbake-batch-{part.number}-of-{part.total}.lock")
-                whole.release()
+                batch_lock.release()
         except filelock.Timeout:
             raise NavbakeError(
                 f"another batch writes into {folder}: wait for it, or choose another folder"
@@ -123,16 +124,16 @@ def write_index(
     The latter include those of slices, whose parts of the index are then removed. A slice writes
     its own rows alone.
     """
-    own = {row["id"]: row for row in rows}
+    row_of_scene = {row["id"]: row for row in rows}
     if part is not None:
-        store.write_file(folder, part.file, b"".join(map(line_of, own.values())))
+        store.write_file(folder, part.file, b"".join(map(line_of, row_of_scene.values())))
         return
     parts = find_parts(folder)
-    others = merge_rows(folder, (*parts, NAME))
-    own |= {id: row for id, row in others.items() if id not in own}
-    store.write_file(folder, NAME, b"".join(map(line_of, own.values())))
+    earlier_rows = merge_rows(folder, (*parts, NAME))
+    row_of_scene |= {id: row for id, row in earlier_rows.items() if id not in row_of_scene}
+    store.write_file(folder, NAME, b"".join(map(line_of, row_of_scene.values())))
     if has_table:
-        store.write_file(folder, TABLE, encode_rows(own.values()))
+        store.write_file(folder, TABLE, encode_rows(row_of_scene.values()))
     else:
         store.remove_files(folder, [TABLE])  # outdated
     store.remove_files(folder, parts)
@@ -141,8 +142,8 @@ def write_index(
 def find_parts(folder: store.Folder) -> list[str]:
     """The names of the parts of the index that slices wrote, by count and number."""
     names = store.sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
-    found = [match for match in map(PART.fullmatch, names) if match]
-    return [match[0] for match in sorted(found, key=lambda match: (int(match[2]), int(match[1])))]
+    matches = [match for match in map(PART.fullmatch, names) if match]
+    return [match[0] for match in sorted(matches, key=lambda match: (int(match[2]), int(match[1])))]
 
 
 def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
@@ -206,8 +207,8 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
     return file.getvalue()
 
 
-def _schema(pyarrow: Any) -> Any:
-    """The columns: name and type, in the order of docs/batch.md."""
+def _schema(pyarrow: ModuleType) -> object:
+    """A pyarrow.Schema of the columns: name and type, in the order of docs/batch.md."""
     text = pyarrow.string()
     texts = pyarrow.list_(pyarrow.string())
     number = pyarrow.float64()

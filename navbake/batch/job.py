@@ -74,7 +74,7 @@ class Plan(NamedTuple):
         store.check_inside(self.folder, place)
         return place
 
-    def named(self, job: Job) -> list[str]:
+    def trusted_urls(self, job: Job) -> list[str]:
         """The URLs of a scene that the user gave, not a list on a store."""
         settings = [self.settings, apply_overrides({}, self.overrides)]
         settings += [] if job.list else [job.settings]
@@ -98,30 +98,30 @@ class Scene(NamedTuple):
 
 
 @contextmanager
-def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
+def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[Scene]:
     """Find a scene's files and compute its key; copies from stores exist inside the with statement.
 
     The key is a digest of the settings, navbake's version, the products, and name and content (or a
-    store's digest) of each input file. Textures and skins change no cell and are left out. `whole`
-    copies all files from stores, else only those that name others.
+    store's digest) of each input file. Textures and skins change no cell and are left out. With
+    `copy_all`, all files are copied from stores, else only those that name others.
     """
     store.allow_hosts(plan.hosts)
-    store.check_host(job.source, plan.named(job))
-    with store.Mirror(plan.named(job)) as mirror:
+    store.check_host(job.source, plan.trusted_urls(job))
+    with store.Mirror(plan.trusted_urls(job)) as mirror:
         try:
             config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
             scene = _describe(plan, config, mirror)
-            if whole and mirror.url_of(config.inputs[0]):
+            if copy_all and mirror.url_of(config.inputs[0]):
                 for path in find_inputs(
                     config.inputs[0], mirror, looks=True, folders=config.scene.model_path
                 ):
                     mirror.ensure_local(path)
             yield scene
         except (NavbakeError, OSError) as error:
-            told = mirror.told(str(error))
-            if store.why_full(error) or told == str(error):
+            translated = mirror.translate_paths(str(error))
+            if store.why_full(error) or translated == str(error):
                 raise
-            raise NavbakeError(told) from error
+            raise NavbakeError(translated) from error
 
 
 def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
@@ -131,15 +131,16 @@ def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
     name = config.inputs[0].name
     inputs: dict[str, Json] = {}
     files: list[list[Any]] = []
-    for named in config.inputs:  # the scene is the first
-        for path in find_inputs(named, mirror, folders=config.scene.model_path):
+    for config_input in config.inputs:  # the scene is the first
+        for path in find_inputs(config_input, mirror, folders=config.scene.model_path):
             if mirror.has(path):
                 url = mirror.url_of(path)
                 state = mirror.describe(path)
                 inputs[_name(plan, url or path)] = state
                 files.append([store.shown(url) if url else _relative(path, home), *state.values()])
-    left_out: Any = {"output": True, "scene": {"path", "model_path"}}
-    settings = config.model_dump(mode="json", exclude=left_out)
+    settings = config.model_dump(
+        mode="json", exclude={"output": True, "scene": {"path", "model_path"}}
+    )
     common = {"settings": settings, "scene": name, "version": __version__, "files": sorted(files)}
     unnamed = {
         **common,
@@ -148,10 +149,10 @@ def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
         "scene": name if scene_suffix(name) in MESH_SUFFIXES else scene_suffix(name),
         "files": sorted(["" if file[0] == name else file[0], *file[1:]] for file in files),
     }
-    stated = {**common, "products": list(plan.products)}
+    with_products = {**common, "products": list(plan.products)}
     texts = (
         json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        for value in (stated, unnamed, settings)
+        for value in (with_products, unnamed, settings)
     )
     return Scene(config, inputs, *(hashlib.sha256(text.encode()).hexdigest() for text in texts))
 
@@ -174,10 +175,10 @@ def check_record(
             return None, NEW
         for name, state in row["files"].items():
             path = Path(store.join(place, name))
-            there = os.path.getsize(path) if sizes is None and path.exists() else None
-            if (there if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
+            size_here = os.path.getsize(path) if sizes is None and path.exists() else None
+            if (size_here if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
                 return None, "made files"
-        with open_scene(plan, job, whole=False) as scene:
+        with open_scene(plan, job, copy_all=False) as scene:
             if row["key"] != scene.key:
                 now = {"version": __version__, "products": [*plan.products]}
                 now["settings"] = scene.settings
@@ -285,7 +286,7 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
 
 def _make(plan: Plan, job: Job, begin: float) -> Json:
     place = plan.place(job)
-    with open_scene(plan, job, whole=True) as scene:
+    with open_scene(plan, job, copy_all=True) as scene:
         grid = _copy_twin(plan, job, scene)
         timings = dict[str, float]()
         if grid is None:
@@ -334,12 +335,12 @@ def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
         grid = read_navgrid(store.read_file(store.join(place, GRID)))
     except NavbakeError:
         return None
-    stated = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
-    if any("/" in line or os.sep in line or stated in line for line in grid.warnings):
+    stated_path = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
+    if any("/" in line or os.sep in line or stated_path in line for line in grid.warnings):
         return None
-    own = {**grid.navbake, "settings": settings_to_state(scene.config)}
-    own["settingsDigest"] = settings_digest(scene.config)
-    metadata = {**grid.metadata, "sceneId": scene.config.scene.id, "navbake": own}
+    navbake_metadata = {**grid.navbake, "settings": settings_to_state(scene.config)}
+    navbake_metadata["settingsDigest"] = settings_digest(scene.config)
+    metadata = {**grid.metadata, "sceneId": scene.config.scene.id, "navbake": navbake_metadata}
     return grid.with_levels(grid.levels, metadata)
 
 
@@ -361,13 +362,17 @@ def _write_products(
         files = {name: store.describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
             write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
-        others = [name for name in os.listdir(folder) if name != GRID]
+        other_names = [name for name in os.listdir(folder) if name != GRID]
         # existing files are the user's until replaced
-        is_here = isinstance(place, Path)
-        own = [n for n in others if not (is_here and os.path.lexists(store.join(place, n)))]
-        if own:
-            write_record(place, {"files": {}, "more": own})
-        for name in (*others, GRID):
+        is_local = isinstance(place, Path)
+        new_names = [
+            name
+            for name in other_names
+            if not (is_local and os.path.lexists(store.join(place, name)))
+        ]
+        if new_names:
+            write_record(place, {"files": {}, "more": new_names})
+        for name in (*other_names, GRID):
             store.write_file(place, name, (folder / name).read_bytes())
     return files
 

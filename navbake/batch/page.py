@@ -84,8 +84,8 @@ def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
     """A predicate whether a scene has a thumbnail, by its id; a store is listed once."""
     if isinstance(folder, Path):
         return lambda id: os.path.isfile(folder / id / THUMBNAIL)
-    found = store.sizes_below(folder)
-    return lambda id: f"{id}/{THUMBNAIL}" in found
+    sizes = store.sizes_below(folder)
+    return lambda id: f"{id}/{THUMBNAIL}" in sizes
 
 
 def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:

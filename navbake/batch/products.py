@@ -74,8 +74,8 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
         products.add(":".join((name, *_check_values(name, values, text))))
     pictures = sorted(product for product in products if product.startswith("picture"))
     if len(pictures) > 1:
-        asked = ", ".join(pictures)
-        raise ConfigError(f"expected one picture, with all its layers, to make, got {asked}")
+        layer_names = ", ".join(pictures)
+        raise ConfigError(f"expected one picture, with all its layers, to make, got {layer_names}")
     return tuple(sorted(products))
 
 
@@ -103,8 +103,8 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
     if ending and metres[0] == 0:
         raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
     if ending and f".{ending[0]}" not in VOXEL_SUFFIXES:
-        known = ", ".join(suffix[1:] for suffix in VOXEL_SUFFIXES)
-        raise ConfigError(f"expected an ending of {known}, got {text!r} to make")
+        suffixes = ", ".join(suffix[1:] for suffix in VOXEL_SUFFIXES)
+        raise ConfigError(f"expected an ending of {suffixes}, got {text!r} to make")
     return [*(f"{number:.12g}" for number in metres), *ending]
 
 
@@ -149,8 +149,8 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     measured = [episode.measures for episode in episodes]
     counts = {}
     for measure, edges in CLASSES.items():
-        known = [v for values in measured if (v := values[measure]) is not None]
-        counts[measure] = np.histogram(known, [*edges, np.inf])[0].tolist()
+        numbers = [value for measures in measured if (value := measures[measure]) is not None]
+        counts[measure] = np.histogram(numbers, [*edges, np.inf])[0].tolist()
     return {"episodes": counts}
 
 

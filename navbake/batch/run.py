@@ -137,13 +137,13 @@ def run_batch(
             stack.callback(lines.close)
         rows: dict[str, Json] = {}
         if only_merge:  # scenes that slices baked, or that failed there
-            known = {job.id for job in jobs}
+            batch_ids = {job.id for job in jobs}
             merged = index.merge_rows(plan.folder, index.find_parts(plan.folder)).items()
             baked = ((id, row) for id, row in merged if row.get("status") in (OK, FAILED))
-            rows = {id: row for id, row in baked if id in known}
+            rows = {id: row for id, row in baked if id in batch_ids}
         checked = check_records(plan, [job for job in jobs if job.id not in rows])
         rows |= {row["id"]: row for row, _ in checked if row is not None}
-        left = [] if only_merge else [job for job in jobs if job.id not in rows]
+        remaining = [] if only_merge else [job for job in jobs if job.id not in rows]
         result = BatchResult(skipped=len(rows))
         num_failed = 0
         if only_merge:
@@ -155,24 +155,24 @@ def run_batch(
             on_event(event, {"id": jobs[ended.number].id, **(why if event == AGAIN else {})})
 
         try:
-            if left:
+            if remaining:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
-            twins = find_twins(plan, jobs, rows) if left else {}
-            first = [job for job in left if job.id not in twins]
-            then = [job._replace(twin=twins[job.id]) for job in left if job.id in twins]
+            twins = find_twins(plan, jobs, rows) if remaining else {}
+            first = [job for job in remaining if job.id not in twins]
+            then = [job._replace(twin=twins[job.id]) for job in remaining if job.id in twins]
             execute: Executor = executor or do_jobs
-            for some in filter(None, (first, then)):
+            for stage_jobs in filter(None, (first, then)):
                 ended = execute(
-                    some,
+                    stage_jobs,
                     partial(bake_scene, plan),
                     workers or (None if executor else 1),
                     limits=limits,
                     prepare=partial(prepare, plan.products, plan.thumbnail),
-                    on_event=partial(note, some),
+                    on_event=partial(note, stage_jobs),
                 )
                 with closing(ended):
                     for end in ended:
-                        job = some[end.number]
+                        job = stage_jobs[end.number]
                         row = end.value
                         if end.how != DONE:
                             row = fail(plan, job, end.how, end.value, end.seconds)
@@ -192,7 +192,7 @@ def run_batch(
         except store.FullError as error:
             result.stopped = str(error)
         finally:
-            for job in left:
+            for job in remaining:
                 # a killed worker may leave files; on a store, the next run removes them
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
@@ -239,8 +239,8 @@ def write_shards(folder: store.Folder, rows: Sequence[Json], count: int | None) 
     if names:
         write_record(folder, {"files": dict.fromkeys(sorted({*before, *names}))})
     for k, name in enumerate(names):
-        some = packed[len(packed) * k // number : len(packed) * (k + 1) // number]
-        store.write_file(folder, name, _encode_shard(folder, some))
+        shard_rows = packed[len(packed) * k // number : len(packed) * (k + 1) // number]
+        store.write_file(folder, name, _encode_shard(folder, shard_rows))
     store.remove_files(folder, sorted(before - {*names}))
     if names:
         write_record(folder, {"files": dict.fromkeys(names)})
@@ -256,8 +256,8 @@ def _encode_shard(folder: store.Folder, rows: Sequence[Json]) -> Iterator[bytes]
             yield from _member(
                 f"{key}.{name}", store.read_file(store.join(folder, f"{row['id']}/{name}"))
             )
-        kept = {name: value for name, value in row.items() if name not in TIMES}
-        yield from _member(f"{key}.json", index.line_of(kept))
+        timeless_row = {name: value for name, value in row.items() if name not in TIMES}
+        yield from _member(f"{key}.json", index.line_of(timeless_row))
     yield bytes(2 * tarfile.BLOCKSIZE)
 
 
@@ -284,7 +284,7 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dic
     """
 
     def content_of(job: Job) -> str:
-        with suppress(NavbakeError, OSError), open_scene(plan, job, whole=False) as scene:
+        with suppress(NavbakeError, OSError), open_scene(plan, job, copy_all=False) as scene:
             return scene.content
         return ""  # it fails for a reason of its own
 
@@ -294,14 +294,16 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dic
             is_here = not store.is_url(job.source)
             alike[os.path.getsize(job.source) if is_here else job.source].append(job)
     groups = [group for group in alike.values() if group[1:] and group[-1].id not in done]
-    some = [job for group in groups for job in group]
+    candidates = [job for group in groups for job in group]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        contents = [*pool.map(content_of, some)]
-    first: dict[str, str] = {}
-    for job, content in zip(some, contents, strict=True):
-        first.setdefault(content or job.id, job.id)
-    found = {job.id: first[c or job.id] for job, c in zip(some, contents, strict=True)}
-    return {id: other for id, other in found.items() if id != other and id not in done}
+        contents = [*pool.map(content_of, candidates)]
+    first_of_content: dict[str, str] = {}
+    twins: dict[str, str] = {}
+    for job, content in zip(candidates, contents, strict=True):
+        twin = first_of_content.setdefault(content or job.id, job.id)
+        if twin != job.id and job.id not in done:
+            twins[job.id] = twin
+    return twins
 
 
 def line_of_event(event: str, values: Json) -> Json:
@@ -343,7 +345,7 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
         if job.id in done:
             return _sum_sizes(done[job.id].get("inputs")), ""
         try:
-            with open_scene(plan, job, whole=False) as scene:
+            with open_scene(plan, job, copy_all=False) as scene:
                 lack = "" if scene.inputs else f"{BROKEN}: no scene file {store.shown(job.source)}"
                 return _sum_sizes(scene.inputs), lack
         except (NavbakeError, OSError) as error:
@@ -351,7 +353,7 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
 
     with ThreadPoolExecutor(AT_ONCE) as pool:
         measured = [*pool.map(measure, jobs)]
-    found = []
+    previews = []
     for job, (row, why), (num_bytes, broken) in zip(jobs, checked, measured, strict=True):
         if row is not None:
             why = DONE_BEFORE
@@ -360,8 +362,8 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
         elif why == NEW and job.id in failed:
             why = "failed before"
         source = begin_row(plan, job, "")["source"]
-        found.append({"id": job.id, "source": source, "why": why, "bytes": num_bytes})
-    return found
+        previews.append({"id": job.id, "source": source, "why": why, "bytes": num_bytes})
+    return previews
 
 
 def measure_cost(rows: Iterable[Json]) -> Json | None:
@@ -377,11 +379,11 @@ def measure_cost(rows: Iterable[Json]) -> Json | None:
         "seconds": [row.get("seconds", 0.0) for row in done],
         "bytes": [_sum_sizes(row.get("files")) for row in done],
     }
-    found: Json = {"scenes": len(done)}
+    cost: Json = {"scenes": len(done)}
     for name, each in values.items():
         shares = np.percentile(each, SHARES, method="inverted_cdf").tolist()
-        found[name] = dict(zip(("sum", "median", "p90", "max"), (sum(each), *shares), strict=True))
-    return found
+        cost[name] = dict(zip(("sum", "median", "p90", "max"), (sum(each), *shares), strict=True))
+    return cost
 
 
 def _sum_sizes(files: Json | None) -> int:

@@ -73,27 +73,29 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -
             lists and URLs fail later, each by itself.
         NavbakeError: a list can't be read, or a dependency for it is not installed.
     """
-    found = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
-    if not found:
+    listed = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
+    if not listed:
         raise ConfigError("expected at least one scene, got none")
     jobs = []
-    for name, job in zip(_name(found), found, strict=True):
+    for name, job in zip(_name(listed), listed, strict=True):
         check_id(name, job.place)
-        own = merge(job.settings, of_id(name), job.place) if job.id else job.settings
-        jobs.append(job._replace(id=name, settings=own))
-    seen: dict[str, Job] = {}  # by folders that are the same on some file system
+        job_settings = merge(job.settings, of_id(name), job.place) if job.id else job.settings
+        jobs.append(job._replace(id=name, settings=job_settings))
+    by_folder: dict[str, Job] = {}  # by folders that are the same on some file system
     for job in jobs:
-        other = seen.setdefault(fold_name(job.id), job)
-        if other is job:
+        twin = by_folder.setdefault(fold_name(job.id), job)
+        if twin is job:
             continue
-        if (other.id, other.source) == (job.id, job.source):
+        if (twin.id, twin.source) == (job.id, job.source):
             raise ConfigError(
-                f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
+                f"expected each scene once, got {shorten(job.source)} at {twin.place} and at "
                 f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
-        one = f"{shorten(repr(other.id))} at {other.place}"
-        two = f"{shorten(repr(job.id))} at {job.place}"
-        raise ConfigError(f"expected unique ids, got {one} and {two}: give each an `id` of its own")
+        first = f"{shorten(repr(twin.id))} at {twin.place}"
+        second = f"{shorten(repr(job.id))} at {job.place}"
+        raise ConfigError(
+            f"expected unique ids, got {first} and {second}: give each an `id` of its own"
+        )
     return jobs
 
 
@@ -121,12 +123,12 @@ def fold_name(name: str) -> str:
     return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
 
 
-def _name(found: list[Job]) -> list[str]:
+def _name(listed: list[Job]) -> list[str]:
     """The ids of entries: their own, or the unique ends of their paths."""
-    paths = [_parts_of(entry.source) for entry in found]
-    depths = [1] * len(found)
+    paths = [_parts_of(entry.source) for entry in listed]
+    depths = [1] * len(listed)
     while True:
-        rows = [*zip(found, paths, depths, strict=True)]
+        rows = [*zip(listed, paths, depths, strict=True)]
         names = [entry.id or "/".join(parts[-depth:]) for entry, parts, depth in rows]
         counts = Counter(map(fold_name, names))
         depths = [
@@ -163,8 +165,8 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
             paths = store.match_files(source)
         else:
             # a folder is no scene; one that can't be read, as by a broken link, will fail
-            found = sorted(glob.glob(source, recursive=True))
-            paths = [path for path in found if os.path.isfile(path) or not os.path.exists(path)]
+            matches = sorted(glob.glob(source, recursive=True))
+            paths = [path for path in matches if os.path.isfile(path) or not os.path.exists(path)]
         if not paths:
             raise ConfigError(f"expected files that match {name}, got none")
         for path in paths:
@@ -199,26 +201,26 @@ def _read_list(source: str, columns: Mapping[str, str]) -> list[Job]:
 
 
 def _pick(row: Json, columns: Mapping[str, str], place: str) -> Json:
-    """A row under our names, by theirs; itself without `columns`."""
+    """A row by navbake's keys, from columns of other names; the row itself without `columns`."""
     picked: Json = {}
-    for own, theirs in columns.items():
-        value: Any = row.get(theirs)
-        if theirs not in row:
+    for key, column in columns.items():
+        value: object = row.get(column)
+        if column not in row:
             value = row
-            for key in theirs.split("."):
-                value = value.get(key) if isinstance(value, Mapping) else None
-        if value is None and own in SCENE_KEYS:
-            had = ", ".join(map(repr, row))
-            raise ConfigError(f"expected a column {theirs!r} at {place}, got {shorten(had)}")
-        picked[own] = value
+            for field in column.split("."):
+                value = value.get(field) if isinstance(value, Mapping) else None
+        if value is None and key in SCENE_KEYS:
+            present = ", ".join(map(repr, row))
+            raise ConfigError(f"expected a column {column!r} at {place}, got {shorten(present)}")
+        picked[key] = value
     return picked if columns else row
 
 
 def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     row = _without_nones(row)
-    given = [row.pop(key) for key in SCENE_KEYS if key in row]
-    if len(given) != 1 or not isinstance(given[0], str):
-        hint = "; --column scene=NAME names the column that has it" if not given and row else ""
+    sources = [row.pop(key) for key in SCENE_KEYS if key in row]
+    if len(sources) != 1 or not isinstance(sources[0], str):
+        hint = "; --column scene=NAME names the column that has it" if not sources and row else ""
         if {"rooms", "walls", "objects"} <= row.keys():  # without its objects' shapes
             hint = "; a house of ProcTHOR only names the assets in it: list an MJCF of it"
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}{hint}")
@@ -227,8 +229,8 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     if not isinstance(nested, dict):
         raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
     if isinstance(name, bool) or not isinstance(name, str | int | None):
-        got = show_value(name)
-        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {got}")
+        actual = show_value(name)
+        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {actual}")
     settings = nest([*nested.items(), *row.items()], folder, place)
     check_shared(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
@@ -237,17 +239,19 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
-    return Job("" if name is None else str(name), store.join(folder, given[0]), settings, place)
+    return Job("" if name is None else str(name), store.join(folder, sources[0]), settings, place)
 
 
 def _without_nones(row: Mapping[str, Any]) -> Json:
     """A row, or settings in it, without empty values."""
-    found = {}
+    cleaned = {}
     for key, value in row.items():
-        given = _without_nones(value) if isinstance(value, Mapping) else value
-        if given not in (None, "", {}) and given == given:  # NaN is none, too
-            found[key] = given
-    return found
+        cleaned_value = _without_nones(value) if isinstance(value, Mapping) else value
+        if (
+            cleaned_value not in (None, "", {}) and cleaned_value == cleaned_value
+        ):  # NaN is none, too
+            cleaned[key] = cleaned_value
+    return cleaned
 
 
 Rows: TypeAlias = Iterator[tuple[str, Json]]
@@ -328,8 +332,10 @@ def _table_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
         raise ConfigError(f"broken Parquet in {name}: {reason}") from error
     for number, row in enumerate(rows, 1):
         # pandas adds an index column
-        kept = {key: value for key, value in row.items() if not key.startswith("__index_level_")}
-        yield f"{name}, row {number}", kept
+        without_index = {
+            key: value for key, value in row.items() if not key.startswith("__index_level_")
+        }
+        yield f"{name}, row {number}", without_index
 
 
 # ---------------------------------------------------------------- settings
@@ -388,14 +394,14 @@ def settings_of(
     copied if it is on a store. Raises a ConfigError.
     """
     place = f"the settings of {job.place}"
-    own: Mapping[str, Any] = {"scene": {"path": job.source}}
+    own_settings: Mapping[str, Any] = {"scene": {"path": job.source}}
     outlines = outlines_of(apply_overrides({}, overrides))
     if is_settings(job.source):
         folder = store.parent(job.source)
-        own = _with_files(_read_mapping(job.source), lambda name: store.join(folder, name))
+        own_settings = _with_files(_read_mapping(job.source), lambda name: store.join(folder, name))
         outlines = outlines and store.join(folder, outlines)
     settings = dict(of_id(job.id))
-    for part in (shared, own, job.settings):
+    for part in (shared, own_settings, job.settings):
         settings = merge(settings, part, place)
     settings = _with_files(settings, lambda name: str(fetch(name)))
     if outlines:  # JSON is YAML, whatever the path is

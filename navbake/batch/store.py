@@ -58,8 +58,8 @@ class MissingFileError(NavbakeError):
 
 def is_url(path: object) -> bool:
     """Whether a path is the URL of a file on a store; ``file://`` is this machine's own."""
-    found = URL.match(path) if isinstance(path, str) else None
-    return found is not None and found[1].lower() not in HERE
+    match = URL.match(path) if isinstance(path, str) else None
+    return match is not None and match[1].lower() not in HERE
 
 
 def _is_web(url: str) -> bool:
@@ -68,8 +68,8 @@ def _is_web(url: str) -> bool:
 
 def plain_path(path: str) -> str:
     """The path of a URL such as ``file:///a/b``; other paths and URLs are returned as they are."""
-    found = URL.match(path)
-    return found[2] if found is not None and found[1].lower() in HERE else path
+    match = URL.match(path)
+    return match[2] if match is not None and match[1].lower() in HERE else path
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
@@ -105,14 +105,14 @@ def join(folder: Folder, name: str) -> str:
 
 def shown(url: str) -> str:
     """A URL for messages and the index: without a password or a query."""
-    found = URL.match(url)
-    if found is None:
+    match = URL.match(url)
+    if match is None:
         return url
     authority, slash, path = _without_query(url).partition("://")[2].partition("/")
     user, at, host = authority.rpartition("@")
     # web services use tokens as users
-    user = "" if found[1].lower() in WEB or not at else f"{user.partition(':')[0]}@"
-    return f"{found[1]}://{user}{host}{slash}{path}"
+    user = "" if match[1].lower() in WEB or not at else f"{user.partition(':')[0]}@"
+    return f"{match[1]}://{user}{host}{slash}{path}"
 
 
 def _without_query(url: str) -> str:
@@ -124,16 +124,22 @@ def allow_hosts(hosts: Iterable[str]) -> None:
     _hosts.update(map(str.lower, hosts))
 
 
-def check_host(url: str, named: Iterable[str]) -> None:
-    """Refuse a URL on the web with a host that is neither in `named` URLs nor allowed.
+def check_host(url: str, trusted_urls: Iterable[str]) -> None:
+    """Check that a list or settings on the web lead to no other host.
 
-    `url` is from a list or settings on the web. Raises a NavbakeError.
+    Args:
+        url: to which they lead.
+        trusted_urls: URLs that the user gave; their hosts are allowed, and those of `allow_hosts`.
+
+    Raises:
+        NavbakeError: the URL is on the web, and on another host.
     """
     host = _host(url)
-    known = {*map(_host, named), *_hosts}
-    if _is_web(url) and host not in known:
+    hosts = {*map(_host, trusted_urls), *_hosts}
+    if _is_web(url) and host not in hosts:
+        expected = " or ".join(sorted(filter(None, hosts))) or "no host"
         raise NavbakeError(
-            f"expected a file of {' or '.join(sorted(filter(None, known))) or 'no host'}, got "
+            f"expected a file of {expected}, got "
             f"{shown(url)}: --allow-hosts {host} lets lists and redirects lead there"
         )
 
@@ -147,12 +153,16 @@ def _client_options() -> Json:
     """Options that keep a web client on allowed hosts."""
     import aiohttp  # for fsspec's web client; in no extra
 
-    async def look(session: Any, context: Any, request: Any) -> None:
-        to = urljoin(str(request.url), request.response.headers.get("Location", ""))
-        check_host(to, [str(request.url)])
+    async def check_redirect(
+        session: aiohttp.ClientSession,
+        context: object,
+        request: aiohttp.TraceRequestRedirectParams,
+    ) -> None:
+        target = urljoin(str(request.url), request.response.headers.get("Location", ""))
+        check_host(target, [str(request.url)])
 
     trace = aiohttp.TraceConfig()
-    trace.on_request_redirect.append(look)
+    trace.on_request_redirect.append(check_redirect)
     return {"trace_configs": [trace]}
 
 
@@ -226,11 +236,11 @@ def sizes_below(folder: str) -> dict[str, int]:
         system, path = _open_store(folder)
         system.invalidate_cache()  # others may have written since
         try:
-            found = system.find(path, detail=True)
+            infos = system.find(path, detail=True)
         except FileNotFoundError:
             return {}
         start = len(path.rstrip("/"))
-        return {name[start:].lstrip("/"): info["size"] for name, info in found.items()}
+        return {name[start:].lstrip("/"): info["size"] for name, info in infos.items()}
 
 
 def match_files(pattern: str) -> list[str]:
@@ -243,8 +253,8 @@ def match_files(pattern: str) -> list[str]:
         if system.exists(path):
             return [pattern]
         is_hidden = re.compile(r"/\.").search
-        found = system.glob(path, detail=True).items()
-        names = sorted(name for name, info in found if info["type"] == "file")
+        infos = system.glob(path, detail=True)
+        names = sorted(name for name, info in infos.items() if info["type"] == "file")
         inner = path.lstrip("/")  # a store's paths have no host
         root = pattern.removesuffix(inner)
         urls = [root + name.lstrip("/") for name in names if not is_hidden(name)]
@@ -277,21 +287,21 @@ class Mirror(ExitStack):
     It implements `scene_files.Files`: a file is copied when it is read. Local files stay in place.
     """
 
-    def __init__(self, named: Iterable[str] = ()) -> None:
-        """Make a mirror; `named` as in `check_host`."""
+    def __init__(self, trusted_urls: Iterable[str] = ()) -> None:
+        """Make an empty mirror; `trusted_urls` as in `check_host`."""
         super().__init__()
-        self._named = [*named]
+        self._trusted_urls = list(trusted_urls)
         self._folder: Path | None = None
-        self._urls: dict[Path, str] = {}  # of roots of stores and named files
+        self._urls: dict[Path, str] = {}  # of roots of stores, and of files
         self._listed: dict[str, dict[str, Any]] = {}  # stores' entries by folder
-        self.known: dict[Path, Mapping[str, Any] | None] = {}
+        self._entries: dict[Path, Mapping[str, Any] | None] = {}  # of stores, by path
 
     def place(self, url: str) -> Path:
         """The path of a store's file in the folder, copied or not."""
         if self._folder is None:
             self._folder = Path(os.path.realpath(self.enter_context(scratch_folder())))
-        scheme, _, rest = shown(url).partition("://")
-        authority, _, path = rest.partition("/")
+        scheme, _, authority_path = shown(url).partition("://")
+        authority, _, path = authority_path.partition("/")
         root = self._folder / scheme / authority
         self._urls[root] = "/".join(_without_query(url).split("/")[:3])
         self._urls[root / path] = url
@@ -320,7 +330,7 @@ class Mirror(ExitStack):
         """The local path of a file, copied if it is on a store; for errors see `check_host`."""
         if not is_url(name):
             return Path(name)
-        check_host(name, self._named)
+        check_host(name, self._trusted_urls)
         path = self.place(name)
         self.ensure_local(path)
         return path
@@ -335,7 +345,7 @@ class Mirror(ExitStack):
             return describe_file(path)
         return {"size": facts["size"], "tag": tag}
 
-    def told(self, text: str) -> str:
+    def translate_paths(self, text: str) -> str:
         """Replace paths of the folder in a text by the stores' URLs."""
         return re.sub(re.escape(f"{self._folder}{os.sep}") + r"([\w+.-]+)[/\\]", r"\1://", text)
 
@@ -345,9 +355,9 @@ class Mirror(ExitStack):
         if url is None:
             return {} if os.path.isfile(path) else None
         path = Path(os.path.abspath(path))
-        if path not in self.known:
-            self.known[path] = self._look(url)
-        return self.known[path]
+        if path not in self._entries:
+            self._entries[path] = self._look(url)
+        return self._entries[path]
 
     def _look(self, url: str) -> Mapping[str, Any] | None:
         with _naming("read", url):
@@ -362,7 +372,9 @@ class Mirror(ExitStack):
                 else:
                     self._listed[folder] = {}  # where the folder is missing
                     infos = system.ls(folder, detail=True)
-                    self._listed[folder] = {posixpath.basename(own["name"]): own for own in infos}
+                    self._listed[folder] = {
+                        posixpath.basename(info["name"]): info for info in infos
+                    }
                     info = self._listed[folder].get(name)
             return info if info is not None and info.get("type", "file") == "file" else None
 
@@ -422,7 +434,7 @@ def _naming(doing: str, path: Folder) -> Iterator[None]:
             why = type(error).__name__
         else:
             text = " ".join(str(error).split()) or type(error).__name__
-            why = printable(URL_IN_TEXT.sub(lambda found: shown(found[0]), text)[:400])
+            why = printable(URL_IN_TEXT.sub(lambda match: shown(match[0]), text)[:400])
         # fsspec names the missing package
         kind = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
         raise kind(f"cannot {doing} {name}: {why}") from cause

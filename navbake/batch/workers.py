@@ -21,7 +21,7 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -52,6 +52,9 @@ STORE = 80 << 20  # of the object store in a cluster of one's own [bytes]
 # statistics.
 PRIVATE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
 
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
 
 class JobLimits(NamedTuple):
     """The limits of one job."""
@@ -67,7 +70,7 @@ class Ended(NamedTuple):
 
     number: int  #: The job's place among the jobs.
     how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``.
-    value: Any  #: The result of a job that is done, else the reason.
+    value: Any  #: The job's result, of any type, if it is done; else the reason.
     seconds: float = 0.0  #: Duration of the last attempt.
     worker: int = 0  #: The id of its process, 0 if unknown.
 
@@ -129,30 +132,33 @@ class Workers:
         its worker, or took too much memory, is tried again at the end, in a process of its own, in
         case an earlier job in the process was the cause. Raises a NavbakeError if no worker starts.
         """
-        tries = [0] * len(jobs)
-        breaks = 0
+        num_failures = [0] * len(jobs)
+        num_breaks = 0  # of the pool, in a row
         alone = False
-        left = deque(range(len(jobs)))
-        again = deque[int]()
-        while left:
-            for ended in self._in_pool(jobs, left, alone, on_event):
-                breaks = 0
-                is_blamed = alone or ended.how == TOO_LONG
-                tries[ended.number] += is_blamed and ended.how != DONE
-                if ended.how == DONE or tries[ended.number] > self._limits.retries:
+        waiting = deque(range(len(jobs)))
+        retried = deque[int]()
+        while waiting:
+            for ended in self._in_pool(jobs, waiting, alone, on_event):
+                num_breaks = 0
+                is_to_blame = alone or ended.how == TOO_LONG
+                num_failures[ended.number] += is_to_blame and ended.how != DONE
+                if ended.how == DONE or num_failures[ended.number] > self._limits.retries:
                     yield ended
                 else:
                     on_event(AGAIN, ended)
-                    again.append(ended.number)
-            if left or again or alone:
+                    retried.append(ended.number)
+            if waiting or retried or alone:
                 self._stop()
-            if left:
-                breaks += 1
+            if waiting:
+                num_breaks += 1
             else:
-                left, again, alone = again, left, True
-            if breaks == MOST_BREAKS:
-                why = self._last_words(None)
-                raise NavbakeError(f"cannot start a worker process{f': {why}' if why else ''}")
+                waiting = retried
+                retried = deque()
+                alone = True
+            if num_breaks == MOST_BREAKS:
+                reason = self._last_words(None)
+                details = f": {reason}" if reason else ""
+                raise NavbakeError(f"cannot start a worker process{details}")
 
     def _stop(self) -> None:
         if self._pool is not None:
@@ -161,15 +167,16 @@ class Workers:
             self._pool = None
 
     def _in_pool(
-        self, jobs: Sequence[Any], left: deque[int], alone: bool, on_event: OnEvent
+        self, jobs: Sequence[Any], waiting: deque[int], alone: bool, on_event: OnEvent
     ) -> Iterator[Ended]:
-        """Do jobs in a pool until none is left or it breaks; its unfinished jobs go back to `left`.
+        """Do the waiting jobs in a pool until all are done, or it breaks.
 
-        If `alone`, each job has a new process.
+        Unfinished jobs of a pool that breaks go back to `waiting`. If `alone`, each job has a new
+        process.
         """
         if self._pool is None:
             self._pool = ProcessPool(
-                max_workers=min(self._count, len(left)) if alone else self._count,
+                max_workers=min(self._count, len(waiting)) if alone else self._count,
                 max_tasks=1 if alone else 0,
                 initializer=_settle,
                 initargs=(os.getpid(), self._folder, self._limits.memory, self._prepare),
@@ -180,16 +187,16 @@ class Workers:
         limit = self._limits.seconds
         seconds = None if limit == float("inf") else limit
         excused: set[Future[Any]] = set()  # not late: this process, and so its workers, was stopped
-        while left or number_of:
-            while left and len(number_of) < AHEAD * self._count:
-                arguments = self._work, jobs[left[0]], alone, self._limits.memory
+        while waiting or number_of:
+            while waiting and len(number_of) < AHEAD * self._count:
+                arguments = (self._work, jobs[waiting[0]], alone, self._limits.memory)
                 try:
                     with _ctrl_c_waits():  # the first one starts the workers
                         future: Future[Any] = self._pool.schedule(_do, arguments, timeout=seconds)
                 except RuntimeError:  # it is broken
-                    left.extendleft(number_of.values())
+                    waiting.extendleft(number_of.values())
                     return
-                number_of[future] = left.popleft()
+                number_of[future] = waiting.popleft()
             before = time.time()  # the pool's clock
             done, _ = wait(number_of, TICK, FIRST_COMPLETED)
             if time.time() - before > TICK + LATE:
@@ -200,15 +207,15 @@ class Workers:
                     on_event(BEGUN, Ended(number_of[future], "", ""))
             for future in done:
                 number = number_of.pop(future)
-                taken = time.time() - begun.pop(future)
+                duration = time.time() - begun.pop(future)
                 error = future.exception()
                 if isinstance(error, BrokenProcessPool):
-                    left.extendleft([number, *number_of.values()])
+                    waiting.extendleft([number, *number_of.values()])
                     return
                 if isinstance(error, TimeoutError) and future in excused:
-                    left.append(number)
+                    waiting.append(number)
                 else:
-                    yield self._ended(number, future, error, taken)
+                    yield self._ended(number, future, error, duration)
 
     def _ended(
         self, number: int, future: Future[Any], error: BaseException | None, seconds: float
@@ -284,9 +291,9 @@ _unlimited: Callable[[], None] = lambda: None  # noqa: E731 ends this worker's l
 
 
 def _do(
-    work: Callable[[Any], Any], job: Any, alone: bool, memory: float | None
-) -> tuple[int, str, Any]:
-    """Do a job; returns the process, how it ended, and the result or the reason."""
+    work: Callable[[Job], Result], job: Job, alone: bool, memory: float | None
+) -> tuple[int, str, Result | str]:
+    """Do a job; return the process, how it ended, and the result or the reason."""
     os.ftruncate(2, 0)
     try:
         return os.getpid(), DONE, work(job)
@@ -335,12 +342,12 @@ def do_on_ray(
     with _connected(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
         do = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, scheduling_strategy="SPREAD")(_do_task)
         shared = ray.put((enter, make))
-        left = iter(range(len(jobs)))
+        numbers = iter(range(len(jobs)))
         number_of = dict[Any, int]()
         while True:
             # twice the CPUs: no node waits for this process
             most = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-            while len(number_of) < most and (number := next(left, None)) is not None:
+            while len(number_of) < most and (number := next(numbers, None)) is not None:
                 number_of[do.remote(shared, number, jobs[number])] = number
                 on_event(BEGUN, Ended(number, "", ""))
             if not number_of:
@@ -376,7 +383,7 @@ def _enter_node(folder: str, witness: str | None, version: str) -> None:
 
 
 def _do_task(
-    shared: tuple[Callable[[], None], Callable[[], Workers]], number: int, job: Any
+    shared: tuple[Callable[[], None], Callable[[], Workers]], number: int, job: object
 ) -> tuple[Ended, list[Ended]]:
     """Do a job on a node; returns how it ended, and earlier failed attempts."""
     enter, make = shared
@@ -409,13 +416,13 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
     _check_reachable(address)
     handler = signal.getsignal(signal.SIGTERM)
     with scratch_folder(Path("/tmp")) if is_own else nullcontext() as folder:
-        own = {
+        local_options = {
             "num_cpus": num_cpus,
             "include_dashboard": False,
             "object_store_memory": STORE,
             "_temp_dir": str(folder),
         }
-        options = own if is_own else {}
+        options = local_options if is_own else {}
         try:
             ray.init(address=address, logging_level="ERROR", log_to_driver=False, **options)
         except Exception as error:  # of many kinds

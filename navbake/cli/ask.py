@@ -52,14 +52,14 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     Example: navbake rooms house.grid.json
     """
     content = navbake.load(grid)
-    found = content.rooms
+    room_list = content.rooms
     doors = content.doors
     if as_json:
-        lists = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
+        lists = {"rooms": [r.to_json() for r in room_list], "doors": [d.to_json() for d in doors]}
         print_json({"scene_id": content.scene_id, **lists})
         return
-    print_tables(tables.room_table(found, content.level_names))
-    print(count_of(len(found), "room"))
+    print_tables(tables.room_table(room_list, content.level_names))
+    print(count_of(len(room_list), "room"))
     if doors:
         print()
         print_tables(tables.door_table(doors, content.level_names))
@@ -84,13 +84,13 @@ def why(
     if len(places) != 1:
         got = " and ".join(map(repr, places)) or "none"
         raise BadParameter(f"expected one place, {PLACE}, got {got}", param_hint="--at")
-    given = places[0]
-    x, y, z, level = options.parse_place(given, "--at")
+    place = places[0]
+    x, y, z, level = options.parse_place(place, "--at")
     content = navbake.load(grid)
     if z is not None:
         cell = content.cell_at((x, y, z))
         if cell is None:
-            raise QueryError(f"{given} is in no cell: it lies beside the grid, or below its floors")
+            raise QueryError(f"{place} is in no cell: it lies beside the grid, or below its floors")
         level = cell.level
     if level is None:
         cells = describe_column(content, x, y)
@@ -148,26 +148,26 @@ def path(
             raise QueryError(f"no agent can stand in room {name!r}")
     places = [options.position_of_place(content, p, "--to") for p in ends]
     goal: Any = goals[0] if is_named else places
-    found = finder.find_path(origin, goal, by=by, smooth=smooth)
-    reason = None if found else finder.why_not(origin, goal)
+    path_found = finder.find_path(origin, goal, by=by, smooth=smooth)
+    reason = None if path_found else finder.why_not(origin, goal)
     with options.beside_output(output):
         if as_json:
-            facts = {key: getattr(found, key) for key in FACTS} if found else None
+            facts = {key: getattr(path_found, key) for key in FACTS} if path_found else None
             print_json({"path": facts, "reason": reason})
-        elif found:
-            print(f"length  {found.length:.3f} m")
-            print(f"cost    {found.cost:.3f}")
-            print(f"time    {found.seconds:.1f} s")
-            say(f"rooms   {', '.join(found.rooms) or '-'}")
-            say(f"doors   {', '.join(found.doors) or '-'}")
+        elif path_found:
+            print(f"length  {path_found.length:.3f} m")
+            print(f"cost    {path_found.cost:.3f}")
+            print(f"time    {path_found.seconds:.1f} s")
+            say(f"rooms   {', '.join(path_found.rooms) or '-'}")
+            say(f"doors   {', '.join(path_found.doors) or '-'}")
             if content.links:
-                say(f"links   {', '.join(found.links) or '-'}")
+                say(f"links   {', '.join(path_found.links) or '-'}")
             print("      x       y       z  level")
-            for (x, y, z), level in zip(found.positions, found.levels, strict=True):
+            for (x, y, z), level in zip(path_found.positions, path_found.levels, strict=True):
                 print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
         else:
             say(f"no path: {reason}")
     if output is not None:
-        options.write_picture(content, output, layers=("occupancy",), route=found)
-    if not found:
+        options.write_picture(content, output, layers=("occupancy",), route=path_found)
+    if not path_found:
         raise Exit(1)

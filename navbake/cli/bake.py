@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 from typer import BadParameter, Exit
 
@@ -95,8 +95,8 @@ def geoms(
     print_warnings(scene.warnings)
     if as_json:
         keys = ("id", "name", "body", "type", "counted", "shape", "role", "reason")
-        found = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
-        print_json({"scene_id": scene.id, "geoms": found, "warnings": list(scene.warnings)})
+        rows_as_json = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
+        print_json({"scene_id": scene.id, "geoms": rows_as_json, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
     rows = [
@@ -167,10 +167,12 @@ def voxelize(
         segments=_parse_segments(segments),
     )
     print_warnings(grid.notes)
-    known = len(grid.notes)
-    form: Any = "airsim" if airsim else "binvox"
+    num_notes = len(grid.notes)
+    form: Literal["airsim", "binvox"] = "airsim" if airsim else "binvox"
     for output, ending in zip(outputs, endings, strict=True):
-        mapping: Any = "compact" if compact and ending == ".binvox" else None
+        mapping: Literal["compact"] | None = None
+        if compact and ending == ".binvox":
+            mapping = "compact"
         write_voxels(grid, output, free=free, layout=form, mapping=mapping)
         say_unless_quiet(output)
         if grid.is_segmented and ending not in OCTREE_SUFFIXES:
@@ -179,14 +181,19 @@ def voxelize(
             beside = output.with_suffix(".occupied.binvox")
             write_voxels(grid.without_ids(), beside, layout=form)
             say_unless_quiet(beside)
-    print_warnings(grid.notes[known:])
-    low, high = (f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in grid.bounds)
+    print_warnings(grid.notes[num_notes:])
+    low = _format_corner(grid.bounds[0])
+    high = _format_corner(grid.bounds[1])
     ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
     line = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m:"
     say_unless_quiet(f"{line} {grid.occupied.sum()} occupied{ids}")
 
 
-def _parse_segments(words: list[str] | None) -> Any:
+def _format_corner(corner: Iterable[float]) -> str:
+    return f"({', '.join(f'{coordinate:.6g}' for coordinate in corner)})"
+
+
+def _parse_segments(words: list[str] | None) -> str | dict[str, int] | None:
     """``geom``, ``body`` or ``top`` alone, or patterns, with IDs or counted from 1."""
     if not words:
         return None
@@ -259,8 +266,11 @@ def bake(
 
     limits: dict[str, float] | None = None
     if isolate:
-        given = {"seconds": seconds, "memory": memory}
-        limits = {key: value for key, value in given.items() if value is not None}
+        limits = {}
+        if seconds is not None:
+            limits["seconds"] = seconds
+        if memory is not None:
+            limits["memory"] = memory
     overrides = list(overrides or [])
     overrides += [f"agent.radius={radius}"] * (radius is not None)
     overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
@@ -319,11 +329,15 @@ def _bake_one(
     from navbake.views.describe import describe
 
     with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
-        asked: Any = {"threads": threads, "progress": progress}
-        asked["limits"] = None if limits is None else CompileLimits(**limits)
         # with --quiet, all warnings follow the bake
-        tell = None if printing.VOLUME.quiet else lambda hint: print_warnings([hint])
-        result = run_bake(config, **asked, tell=tell)
+        print_hint = None if printing.VOLUME.quiet else lambda hint: print_warnings([hint])
+        result = run_bake(
+            config,
+            threads=threads,
+            progress=progress,
+            limits=None if limits is None else CompileLimits(**limits),
+            tell=print_hint,
+        )
     if not with_timings:
         result.grid.timings = {}
     begin = time.perf_counter()
@@ -367,8 +381,8 @@ def lay_out(
         filled = fill_name(name or "{id}", str(config.scene.id), path.resolve())
         if not filled:
             raise ConfigError(f"`--name {name}` makes no file name of {path}")
-        own = config.output if output is None and name is None else None
-        targets.append(own or Path(output or "") / f"{filled}.grid.json")
+        settings_output = config.output if output is None and name is None else None
+        targets.append(settings_output or Path(output or "") / f"{filled}.grid.json")
     return targets
 
 

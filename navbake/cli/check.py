@@ -58,7 +58,7 @@ REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:;.*?extra == ["'](?P<extra>[\w-]+)
 def verify(
     grid: GridFile,
     sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE),
-    every: bool = flag("--all", "Look at all cells."),
+    all_cells: bool = flag("--all", "Look at all cells."),
     seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0),
     scene: Path | None = BAKED_SCENE,
     radius: float | None = option(
@@ -80,7 +80,7 @@ def verify(
 
     Example: navbake verify house.grid.json --all
     """
-    if every and sample != SAMPLE:
+    if all_cells and sample != SAMPLE:
         raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
@@ -89,7 +89,7 @@ def verify(
     report = compare(
         grid,
         scene,
-        sample=None if every else sample,
+        sample=None if all_cells else sample,
         seed=seed,
         radius=radius,
         paths=paths,
@@ -102,7 +102,9 @@ def verify(
         else:
             _print(report)
     if output is not None:
-        marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
+        marks = [
+            (finding.level, *finding.position[:2], finding.kind) for finding in report.findings
+        ]
         drawn = navbake.load(grid)
         options.write_picture(drawn, output, layers=("occupancy",), marks=marks)
     if not report.ok:
@@ -121,10 +123,11 @@ def _print(report: VerifyReport) -> None:
         )
     for note in report.notes:
         say(f"note: {note}")
-    for found in report.findings[:SHOWN]:
-        x, y, z = found.position
-        cell = "" if found.cell is None else f", row {found.cell[0]}, col {found.cell[1]}"
-        say(f"{found.kind}: level {found.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f}): {found.text}")
+    for finding in report.findings[:SHOWN]:
+        x, y, z = finding.position
+        cell = "" if finding.cell is None else f", row {finding.cell[0]}, col {finding.cell[1]}"
+        place = f"level {finding.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f})"
+        say(f"{finding.kind}: {place}: {finding.text}")
     if len(report.findings) > SHOWN:
         say(f"and {len(report.findings) - SHOWN} more: --json lists them")
     verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
@@ -166,8 +169,8 @@ def audit(
             for remark in report.remarks:
                 say(remark)
             errors = count_of(len(report.errors), "error")
-            others = count_of(len(report.remarks) - len(report.errors), "remark")
-            say(f"{len(report.checks)} checks: {errors}, {others}")
+            num_remarks = count_of(len(report.remarks) - len(report.errors), "remark")
+            say(f"{len(report.checks)} checks: {errors}, {num_remarks}")
     if output is not None:
         marks = [
             (-1 if remark.level is None else remark.level, *remark.place[:2], remark.check)
@@ -193,17 +196,18 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
     if no_bake:
         return
     settings = config.load_config(samples.path(BAKED))
-    taken = []
+    seconds_taken = []
     try:
         for _ in range(2):  # the first time with what compiling there is to do
             begin = time.perf_counter()
             grid = pipeline.bake(settings)
-            taken.append(time.perf_counter() - begin)
+            seconds_taken.append(time.perf_counter() - begin)
     except NavbakeError as error:
         raise NavbakeError(f"the sample {BAKED!r} can't be baked: {error}") from error
     free = sum(int(level.free.sum()) for level in grid.levels)
-    is_usual = "as usual" if taken[1] <= USUAL else f"SLOW: usually below {USUAL} s"
-    text = f"{BAKED}: {taken[0]:.2f} s, again {taken[1]:.2f} s ({is_usual}), {free} free cells"
+    is_usual = "as usual" if seconds_taken[1] <= USUAL else f"SLOW: usually below {USUAL} s"
+    first, again = seconds_taken
+    text = f"{BAKED}: {first:.2f} s, again {again:.2f} s ({is_usual}), {free} free cells"
     print(f"{'bake':<12} {text}")
 
 
@@ -218,9 +222,9 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     """What `doctor` prints of versions, the machine, compiled code and extras: names and texts."""
     needed: dict[str, list[str]] = {"": []}  # packages by extra, those of navbake itself under ""
     for line in requires("navbake") or ():
-        found = REQUIREMENT.match(line)
-        assert found is not None
-        needed.setdefault(found["extra"] or "", []).append(found[1])
+        match = REQUIREMENT.match(line)
+        assert match is not None
+        needed.setdefault(match["extra"] or "", []).append(match[1])
     yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
     yield "python", f"{platform.python_version()} in {sys.executable}"
     yield "system", f"{platform.platform()}, {platform.machine()}"
@@ -239,9 +243,10 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
         state = f"{warm} of {len(entries)} functions are compiled"
         yield "compiled", f"{folder}, {_megabytes(files)} MB: {state}"
         used = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
-        if stale := [path for path in files if path.parent.parent not in used]:
-            folders = len({path.parent.parent for path in stale})
-            yield "", f"{_megabytes(stale)} MB in {folders} folders are of other sources: not used"
+        unused = [path for path in files if path.parent.parent not in used]
+        if unused:
+            folders = len({path.parent.parent for path in unused})
+            yield "", f"{_megabytes(unused)} MB in {folders} folders are of other sources: not used"
     needed.pop("")
     for extra in ("test", "bench", "docs", "tensors-test"):  # of developers
         needed.pop(extra, None)

@@ -57,15 +57,17 @@ def episodes(
 
     from navbake import episodes as sets  # loads numpy
 
-    chosen: dict[str, Any] = {"objects": objects or (), "rooms": rooms or ()}
+    task_fields: dict[str, Any] = {"objects": objects or (), "rooms": rooms or ()}
     if categories is not None:
         try:
-            found = yaml.decode(categories.read_bytes(), type=dict[str, list[str] | str])
+            patterns = yaml.decode(categories.read_bytes(), type=dict[str, list[str] | str])
         except (OSError, DecodeError) as error:
             why = " ".join(str(error).split())
             raise ConfigError(f"cannot read {categories}: {why}") from error
         kind = "rooms" if "room" in (task, of) else "objects"
-        chosen[kind] = {label: [v] if isinstance(v, str) else v for label, v in found.items()}
+        task_fields[kind] = {
+            label: [v] if isinstance(v, str) else v for label, v in patterns.items()
+        }
     rules: dict[str, Any] = options.read_pairs(rule, "--rule", "KEY=VALUE")
     if "edges" in rules:
         rules["edges"] = rules["edges"].split(",")
@@ -73,7 +75,7 @@ def episodes(
     count = total or (per_scene or 100) * len(grids)
     content = sets.make_episodes(
         [navbake.load(grid) for grid in grids],
-        sets.make_task(task, radius=reach, length=length, of=of, share=share, **chosen),
+        sets.make_task(task, radius=reach, length=length, of=of, share=share, **task_fields),
         sets.make_rules(sampler, **rules),
         count=count,
         seed=seed,
@@ -99,11 +101,11 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
 
     options.check_output(output, inputs=[source])
     content = read_episodes(source, scenes)
-    known = {episode.scene for episode in content.episodes}
-    if scenes and known.isdisjoint(scenes):  # other scenes may be in other files
+    scene_names = {episode.scene for episode in content.episodes}
+    if scenes and scene_names.isdisjoint(scenes):  # other scenes may be in other files
         name = min(scenes)
         fault = f"--scene {name}={scenes[name]} fits no scene of {source}"
-        raise ConfigError(f"{fault}: {suggest(name, sorted(known))}")
+        raise ConfigError(f"{fault}: {suggest(name, sorted(scene_names))}")
     lost = write_episodes(content, output, form, scenes)
     say_unless_quiet(output)
     if lost:
@@ -152,8 +154,8 @@ def score(
         else:
             for group in groups:
                 say(f"{group['group']}: {group['episodes']} episodes")
-                known = [(key, group[key]) for key in scores.MEANS if group[key].known]
-                cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in known]
+                measured = [(key, group[key]) for key in scores.MEANS if group[key].known]
+                cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in measured]
                 print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:
         heads = list(rows[0]) if rows else ["episode"]

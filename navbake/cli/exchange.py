@@ -28,6 +28,7 @@ from navbake.formats.source import write_files
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import Path as Route
+    from navbake.runtime.search import Search
 
 EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
 
@@ -95,7 +96,7 @@ def convert(
         "up": up,
         "cut_corners": cut_corners,
     }
-    given: dict[str, Any] = {
+    given_options: dict[str, Any] = {
         key: value
         for key, value in format_options.items()
         if value not in (None, []) and value is not False
@@ -106,19 +107,21 @@ def convert(
         or names[0].endswith(".csv")
         or any(n.endswith(EPISODE_ONLY_SUFFIXES) for n in names)
     ):
-        options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given))
+        options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
         convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
     reader = _find(source, origin, ("--from", "IN"), writing=False)
     writer = _find(output, to, ("--to", "OUT"), writing=True)
-    read_options = {key: given.pop(key) for key in reader.read_options if key in given}
-    for key in given.keys() - {*writer.write_options}:
+    read_options = {
+        key: given_options.pop(key) for key in reader.read_options if key in given_options
+    }
+    for key in given_options.keys() - {*writer.write_options}:
         takers = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
         takers += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
-    inputs = [source, *(value for value in given.values() if isinstance(value, Path))]
+    inputs = [source, *(value for value in given_options.values() if isinstance(value, Path))]
     options.check_output(output, inputs=inputs)
     of_level = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
     if not source.exists() and of_level.is_file():
@@ -128,9 +131,9 @@ def convert(
     grid = read_as(source, reader.name, **read_options)
     if route:
         inflated = grid if radius is None else grid.inflate(radius)
-        given["route"] = [_plan(inflated, text) for text in route]
+        given_options["route"] = [_plan(inflated, text) for text in route]
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
-    files = encode_as(grid, target, writer.name, **given)
+    files = encode_as(grid, target, writer.name, **given_options)
     if output == STDOUT:
         if len(files) > 1:
             raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
@@ -151,10 +154,10 @@ def _plan(grid: NavGrid, text: str) -> Route:
     if not str(goal).startswith(("room:", "object:")):
         goal = options.position_of_place(grid, options.parse_place(str(goal), "--route"), "--route")
     finder = navbake.PathFinder(grid)
-    found = finder.find_path(origin, goal)
-    if found is None:
+    path = finder.find_path(origin, goal)
+    if path is None:
         raise QueryError(f"no path for --route {text!r}: {finder.why_not(origin, goal)}")
-    return found
+    return path
 
 
 convert.__doc__ = "\n\n".join(
@@ -205,13 +208,12 @@ def inflate(
     """
     from navbake.formats.navgrid import encode_files  # loads numpy
     from navbake.runtime.inflation import NAV2_SCALING, check_arguments
-    from navbake.runtime.passage import find_closed_connections  # loads numpy
     from navbake.runtime.search import Search
 
-    given = [value for value in (metres, radius) if value is not None]
-    if len(given) != 1:
+    radii = [value for value in (metres, radius) if value is not None]
+    if len(radii) != 1:
         raise BadParameter("expected one radius [m]", param_hint="RADIUS")
-    radius = given[0]
+    radius = radii[0]
     options.refuse_unused(
         ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),
         ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
@@ -233,20 +235,24 @@ def inflate(
         for content in (before, after)
     ]
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
-    cuts = (
-        find_closed_connections(one := Search(before), other := Search(after))
-        if mode == "exact"
-        else []
-    )
-    if cuts:
-        closed = one.islands.count
-        were = "was" if one.islands.count == 1 else "were"
-        listed = ", ".join(name for name, _ in cuts)
-        count = f"{other.islands.count} islands where there {were} {closed}"
-        print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
+    if mode == "exact":
+        _warn_of_closed_connections(Search(before), Search(after), radius)
     with options.beside_output(output):
         line = f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share}"
         say_unless_quiet(f"{line} for an agent of radius {max(radius, held):g} m ({mode})")
+
+
+def _warn_of_closed_connections(before: Search, after: Search, radius: float) -> None:
+    """Warn of the doors, links and stairs that an inflation closed."""
+    from navbake.runtime.passage import find_closed_connections  # loads numpy
+
+    closed = find_closed_connections(before, after)
+    if closed:
+        names = ", ".join(name for name, _ in closed)
+        num_before = before.islands.count
+        were = "was" if num_before == 1 else "were"
+        islands = f"{after.islands.count} islands where there {were} {num_before}"
+        print_warnings([f"a radius of {radius:g} m closes {names}: {islands}"])
 
 
 def routes(
@@ -267,10 +273,10 @@ def routes(
     _find(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
     options.check_output(output, inputs=[grid])
     content = navbake.load(grid)
-    own = find_agent(content, agent)
+    route_agent = find_agent(content, agent)
     if radius is not None:
-        own = replace(own or Agent(""), radius=radius)
-    graph = make_routes(content, own)
+        route_agent = replace(route_agent or Agent(""), radius=radius)
+    graph = make_routes(content, route_agent)
     graph = graph if level is None else graph.on_level(level)
     options.write_output(encode_routes(graph, output, to), output)
     if output != STDOUT:
@@ -322,7 +328,7 @@ def map_descriptor(
     shape = None if rows is None or cols is None else (rows, cols)
     if decode is not None:
         part1, part2 = decode
-        known, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA)
+        explored_cells, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA)
     else:
         assert grid is not None
         levels = navbake.load(grid).levels
@@ -332,11 +338,16 @@ def map_descriptor(
         edge = descriptor.SQUARE if square is None else square
         placed = descriptor.place_squares(levels[number], square=edge, corner=corner, shape=shape)
         filled = descriptor.find_obstacles(levels[number], placed)
-        known = np.ones_like(filled) if explored is None else read_npy(explored)
-        part1, part2 = descriptor.encode(known, filled)
-    drawing = descriptor.draw(known, filled)
+        explored_cells = np.ones_like(filled) if explored is None else read_npy(explored)
+        part1, part2 = descriptor.encode(explored_cells, filled)
+    drawing = descriptor.draw(explored_cells, filled)
     if as_json:
-        facts = {"rows": known.shape[0], "cols": known.shape[1], "part1": part1, "part2": part2}
+        facts = {
+            "rows": explored_cells.shape[0],
+            "cols": explored_cells.shape[1],
+            "part1": part1,
+            "part2": part2,
+        }
         print_json({**facts, "map": drawing.split("\n")})
         return
     if decode is None:

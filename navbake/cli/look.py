@@ -57,8 +57,8 @@ def plot(
             raise BadParameter(text, param_hint="--layer")
     options.check_output(output, ".png", ".svg", inputs=[grid])
     content = navbake.load(grid)
-    chosen = tuple(layers or DEFAULT_LAYERS)
-    options.write_picture(content, output, level=level, layers=chosen)
+    layer_names = tuple(layers or DEFAULT_LAYERS)
+    options.write_picture(content, output, level=level, layers=layer_names)
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -93,8 +93,10 @@ def report(
         from navbake.batch.page import NAME, write_page
 
         if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX):
-            named = ", ".join(map(str, grids))
-            raise ConfigError(f"expected grids, or one folder of a batch with {INDEX}, got {named}")
+            listed = ", ".join(map(str, grids))
+            raise ConfigError(
+                f"expected grids, or one folder of a batch with {INDEX}, got {listed}"
+            )
         html = grids[0] / NAME if output is None else output
         if html == STDOUT:
             raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")

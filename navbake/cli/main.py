@@ -118,8 +118,8 @@ class _LogPrinter(logging.Handler):
         print_error(record.getMessage())
 
 
-def _print_version(asked: bool) -> None:
-    if asked:
+def _print_version(is_given: bool) -> None:
+    if is_given:
         print(f"navbake {__version__}")
         raise Exit
 

@@ -61,15 +61,20 @@ def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
         LOG.setLevel(level)
 
 
-def print_json_line(value: Any) -> None:
+def print_json_line(value: object) -> None:
     """Print a value as one line of JSON and flush it."""
     print(json.dumps(value, separators=(",", ":"), allow_nan=False), flush=True)
 
 
-def print_json(value: Any) -> None:
+def print_json(value: object) -> None:
     """Print a value, which may hold arrays, as JSON; refuses NaN and infinity, which JSON lacks."""
-    form: Any = {"indent": 2, "ensure_ascii": False, "allow_nan": False}
-    text = json.dumps(value, **form, default=lambda array: array.tolist())
+    text = json.dumps(
+        value,
+        indent=2,
+        ensure_ascii=False,
+        allow_nan=False,
+        default=lambda array: array.tolist(),
+    )
     # JSON escapes characters below a space, but not all control characters
     print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
@@ -174,11 +179,17 @@ def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., No
     screen = rich_console.Console(stderr=True, markup=False, highlight=False, emoji=False)
     text = rich_progress.TextColumn(f"{printable(title)} {{task.description}}", markup=False)
     note_column = rich_progress.TextColumn("{task.fields[note]}", markup=False)
-    columns = text, rich_progress.BarColumn(), note_column, rich_progress.TimeElapsedColumn()
-    # stdout may be a pipe
-    options = {"console": screen, "transient": True, "redirect_stdout": False}
     tasks: dict[str, Any] = {}
-    with rich_progress.Progress(*columns, rich_progress.TimeRemainingColumn(), **options) as bars:
+    with rich_progress.Progress(
+        text,
+        rich_progress.BarColumn(),
+        note_column,
+        rich_progress.TimeElapsedColumn(),
+        rich_progress.TimeRemainingColumn(),
+        console=screen,
+        transient=True,
+        redirect_stdout=False,  # stdout may be a pipe
+    ) as bars:
 
         def show(name: str, share: float, note: str = "") -> None:
             if name not in tasks:
