@@ -336,7 +336,7 @@ def _bake_one(
             threads=threads,
             progress=progress,
             limits=None if limits is None else CompileLimits(**limits),
-            tell=print_hint,
+            warn_early=print_hint,
         )
     if not with_timings:
         result.grid.timings = {}

@@ -167,9 +167,9 @@ def view(
         config = load_config(source, overrides or [])
         with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
             opened = load_scene_file(config.scene)
-            grid = run_bake(config, progress=progress, opened=opened).grid
+            grid = run_bake(config, progress=progress, scene_model=opened).grid
         print_warnings(list(grid.warnings))
-        baked = load_scene(config, opened=opened)
+        baked = load_scene(config, scene_model=opened)
         return ViewState(grid, baked, config)
 
     is_grid = source.name.lower().endswith(GRIDS)

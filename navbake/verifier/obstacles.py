@@ -109,7 +109,7 @@ class Obstacles:
             if geom in scene.exact_meshes:  # in the world's frame
                 mat = np.eye(3)
                 pos = np.zeros(3)
-            for piece in self._pieces_of(geom, choice.mesh):
+            for piece in self._pieces_of(geom, choice.mesh_mode):
                 self._put(geom, piece, mat, pos)
         self.names = [report.name for report in scene.geoms]
         boxes = np.array([(item.low, item.high) for item in self.items]).reshape(-1, 2, 3)

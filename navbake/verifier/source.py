@@ -81,7 +81,7 @@ def find_source(
         opened = load_from_memory(given, data, config.scene) if in_memory else None
     else:
         config = as_config(given)
-    scene = load_scene(config, opened=opened)
+    scene = load_scene(config, scene_model=opened)
     notes = []
     digest = grid.navbake.get("sceneDigest")
     version = grid.navbake.get("mujoco", "another version")

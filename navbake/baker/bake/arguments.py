@@ -1,16 +1,17 @@
-"""The arguments of `navbake.bake`: a scene, its pose, settings, and bodies that are left out."""
+"""The arguments of `navbake.bake`: a scene, its pose, settings, and bodies to leave out."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, SupportsIndex, TypeAlias, TypeGuard
 
 import numpy as np
 from pydantic import ValidationError
 
 from navbake.baker.scene.model import (
     CompileLimits,
+    SceneInput,
     SceneModel,
     is_in_memory,
     load_from_memory,
@@ -24,27 +25,48 @@ from navbake.config.settings import BakeConfig, ExcludeSettings
 from navbake.errors import ConfigError
 from navbake.known_names import suggest
 
+if TYPE_CHECKING:
+    import mujoco
+
 WILDCARDS = re.compile(r"([*?[])")
+
+# A body or a geom: its name, its id, or MuJoCo's view of it, as ``model.body("table")``
+Reference: TypeAlias = "str | SupportsIndex | object"
+References: TypeAlias = "Reference | Sequence[Reference]"
 
 
 def parse_arguments(
-    scene: Any,
-    data: Any,
-    settings: Mapping[str, Any],
-    exclude: Mapping[str, Any] | None = None,
-    robot: Any = None,
+    scene: SceneInput,
+    data: mujoco.MjData | None,
+    settings: Mapping[str, object],
+    exclude: Mapping[str, object] | None = None,
+    robot: References | None = None,
     limits: CompileLimits | None = None,
 ) -> tuple[BakeConfig, SceneModel | None]:
-    """Check the arguments of `navbake.bake`; `limits` are for MuJoCo to compile a file.
+    """Check the arguments of `navbake.bake`, and return all settings.
 
-    Returns all settings; and the scene's model, None where the bake loads the settings' file.
+    Args:
+        scene: a path, settings, or a scene in memory.
+        data: the pose of a model in memory; None for the settings' pose.
+        settings: sections of settings by name.
+        exclude: bodies and geoms to leave out, as ``{"bodies": […], "geoms": […]}``.
+        robot: the body of the robot, or several bodies, to leave out.
+        limits: limits for MuJoCo's compiler, for scene files.
+
+    Returns:
+        The settings, and the compiled model of the scene; None where the bake has to load the file
+        that the settings name.
+
+    Raises:
+        ConfigError: an argument is wrong, or names a body or geom that the scene does not have.
+        SceneError: the scene cannot be read.
     """
-    opened: SceneModel | None = None
+    scene_model: SceneModel | None = None
     if is_in_memory(scene):
         if limits is not None:
             raise ConfigError("`isolate` is for scene files: this scene is in memory")
         config = memory_config(name_of(scene), settings)
-        opened = load_from_memory(scene, data, config.scene)
+        scene_model = load_from_memory(scene, data, config.scene)
     else:
         if data is not None:
             raise ConfigError(
@@ -58,49 +80,90 @@ def parse_arguments(
             )
         config = config_with(scene, settings)
     if exclude is None and robot is None:
-        return config, opened
-    # whether there are such bodies is seen in the model, which the bake then has no need to load
-    opened = opened or load_scene_file(config.scene, limits)
-    names = all_names(opened.model)
-    own = config.scene.exclude
-    given = {} if exclude is None else exclude
-    if not isinstance(given, Mapping):
+        return config, scene_model
+    # The model says which bodies there are. The bake needs it as well, and does not load it again.
+    if scene_model is None:
+        scene_model = load_scene_file(config.scene, limits)
+    excluded = _exclude_settings(scene_model.model, config.scene.exclude, exclude, robot)
+    scene_settings = config.scene.model_copy(update={"exclude": excluded})
+    return config.model_copy(update={"scene": scene_settings}), scene_model
+
+
+def _exclude_settings(
+    model: mujoco.MjModel,
+    settings: ExcludeSettings,
+    exclude: Mapping[str, object] | None,
+    robot: References | None,
+) -> ExcludeSettings:
+    """Add the bodies and geoms of the arguments `exclude` and `robot` to the settings'."""
+    if exclude is None:
+        exclude = {}
+    if not isinstance(exclude, Mapping):
         wanted = "`exclude` as {'bodies': […], 'geoms': […]}"
-        raise ConfigError(f"expected {wanted}, got {type(given).__name__}")
-    geoms = [geom.geom for geom in names.geoms]
-    bodies = _patterns_of(given.get("bodies", []), names.bodies, "body", "exclude")
-    bodies += _patterns_of([] if robot is None else robot, names.bodies, "body", "robot")
-    patterns = {
-        "bodies": [*own.bodies, *bodies],
-        "geoms": [*own.geoms, *_patterns_of(given.get("geoms", []), geoms, "geom", "exclude")],
+        raise ConfigError(f"expected {wanted}, got {type(exclude).__name__}")
+    names = all_names(model)
+    geom_names = [geom.geom for geom in names.geoms]
+    body_patterns = [
+        *settings.bodies,
+        *_find_patterns(exclude.get("bodies", []), names.bodies, "body", "exclude"),
+        *_find_patterns([] if robot is None else robot, names.bodies, "body", "robot"),
+    ]
+    geom_patterns = [
+        *settings.geoms,
+        *_find_patterns(exclude.get("geoms", []), geom_names, "geom", "exclude"),
+    ]
+    merged = {
+        "movable": settings.movable,
+        **exclude,
+        "bodies": body_patterns,
+        "geoms": geom_patterns,
     }
     try:
-        excluded = ExcludeSettings.model_validate({"movable": own.movable, **given, **patterns})
+        return ExcludeSettings.model_validate(merged)
     except ValidationError as error:
         raise make_config_error(error, {"": ExcludeSettings}, "`exclude`") from error
-    changed = config.scene.model_copy(update={"exclude": excluded})
-    return config.model_copy(update={"scene": changed}), opened
 
 
-def _patterns_of(given: Any, names: Sequence[str], kind: str, keyword: str) -> list[str]:
-    """Patterns of one or several bodies or geoms, given by name, id or pattern."""
-    first = 1 if kind == "body" else 0  # the world, body 0, is no body of the scene
+def _find_patterns(
+    references: References, names: Sequence[str], kind: str, keyword: str
+) -> list[str]:
+    """Return name patterns of bodies or geoms, given by name, id or pattern, or as MuJoCo's view.
+
+    Args:
+        references: one or several of them.
+        names: the names of all bodies or geoms, by id.
+        kind: ``body`` or ``geom``.
+        keyword: the argument of `navbake.bake`, for errors.
+    """
+    first_id = 1 if kind == "body" else 0  # the world, body 0, is no body of the scene
     patterns = list[str]()
-    is_one = isinstance(given, str) or not isinstance(given, Sequence | np.ndarray)
-    for one in [given] if is_one else given:
-        # what MuJoCo's models and specs have for a body or a geom
-        name = one if isinstance(one, str) else getattr(one, "name", "") or getattr(one, "id", one)
-        if not isinstance(name, str):
-            index = name.__index__() if hasattr(name, "__index__") else -1
-            if isinstance(name, bool) or not first <= index < len(names):
-                wanted = f"the name or id of a {kind} in `{keyword}`, {first} to {len(names) - 1}"
-                raise ConfigError(f"expected {wanted}, got {one!r}")
+    for reference in references if _are_several(references) else [references]:
+        name_or_id = _name_or_id(reference)
+        if isinstance(name_or_id, str):
+            name = name_or_id
+            if name not in names[first_id:]:
+                if keyword == "robot" or not WILDCARDS.search(name):
+                    near = suggest(name, names[first_id:])
+                    raise ConfigError(f"no {kind} {name!r} for `{keyword}`: {near}")
+                patterns.append(name)
+                continue
+        else:
+            index = name_or_id.__index__() if isinstance(name_or_id, SupportsIndex) else -1
+            if isinstance(name_or_id, bool) or not first_id <= index < len(names):
+                wanted = f"the name or id of a {kind} in `{keyword}`"
+                expected = f"{wanted}, {first_id} to {len(names) - 1}"
+                raise ConfigError(f"expected {expected}, got {reference!r}")
             name = names[index]
-        elif name not in names[first:]:
-            if keyword == "robot" or not WILDCARDS.search(name):
-                near = suggest(name, names[first:])
-                raise ConfigError(f"no {kind} {name!r} for `{keyword}`: {near}")
-            patterns.append(name)
-            continue
         patterns.append(WILDCARDS.sub(r"[\1]", name))
     return patterns
+
+
+def _are_several(references: References) -> TypeGuard[Sequence[Reference]]:
+    return isinstance(references, Sequence | np.ndarray) and not isinstance(references, str)
+
+
+def _name_or_id(reference: Reference) -> object:
+    """The name of a body or geom, or its id: MuJoCo's views and specs have one of the two."""
+    if isinstance(reference, str):
+        return reference
+    return getattr(reference, "name", "") or getattr(reference, "id", reference)

@@ -1,4 +1,4 @@
-"""What a bake finds: what follows from what stands, and what follows from the pose, too."""
+"""The values that a bake computes from structure, and those that also depend on the pose."""
 
 from __future__ import annotations
 
@@ -25,19 +25,24 @@ from navbake.types import Bool, Json
 
 
 class FloorLattice(NamedTuple):
-    """The lattice on which floors are judged, and the window of it that is baked."""
+    """The lattice on which floors are found, and the part of it that is baked.
+
+    Attributes:
+        lattice: the lattice of the whole scene, or of as much as `grid.max_cells` allows.
+        window: the rows and columns of it that are baked.
+    """
 
     lattice: Lattice
     window: Window
 
 
 class StructureLayers(NamedTuple):
-    """Layers of a level as they are written, of its own rectangle.
+    """The layers of a level that structure makes, on the level's own rectangle.
 
     Attributes:
-        floor: the floor [m], float32.
+        floor: the height of the floor, NaN for none [m], float32.
         room_index: the room of each cell, uint16.
-        unseen: the cells that no surface was seen in, uint8; None where none is told apart.
+        unseen: 1 where a hole of a mesh was closed, uint8; None where holes are not closed.
     """
 
     floor: NDArray[np.float32]
@@ -47,19 +52,19 @@ class StructureLayers(NamedTuple):
 
 @dataclass(frozen=True)
 class BakedStructure:
-    """What follows from what stands, and from closed leaves: nothing that moves changes it.
+    """What a bake computes from structure and closed leaves; no movement changes it.
 
     Attributes:
-        lattice: the cells.
-        floors: the storeys.
-        layers: the layers of each level that nothing which moves changes.
-        occupants: what stands in the cells; None where neither names nor rooms need it.
+        lattice: the cells that are baked.
+        floors: the levels with their floors.
+        layers: the layers of each level that structure makes.
+        occupants: the structure in each cell; None where neither names nor rooms need it.
         rooms: the room of each cell.
         boxes: the rectangle and the box of each level.
-        link_geometry: what an agent on a link may collide with; None where there are none.
-        settings_metadata: the settings and their digest, as a file states them.
-        steps: the steps of the floors, with cells counted on each level's own rectangle.
-        warnings: what the user should know of it, one line each.
+        link_geometry: the structure that an agent on a link may collide with; None without links.
+        settings_metadata: the settings and their digest, as written to a file.
+        steps: the steps between levels, with cells counted on each level's own rectangle.
+        warnings: of structure, one line each.
     """
 
     lattice: Lattice
@@ -78,9 +83,9 @@ class GridDoor(NamedTuple):
     """A door as the grid has it.
 
     Attributes:
-        door: with its cells that nothing else occupies.
-        entry: the door as the file states it.
-        is_stuck: whether its open state blocks most of what its closed one does.
+        door: the door, with the cells that nothing else occupies.
+        entry: the door as written to a file.
+        is_stuck: whether its open state blocks most of the cells that its closed one blocks.
     """
 
     door: Door
@@ -90,17 +95,17 @@ class GridDoor(NamedTuple):
 
 @dataclass(frozen=True)
 class BakedPose:
-    """What depends on the pose of a scene: what can move, doors, areas, links.
+    """What a bake computes from the pose of a scene: movables, doors, areas and links.
 
     Attributes:
         scene: the scene in its pose.
-        doors: what each leaf is, and what it blocks in each state.
-        in_the_way: by geom id, whether it is only ever in the way, see `mark_in_the_way`.
-        occupants: what can move, and leaves that are no doors; and all cells that are occupied,
-            but by doors.
-        lost_floors: by body id, how much floor there would be on what can move [m²].
+        doors: all leaves: whether each is a door, and the cells it blocks in each state.
+        in_the_way: by geom id, whether the geom only blocks cells, see `mark_in_the_way`.
+        occupants: movables, and leaves that are no doors, in each cell; and all cells that
+            anything but doors occupies.
+        lost_floors: by body id of movables, the area of floor that they would carry [m²].
         grid_doors: the doors as the grid has them.
-        room_table: the table of rooms as a file states it, with the doors between them.
+        room_table: the table of rooms as written to a file, with the doors between them.
         areas: the areas of the settings, painted on the levels.
         links: the named links.
     """
@@ -116,6 +121,6 @@ class BakedPose:
     links: BakedLinks
 
     @property
-    def placed_doors(self) -> list[ClassifiedLeaf]:
+    def door_leaves(self) -> list[ClassifiedLeaf]:
         """The leaves that are doors."""
         return select_doors(self.doors)

@@ -1,12 +1,12 @@
 """The box of each level (`bbox`), so that the original client finds each cell's own level.
 
-The client takes the first level whose box holds a position, edges included, or fails. So a box
+The client takes the first level whose box contains a position, edges included, or fails. So a box
 begins below the lowest floor of its level, and ends below the next box above its cells. Where
-levels interleave (a stair of one rises past the lowest tread of the next), a box ends where the
-fewest free cells are lost.
+levels interleave (a stair of one level rises past the lowest tread of the next), a box ends where
+the client misplaces the fewest free cells.
 
-Source: sstk's `NavScene.js`, `positionToCell`. Its grid also takes the cells one column and one
-row beyond the last for its own.
+Source: sstk's `NavScene.js`, `positionToCell`. A level's grid there includes one more column and
+one more row, beyond its last ones.
 """
 
 from __future__ import annotations
@@ -27,18 +27,25 @@ Box = tuple[Vector3, Vector3]
 # A box begins this far below its lowest floor, beyond the rounding of float32 and of units [m]
 MARGIN = 0.001
 GAP = 1e-6  # between a box and the one above it [m]
-GAP_DIGITS = 6  # decimals of heights that are multiples of the two
-DIGITS = 9  # decimals of other lengths: what is smaller is rounding
+GAP_DIGITS = 6  # decimals of heights that are multiples of `MARGIN` and `GAP`
+DIGITS = 9  # decimals of all other lengths: what is smaller is rounding
 
 
 class LevelBoxes(NamedTuple):
-    """Where the levels lie, lowest first, and what their boxes cost."""
+    """The rectangle and the box of each level, lowest level first.
 
-    windows: list[Window]  # rows and columns of the lattice that each level's grid has
-    boxes: list[Box]  # of each level
-    # how many free cells, doors being open, the original client puts on another level, or on none
-    lost: int
-    lost_on: list[int]  # the levels whose cells these are, ascending
+    Attributes:
+        windows: the rectangle of each level: rows and columns of the lattice.
+        boxes: the box of each level, file frame.
+        num_misplaced: the free cells, doors being open, that the original client puts on another
+            level or on none.
+        misplaced_levels: the levels that these cells are on, ascending.
+    """
+
+    windows: list[Window]
+    boxes: list[Box]
+    num_misplaced: int
+    misplaced_levels: list[int]
 
 
 def find_level_boxes(
@@ -48,128 +55,158 @@ def find_level_boxes(
     scene_box: Float | None,
     agent_height: float,
 ) -> LevelBoxes:
-    """Cut each level's rectangle from the lattice, and find its box.
+    """Crop each level to its own rectangle of the lattice, and find its box.
 
-    A single level keeps the whole lattice. Its box is the scene's, made larger where a floor lies
-    outside. Of several, each is cut to the cells that have a floor; its box spans the rectangle, up
-    to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below the next box above it,
-    or to the scene's top. Doors change neither.
+    A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
+    outside. Several levels are each cropped to the cells that have a floor. A level's box spans its
+    rectangle, up to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below the next
+    box above it, or to the scene's top. An agent on the highest floor is inside of the highest
+    level's box. Doors change neither rectangles nor boxes.
 
-    `levels` are the lowest first, `occupied` their cells that what stands occupies, `scene_box`
-    is that of all finite geoms that stand, (2, 3) [m]. An agent on the highest floor is in the
-    highest level's box.
+    Args:
+        levels: lowest first.
+        occupied: the cells of each level that structure occupies, (height, width).
+        lattice: the cells of all levels.
+        scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
+        agent_height: height of the agent [m].
+
+    Returns:
+        The rectangles, the boxes, and the cells that the original client misplaces.
     """
-    written = [level.floor.astype(np.float32) for level in levels]
-    lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in written]
-    peaks = [float(np.fmax.reduce(floor, axis=None)) for floor in written]
-    highest = max(peaks)
-    windows = [bounding_window(~np.isnan(floor)) for floor in written]
+    floors = [level.floor.astype(np.float32) for level in levels]  # as written to a file
+    lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in floors]
+    highest = [float(np.fmax.reduce(floor, axis=None)) for floor in floors]
+    windows = [bounding_window(~np.isnan(floor)) for floor in floors]
     sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
     if len(levels) == 1:
-        whole = (slice(0, lattice.height), slice(0, lattice.width))
-        box = _scene_box(sides[0], lowest[0], highest, scene_box, agent_height)
-        return LevelBoxes([whole], [box], 0, [])
+        full_window = (slice(0, lattice.height), slice(0, lattice.width))
+        box = _single_level_box(sides[0], lowest[0], highest[0], scene_box, agent_height)
+        return LevelBoxes([full_window], [box], 0, [])
     bottoms = [round(z - MARGIN, GAP_DIGITS) for z in lowest]
     bottoms[0] = min(bottoms[0], round(levels[0].ground - MARGIN, GAP_DIGITS))
-    top = highest + agent_height
+    top = max(highest) + agent_height
     if scene_box is not None:
         top = max(top, float(scene_box[1, 2]))
-    heights = [np.empty((0, 0)) for _ in levels]  # they matter where one reaches up to a box above
-    if any(z > min(bottoms[k:], default=np.inf) - 2 * GAP for k, z in enumerate(peaks, 1)):
-        heights = [floor.astype(np.float64) for floor in written]
-        for floor, taken in zip(heights, occupied, strict=True):
-            floor[taken] = np.nan
-    tops, lost = _find_tops(heights, windows, bottoms, round(top, DIGITS))
-    boxes = [_to_file(*box) for box in zip(sides, bottoms, tops, strict=True)]
-    return LevelBoxes(windows, boxes, int(lost.sum()), np.flatnonzero(lost).tolist())
+    # The floors of single cells matter only where a level reaches up to a box above it.
+    free_floors = [np.empty((0, 0)) for _ in levels]
+    if any(z > min(bottoms[k:], default=np.inf) - 2 * GAP for k, z in enumerate(highest, 1)):
+        free_floors = [floor.astype(np.float64) for floor in floors]
+        for floor, is_occupied in zip(free_floors, occupied, strict=True):
+            floor[is_occupied] = np.nan
+    tops, num_misplaced = _find_tops(free_floors, windows, bottoms, round(top, DIGITS))
+    boxes = [_to_file_frame(*box) for box in zip(sides, bottoms, tops, strict=True)]
+    return LevelBoxes(
+        windows=windows,
+        boxes=boxes,
+        num_misplaced=int(num_misplaced.sum()),
+        misplaced_levels=np.flatnonzero(num_misplaced).tolist(),
+    )
 
 
 def rounded_ground(level: LevelFloor) -> float:
-    """A level's ground height without what rounding added to it [m]."""
-    return round(level.ground, DIGITS) + 0.0  # + 0.0: without a minus before 0
+    """Return a level's ground height, rounded to a nanometre [m]."""
+    return round(level.ground, DIGITS) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
 def _find_tops(
-    heights: list[Float], windows: list[Window], bottoms: list[float], highest: float
+    free_floors: list[Float], windows: list[Window], bottoms: list[float], highest: float
 ) -> tuple[list[float], Int]:
-    """The top of each level's box, and how many free cells of each level boxes lose.
+    """Find the top of each level's box, the lowest level first, as the client searches.
 
-    The lowest level is decided first, as by the client. `heights` are floors of free cells, as
-    written, NaN elsewhere [m]; cells that are lost become NaN.
+    Args:
+        free_floors: the floor of each level's free cells as written, NaN elsewhere [m]. Cells that
+            the client misplaces become NaN.
+        windows: the rectangle of each level.
+        bottoms: the bottom of each level's box [m].
+        highest: the top of the highest box [m].
+
+    Returns:
+        The tops [m], and how many free cells of each level the client misplaces.
     """
     tops = []
-    lost = np.zeros(len(heights), dtype=np.int64)
-    for k, (own, window, bottom) in enumerate(zip(heights, windows, bottoms, strict=True)):
-        above = range(k + 1, len(heights))
-        inside = [heights[j][window] for j in above]
-        others = np.concatenate([np.empty(0), *(z[z >= bottom] for z in inside)])
-        last = _last_floor(own[~np.isnan(own)], others)
-        # the box ends below what it doesn't hold: boxes, or floors of levels that interleave; cells
-        # beside each other count, too: see the file's source
-        limits = [bottoms[j] for j in above if bottoms[j] > last and _meet(window, windows[j])]
-        limit = min([*limits, float(others[others > last].min(initial=np.inf)) - MARGIN])
-        # a hair below, which stays below however large the two are
+    num_misplaced = np.zeros(len(free_floors), dtype=np.int64)
+    for k, (floor, window, bottom) in enumerate(zip(free_floors, windows, bottoms, strict=True)):
+        levels_above = range(k + 1, len(free_floors))
+        floors_above = [free_floors[j][window] for j in levels_above]
+        heights_above = np.concatenate([np.empty(0), *(z[z >= bottom] for z in floors_above)])
+        last = _last_floor(floor[~np.isnan(floor)], heights_above)
+        # The box ends below the boxes, and the floors of levels that interleave, that it must not
+        # contain. Cells beside each other count as well: see the source at the top of this file.
+        limits = [
+            bottoms[j]
+            for j in levels_above
+            if bottoms[j] > last and _are_adjacent(window, windows[j])
+        ]
+        next_floor = float(heights_above[heights_above > last].min(initial=np.inf))
+        limit = min([*limits, next_floor - MARGIN])
+        # The next float below, so that the top stays below the limit however large both are.
         below = min(round(limit - GAP, GAP_DIGITS), np.nextafter(limit, -np.inf))
         tops.append(max(highest if limit > highest else float(below), last, bottom))
-        for j, z in zip([k, *above], [own, *inside], strict=True):
-            is_lost = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
-            lost[j] += np.count_nonzero(is_lost)
-            z[is_lost] = np.nan
-    return tops, lost
+        for j, z in zip([k, *levels_above], [floor, *floors_above], strict=True):
+            is_misplaced = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
+            num_misplaced[j] += np.count_nonzero(is_misplaced)
+            z[is_misplaced] = np.nan
+    return tops, num_misplaced
 
 
-def _meet(one: Window, other: Window) -> bool:
+def _are_adjacent(first: Window, second: Window) -> bool:
     """Whether two windows have cells in common, or beside each other."""
-    pairs = zip(one, other, strict=True)
-    return all(a.start <= b.stop and b.start <= a.stop for a, b in pairs)
+    ranges = zip(first, second, strict=True)
+    return all(a.start <= b.stop and b.start <= a.stop for a, b in ranges)
 
 
-def _last_floor(own: Float, others: Float) -> float:
-    """The highest floor of a box with the most own floors less those of others; -inf for none."""
-    # of its own floors below all others, the highest stands for all
-    is_low = own < others.min(initial=np.inf)
-    highest = own.max(initial=-np.inf)
-    heights, counts = np.unique(own[~is_low], return_counts=True)
-    heights = np.append(own[is_low].max(initial=-np.inf), heights)
-    num_own = np.append(np.count_nonzero(is_low), counts).cumsum()
-    others = np.sort(others[others <= highest])
-    gain = np.append(0, num_own - np.searchsorted(others, heights, side="right"))
-    best = len(gain) - 1 - int(np.argmax(gain[::-1]))
+def _last_floor(floors: Float, heights_above: Float) -> float:
+    """The highest floor that a level's box should contain; -inf for none.
+
+    It is the height up to which the box contains most of the level's floors less those of higher
+    levels.
+    """
+    # Of the floors below all of the higher levels', only the highest can be the best.
+    is_low = floors < heights_above.min(initial=np.inf)
+    highest = floors.max(initial=-np.inf)
+    heights, counts = np.unique(floors[~is_low], return_counts=True)
+    heights = np.append(floors[is_low].max(initial=-np.inf), heights)
+    num_contained = np.append(np.count_nonzero(is_low), counts).cumsum()
+    heights_above = np.sort(heights_above[heights_above <= highest])
+    num_misplaced = np.searchsorted(heights_above, heights, side="right")
+    gain = np.append(0, num_contained - num_misplaced)
+    best = len(gain) - 1 - int(np.argmax(gain[::-1]))  # the highest of equally good ones
     return float(np.append(-np.inf, heights)[best])
 
 
-def _level_sides(part: Lattice, scene_box: Float | None) -> Float:
-    """x_min, y_min, x_max, y_max of a level, cut by half a cell at most to the scene's sides."""
-    x0, y0, x1, y1 = part.bounds
-    sides = np.round([x0, y0, x1, y1], DIGITS) + 0.0
+def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
+    """x_min, y_min, x_max, y_max of a level; the scene's side where it crosses the outer cells."""
+    x_min, y_min, x_max, y_max = lattice.bounds
+    sides = np.round([x_min, y_min, x_max, y_max], DIGITS) + 0.0
     if scene_box is None:
         return sides
-    half = part.cell_size / 2
-    scene = np.round(scene_box[:, :2].ravel(), DIGITS) + 0.0
-    # the scene's side lies between the rectangle's and the outermost centres
-    inner = np.array([x0 + half, y0 + half, x1 - half, y1 - half])
-    between = (np.minimum(sides, inner) <= scene) & (scene <= np.maximum(sides, inner))
-    return np.where(between, scene, sides)
+    half = lattice.cell_size / 2
+    scene_sides = np.round(scene_box[:, :2].ravel(), DIGITS) + 0.0
+    # Only a side between the rectangle's and the outermost centres is taken from the scene.
+    centers = np.array([x_min + half, y_min + half, x_max - half, y_max - half])
+    is_between = np.minimum(sides, centers) <= scene_sides
+    is_between &= scene_sides <= np.maximum(sides, centers)
+    return np.where(is_between, scene_sides, sides)
 
 
-def _scene_box(
+def _single_level_box(
     sides: Float, lowest: float, highest: float, scene_box: Float | None, agent_height: float
 ) -> Box:
-    """The box of the only level: the scene's, and what of the grid lies outside of it."""
+    """The box of the only level: the scene's, enlarged by the grid's parts outside of it."""
     if scene_box is None:
         bottom = round(lowest - MARGIN, DIGITS)
         top = round(highest + agent_height, DIGITS)
-        return _to_file(sides, bottom, top)
-    scene = np.round(scene_box, DIGITS) + 0.0
-    sides[:2] = np.minimum(sides[:2], scene[0, :2])
-    sides[2:] = np.maximum(sides[2:], scene[1, :2])
-    bottom = float(scene[0, 2])
-    top = float(scene[1, 2])
+        return _to_file_frame(sides, bottom, top)
+    corners = np.round(scene_box, DIGITS) + 0.0
+    sides[:2] = np.minimum(sides[:2], corners[0, :2])
+    sides[2:] = np.maximum(sides[2:], corners[1, :2])
+    bottom = float(corners[0, 2])
+    top = float(corners[1, 2])
     if bottom > lowest:
         bottom = round(lowest - MARGIN, GAP_DIGITS)
-    return _to_file(sides, bottom, max(top, highest))
+    return _to_file_frame(sides, bottom, max(top, highest))
 
 
-def _to_file(sides: Float, bottom: float, top: float) -> Box:
-    x0, y0, x1, y1 = sides.tolist()
-    return (x0, bottom + 0.0, 0.0 - y1), (x1, top + 0.0, 0.0 - y0)
+def _to_file_frame(sides: Float, bottom: float, top: float) -> Box:
+    x_min, y_min, x_max, y_max = sides.tolist()
+    return (x_min, bottom + 0.0, 0.0 - y_max), (x_max, top + 0.0, 0.0 - y_min)

@@ -12,75 +12,111 @@ from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.types import Float
 
-BOX_ROUNDING = 1e-6  # of a box's farthest coordinate; float32 has 6e-8, and is computed with
+# By which share of a box's farthest coordinate its sides may be rounded. Coordinates in float32
+# are rounded by 6e-8 of themselves, and are computed with.
+BOX_ROUNDING = 1e-6
 
 
 def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
-    """Lay one lattice over the scene, or over the bounds of the settings.
+    """Fit a lattice to the scene, or to the bounds of the settings.
 
-    A scene's extents are reduced by `BOX_ROUNDING`, so that meshes in float32, in inches or 10 km
-    away, get as many cells as exact numbers would.
+    The scene's box is reduced by `BOX_ROUNDING`, so that a mesh in float32, in inches or 10 km
+    away, gets as many cells as exact coordinates would give it.
+
+    Args:
+        scene: the posed scene.
+        config: all settings; `grid` has the cell size, the bounds and the limit of cells.
+
+    Returns:
+        The lattice that is baked.
+
+    Raises:
+        ConfigError: the lattice would have too many cells, or the scene has no end.
+        SceneError: the scene's box is not finite.
     """
     settings = config.grid
-    # where what stands is endless, what can move is the box
-    box = scene.shapes.bounds if scene.bounds is None else scene.bounds
+    # Where structure is endless, movables give the box.
+    scene_box = scene.shapes.bounds if scene.bounds is None else scene.bounds
     if settings.bounds is not None:
         bounds = tuple(settings.bounds)
-    elif box is not None:
-        bounds = (*box[0, :2].tolist(), *box[1, :2].tolist())
+    elif scene_box is not None:
+        bounds = (*scene_box[0, :2].tolist(), *scene_box[1, :2].tolist())
     else:
         endless = f"only infinite planes count in {config.scene.path}, so the grid has no end"
         raise ConfigError(f"{endless}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")
     if not np.isfinite(bounds).all():
         raise SceneError(f"the scene {config.scene.path} has geoms whose pose is not finite")
-    sides = [bounds[2] - bounds[0], bounds[3] - bounds[1]]
-    # a float, because an integer could be too large to convert
-    cells = math.prod(max(1.0, (s + 2 * settings.margin) / settings.cell_size) for s in sides)
-    if cells > settings.max_cells:
+    width = bounds[2] - bounds[0]
+    depth = bounds[3] - bounds[1]
+    # A float, as an integer could be too large to convert.
+    num_cells = math.prod(
+        max(1.0, (side + 2 * settings.margin) / settings.cell_size) for side in (width, depth)
+    )
+    if num_cells > settings.max_cells:
         raise ConfigError(
-            f"a grid of {cells:.3g} cells is more than `grid.max_cells` = {settings.max_cells}: "
-            f"{sides[0]:.6g} x {sides[1]:.6g} m at `grid.cell_size` = {settings.cell_size:g} m; "
-            f"check the scene's unit (`scene.unit`), the cell size, or raise the limit"
+            f"a grid of {num_cells:.3g} cells is more than `grid.max_cells` = "
+            f"{settings.max_cells}: {width:.6g} x {depth:.6g} m at `grid.cell_size` = "
+            f"{settings.cell_size:g} m; check the scene's unit (`scene.unit`), the cell size, or "
+            f"raise the limit"
         )
     rounding = 0.0 if settings.bounds is not None else BOX_ROUNDING * float(np.abs(bounds).max())
-    bounds = tuple(float(b) for b in bounds)
+    bounds = tuple(float(side) for side in bounds)
     return Lattice.cover(bounds, settings.cell_size, settings.margin, rounding)
 
 
 def extend_lattice(
     lattice: Lattice, bounds: Float | None, max_cells: int
 ) -> tuple[Lattice, Window]:
-    """Extend a lattice to the whole scene; returns it, and the given one as its window.
+    """Extend a lattice to the whole scene, by whole cells.
 
-    It is extended by whole cells up to the scene's `bounds`, (2, 3) [m], but not if these are None,
-    for an endless scene. With too many cells it is extended to all sides as far as possible.
+    Where that would be too many cells, it is extended equally to all sides, as far as `max_cells`
+    allow.
+
+    Args:
+        lattice: the lattice to extend.
+        bounds: the scene's box, shape (2, 3) [m]; None for an endless scene, for which the lattice
+            stays as it is.
+        max_cells: the most cells that the extended lattice may have.
+
+    Returns:
+        The extended lattice, and the window of it that is `lattice`.
     """
     if bounds is None:
         return lattice, (slice(0, lattice.height), slice(0, lattice.width))
-    x0, y0, x1, y1 = lattice.bounds
-    (west, south), (east, north) = bounds[:, :2].tolist()
+    x_min, y_min, x_max, y_max = lattice.bounds
+    scene_x_min, scene_y_min = bounds[0, :2].tolist()
+    scene_x_max, scene_y_max = bounds[1, :2].tolist()
     rounding = BOX_ROUNDING * float(np.abs(bounds[:, :2]).max())
-    west = max(0, math.ceil((x0 - west - rounding) / lattice.cell_size - CELL_SLACK))
-    east = max(0, math.ceil((east - x1 - rounding) / lattice.cell_size - CELL_SLACK))
-    south = max(0, math.ceil((y0 - south - rounding) / lattice.cell_size - CELL_SLACK))
-    north = max(0, math.ceil((north - y1 - rounding) / lattice.cell_size - CELL_SLACK))
 
-    def extend(reach: int) -> Lattice:
-        left = min(west, reach)
-        above = min(north, reach)
+    def count_cells(length: float) -> int:
+        return max(0, math.ceil((length - rounding) / lattice.cell_size - CELL_SLACK))
+
+    num_west = count_cells(x_min - scene_x_min)
+    num_east = count_cells(scene_x_max - x_max)
+    num_south = count_cells(y_min - scene_y_min)
+    num_north = count_cells(scene_y_max - y_max)
+
+    def extend(max_extension: int) -> Lattice:
+        west = min(num_west, max_extension)
+        north = min(num_north, max_extension)
         return lattice._replace(
-            x_min=lattice.x_min - left * lattice.cell_size,
-            y_max=lattice.y_max + above * lattice.cell_size,
-            width=lattice.width + left + min(east, reach),
-            height=lattice.height + above + min(south, reach),
+            x_min=lattice.x_min - west * lattice.cell_size,
+            y_max=lattice.y_max + north * lattice.cell_size,
+            width=lattice.width + west + min(num_east, max_extension),
+            height=lattice.height + north + min(num_south, max_extension),
         )
 
-    def is_too_large(reach: int) -> bool:
-        width, height = extend(reach)[3:]
-        return width * height > max_cells
+    def is_too_large(max_extension: int) -> bool:
+        extended = extend(max_extension)
+        return extended.width * extended.height > max_cells
 
-    reaches = range(1, max(west, east, south, north) + 1)
-    reach = bisect_left(reaches, True, key=is_too_large)  # the farthest that is not too large
-    row = min(north, reach)
-    col = min(west, reach)
-    return extend(reach), (slice(row, row + lattice.height), slice(col, col + lattice.width))
+    # The number of cells grows with the extension: bisect for the largest that is allowed.
+    extensions = range(1, max(num_west, num_east, num_south, num_north) + 1)
+    max_extension = bisect_left(extensions, True, key=is_too_large)
+    first_row = min(num_north, max_extension)
+    first_col = min(num_west, max_extension)
+    window = (
+        slice(first_row, first_row + lattice.height),
+        slice(first_col, first_col + lattice.width),
+    )
+    return extend(max_extension), window

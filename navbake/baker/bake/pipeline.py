@@ -1,4 +1,4 @@
-"""The bake, end to end: its stages, and the grid that is made of their results."""
+"""The bake, end to end: `run_bake` runs the stages, and `build_grid` makes the grid of them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import logging
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake._version import __version__
-from navbake.baker.bake.arguments import parse_arguments
+from navbake.baker.bake.arguments import References, parse_arguments
 from navbake.baker.bake.baked import BakedPose, BakedStructure
 from navbake.baker.bake.boxes import rounded_ground
 from navbake.baker.bake.stages import open_stages
@@ -20,7 +20,7 @@ from navbake.baker.bake.warnings import collect_warnings
 from navbake.baker.core.clock import Progress, StageClock
 from navbake.baker.core.windows import crop_cells
 from navbake.baker.occupants.movable import name_occupants
-from navbake.baker.scene.model import CompileLimits, SceneModel, mujoco_version
+from navbake.baker.scene.model import CompileLimits, SceneInput, SceneModel, mujoco_version
 from navbake.baker.scene.scene import GeomReport, Scene
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
@@ -34,16 +34,23 @@ from navbake.threads import limit_threads
 from navbake.types import Bool, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    import mujoco
     from typing_extensions import Unpack
 
 LOG = logging.getLogger("navbake")
-# without it, Python prints warnings of loggers that nobody has set up
+# Without a handler, Python prints the warnings of loggers that nobody has set up.
 LOG.addHandler(logging.NullHandler())
 
 
 @dataclass
 class BakeResult:
-    """What a bake yields: a grid, what became of each geom, and the seconds of each stage."""
+    """The result of a bake.
+
+    Attributes:
+        grid: the grid, not saved yet.
+        geoms: for each geom by its id, whether it counts, as what, and why.
+        timings: the seconds that each stage took, by its name.
+    """
 
     grid: SceneGrid2D | MultiLevelGrid
     geoms: list[GeomReport]
@@ -51,17 +58,17 @@ class BakeResult:
 
     @property
     def warnings(self) -> list[str]:
-        """What the user should know, one line each."""
+        """The warnings of the bake, one line each."""
         return list(self.grid.warnings)
 
 
 def bake(
-    scene: Any,
-    data: Any = None,
+    scene: SceneInput,
+    data: mujoco.MjData | None = None,
     /,
     *,
-    exclude: Mapping[str, Any] | None = None,
-    robot: Any = None,
+    exclude: Mapping[str, object] | None = None,
+    robot: References | None = None,
     threads: int | None = None,
     isolate: bool = False,
     **settings: Unpack[SettingKeywords],
@@ -120,18 +127,20 @@ def bake(
         >>> path = finder.find_path(finder.random_point(), finder.random_point())
     """
     limits = CompileLimits() if isolate else None
-    config, opened = parse_arguments(scene, data, settings, exclude, robot, limits)
-    told = list[str]()
+    config, scene_model = parse_arguments(scene, data, settings, exclude, robot, limits)
+    early_hints = list[str]()
 
-    def tell(hint: str) -> None:
-        told.append(hint)
+    def warn_early(hint: str) -> None:
+        early_hints.append(hint)
         warnings.warn(hint, BakeWarning, stacklevel=4)
 
-    grid = run_bake(config, threads=threads, limits=limits, opened=opened, tell=tell).grid
-    for warning in grid.warnings:
-        if warning not in told:
+    result = run_bake(
+        config, threads=threads, limits=limits, scene_model=scene_model, warn_early=warn_early
+    )
+    for warning in result.grid.warnings:
+        if warning not in early_hints:
             warnings.warn(warning, BakeWarning, stacklevel=2)
-    return grid
+    return result.grid
 
 
 def run_bake(
@@ -140,33 +149,49 @@ def run_bake(
     threads: int | None = None,
     progress: Progress | None = None,
     limits: CompileLimits | None = None,
-    opened: SceneModel | None = None,
-    tell: Callable[[str], None] | None = None,
+    scene_model: SceneModel | None = None,
+    warn_early: Callable[[str], None] | None = None,
 ) -> BakeResult:
-    """Bake a scene, `opened` where its model is in memory, into a navigation grid.
+    """Bake a scene into a navigation grid.
 
-    With `limits`, MuJoCo compiles the scene in a child process. `tell` is called early with each
-    warning that axes or units look wrong.
+    Load the scene; compute all that follows from structure, then all that follows from the pose;
+    make the grid of both; verify it, where the settings say so.
+
+    Args:
+        config: all settings.
+        threads: how many to use, >= 1; all cores if None. The result doesn't depend on it.
+        progress: called with each stage's name and the share of it that is done, 0 or 1.
+        limits: limits for MuJoCo's compiler, which then runs in a child process.
+        scene_model: the compiled model; None to load the file that `config` names.
+        warn_early: called with each warning that axes or units look wrong, before the floors are
+            found.
+
+    Returns:
+        The grid, the geoms and the timings.
+
+    Raises:
+        ConfigError: the lattice would have too many cells, or no end.
+        SceneError: the scene cannot be read, or has nothing to bake.
     """
     clock = StageClock(progress)
     with limit_threads(threads):
-        stages = open_stages(config, clock, limits, opened)
+        stages = open_stages(config, clock, limits, scene_model)
         scene = stages.scene
         hints = [printable(hint) for hint in scene.hints]
         for hint in hints:
             LOG.warning("%s: %s", scene.id, hint)
-            if tell is not None:
-                tell(hint)
-        standing = stages.baked_structure
-        moving = stages.baked_pose
-        # gives back the memory of columns and of listed geometry, of which the grid needs none
+            if warn_early is not None:
+                warn_early(hint)
+        baked_structure = stages.baked_structure
+        baked_pose = stages.baked_pose
+        # The grid needs neither columns nor expanded triangles: give back their memory.
         del stages
         scene.structure.forget_triangles()
         with clock.stage("grid"):
-            grid = build_grid(config, standing, moving)
+            grid = build_grid(config, baked_structure, baked_pose)
         if config.verify.sample is not None:
             with clock.stage("verify"):
-                grid = _verified(grid, scene, config, config.verify.sample)
+                grid = _verify_grid(grid, scene, config, config.verify.sample)
     grid.timings = clock.to_json()
     for warning in grid.warnings:
         if warning not in hints:
@@ -174,108 +199,156 @@ def run_bake(
     return BakeResult(grid, scene.geoms, clock.seconds)
 
 
-def _verified(
+def _verify_grid(
     grid: SceneGrid2D | MultiLevelGrid, scene: Scene, config: BakeConfig, sample: int
 ) -> SceneGrid2D | MultiLevelGrid:
-    """The grid with its verification by MuJoCo and FCL, and a warning if that disagrees."""
-    # a bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene
+    """Verify a sample of cells; returns the grid with the counts, and a warning if any differs."""
+    # A bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene.
     from navbake.verifier.verify import verify_scene
 
     report = verify_scene(grid, scene, config, sample=sample)
-    found = len(report.findings)
-    cells = report.checked
-    verified = {"sample": sample, "cells": cells, "disagreements": found, "digest": report.digest}
-    own: Json = {**grid.navbake, "verified": verified}
-    if found:
-        places = "1 place" if found == 1 else f"{found} places"
-        own["warnings"] = [
-            *grid.warnings,
-            f"verify: MuJoCo and FCL disagree with the grid at {places}, with {cells} cells looked "
-            "at; navbake verify lists them",
-        ]
-    checked: SceneGrid2D | MultiLevelGrid
-    checked = grid.with_levels(grid.levels, {**grid.metadata, "navbake": own})
-    return checked
+    num_findings = len(report.findings)
+    verified = {
+        "sample": sample,
+        "cells": report.checked,
+        "disagreements": num_findings,
+        "digest": report.digest,
+    }
+    metadata: Json = {**grid.navbake, "verified": verified}
+    if num_findings:
+        places = "1 place" if num_findings == 1 else f"{num_findings} places"
+        warning = (
+            f"verify: MuJoCo and FCL disagree with the grid at {places}, with {report.checked} "
+            "cells looked at; navbake verify lists them"
+        )
+        metadata["warnings"] = [*grid.warnings, warning]
+    verified_grid: SceneGrid2D | MultiLevelGrid
+    verified_grid = grid.with_levels(grid.levels, {**grid.metadata, "navbake": metadata})
+    return verified_grid
 
 
 # ---------------------------------------------------------------- the grid
 
 
 def build_grid(
-    config: BakeConfig, standing: BakedStructure, moving: BakedPose
+    config: BakeConfig, baked_structure: BakedStructure, baked_pose: BakedPose
 ) -> SceneGrid2D | MultiLevelGrid:
-    """Make the grid of what stands and of what moves."""
-    metadata = _metadata(config, standing, moving)
-    grids = [
-        _level_grid(number, config, standing, moving, metadata)
-        for number in range(len(standing.floors.levels))
+    """Make the grid: metadata, then the layers of each level with the doors in their states.
+
+    Args:
+        config: all settings.
+        baked_structure: all that follows from structure and closed leaves.
+        baked_pose: all that depends on the scene's pose.
+
+    Returns:
+        A `SceneGrid2D` for one level, a `MultiLevelGrid` for several.
+    """
+    metadata = _make_metadata(config, baked_structure, baked_pose)
+    level_grids = [
+        _build_level_grid(level, config, baked_structure, baked_pose, metadata)
+        for level in range(len(baked_structure.floors.levels))
     ]
-    grid: SceneGrid2D | MultiLevelGrid = grids[0]
-    if len(grids) > 1:
-        cell_size = standing.lattice.cell_size
-        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=cell_size)
+    grid: SceneGrid2D | MultiLevelGrid = level_grids[0]
+    if len(level_grids) > 1:
+        cell_size = baked_structure.lattice.cell_size
+        grid = MultiLevelGrid(grids=level_grids, metadata=metadata, cell_size=cell_size)
     add_layers(grid, config.attributes)
     return grid
 
 
-def _level_grid(
-    number: int, config: BakeConfig, standing: BakedStructure, moving: BakedPose, metadata: Json
+def _build_level_grid(
+    level: int,
+    config: BakeConfig,
+    baked_structure: BakedStructure,
+    baked_pose: BakedPose,
+    metadata: Json,
 ) -> SceneGrid2D:
-    """One level's grid, blocked by the doors in their states."""
-    doors = [cut.door for cut in moving.grid_doors]
-    window = standing.boxes.windows[number]
-    level = standing.floors.levels[number]
-    layers = standing.layers[number]
-    part = standing.lattice.cut(*window)
+    """Make the grid of one level, in which doors in their states block cells."""
+    doors = [grid_door.door for grid_door in baked_pose.grid_doors]
+    occupants = baked_pose.occupants
+    window = baked_structure.boxes.windows[level]
+    layers = baked_structure.layers[level]
+    lattice = baked_structure.lattice.cut(*window)
 
-    def with_doors(layer: Bool, name: str) -> NDArray[np.uint8]:
-        cut = layer[window].copy()
-        cells = cut.ravel()
+    def add_doors(occupied: Bool, cells_name: str) -> NDArray[np.uint8]:
+        """Crop a layer to the level's rectangle, and add the runs of cells that doors block."""
+        layer = occupied[window].copy()
+        flat_layer = layer.ravel()
         for door in doors:
-            runs = getattr(door, name).get(door.state, {}).get(number, [])
+            runs = getattr(door, cells_name).get(door.state, {}).get(level, [])
             for first, count in zip(runs[::2], runs[1::2], strict=True):
-                cells[first : first + count] = True
-        return cut.view(np.uint8)
+                flat_layer[first : first + count] = True
+        return layer.view(np.uint8)
 
-    attributes: dict[str, NDArray[Any]] = {
+    attributes: dict[str, NDArray[np.generic]] = {
         "floorHeight": layers.floor,
         "roomIndex": layers.room_index,
-        "occupancy": with_doors(moving.occupants.blocked[number], "cells"),
+        "occupancy": add_doors(occupants.blocked[level], "cells"),
     }
-    if moving.occupants.blocked_squares is not None:
-        attributes["solid"] = with_doors(moving.occupants.blocked_squares[number], "solid")
+    if occupants.blocked_squares is not None:
+        attributes["solid"] = add_doors(occupants.blocked_squares[level], "solid")
     if layers.unseen is not None:
         attributes["unseen"] = layers.unseen
-    if moving.areas.layers:
-        attributes["area"] = np.ascontiguousarray(moving.areas.layers[number][window])
+    if baked_pose.areas.layers:
+        attributes["area"] = np.ascontiguousarray(baked_pose.areas.layers[level][window])
     user_data = UserData()
-    if standing.occupants is not None and config.names.enabled:
-        named = name_occupants(standing.occupants, moving.occupants, number, window)
-        num_levels = len(standing.floors.levels)
-        # found on first use
-        user_data = UserData(lambda: with_door_names(named, doors, number, num_levels).source)
+    if baked_structure.occupants is not None and config.names.enabled:
+        cell_names = name_occupants(baked_structure.occupants, occupants, level, window)
+        num_levels = len(baked_structure.floors.levels)
+        # Names are put into words when user data is first read.
+        user_data = UserData(lambda: with_door_names(cell_names, doors, level, num_levels).source)
+    ground = rounded_ground(baked_structure.floors.levels[level])
     return SceneGrid2D(
-        width=part.width,
-        height=part.height,
-        cell_size=part.cell_size,
-        min_yup=(part.x_min, rounded_ground(level), 0.0 - part.y_max),
-        bbox_yup=standing.boxes.boxes[number],
+        width=lattice.width,
+        height=lattice.height,
+        cell_size=lattice.cell_size,
+        min_yup=(lattice.x_min, ground, 0.0 - lattice.y_max),
+        bbox_yup=baked_structure.boxes.boxes[level],
         attributes=attributes,
         user_data=user_data,
         metadata=metadata,
     )
 
 
-def _metadata(config: BakeConfig, standing: BakedStructure, moving: BakedPose) -> Json:
+def _make_metadata(
+    config: BakeConfig, baked_structure: BakedStructure, baked_pose: BakedPose
+) -> Json:
+    """The metadata of a grid: the format's own keys, and navbake's under ``navbake``."""
     agent = config.agent
-    scene = moving.scene
-    levels = standing.floors.levels
-    warned = collect_warnings(config, standing, moving)
-    agents = {name: Agent(name, **one.model_dump()) for name, one in config.agents.items()}
-    by_name = {name: one.to_json() for name, one in agents.items()}
-    traffic = {"areas": moving.areas.table, "agents": by_name}
+    agents = {
+        name: Agent(name, **settings.model_dump()).to_json()
+        for name, settings in config.agents.items()
+    }
+    navbake_metadata: Json = {
+        "version": __version__,
+        "mujoco": mujoco_version(),
+        "sceneDigest": baked_pose.scene.digest,
+        **baked_structure.settings_metadata,
+        "worldFrame": {
+            "up": "z",
+            "unit": "m",
+            "handedness": "right",
+            "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
+        },
+        "maxSlope": agent.max_slope,
+        "levels": [
+            {"name": level.name, "ground": rounded_ground(level)}
+            for level in baked_structure.floors.levels
+        ],
+        "links": [*baked_structure.steps, *_named_links_to_json(baked_structure, baked_pose)],
+    }
+    if baked_pose.areas.table:
+        navbake_metadata["areas"] = baked_pose.areas.table
+    if agents:
+        navbake_metadata["agents"] = agents
+    navbake_metadata["names"] = config.names.enabled
+    navbake_metadata["rooms"] = baked_pose.room_table
+    navbake_metadata["doors"] = [grid_door.entry for grid_door in baked_pose.grid_doors]
+    bake_warnings = collect_warnings(config, baked_structure, baked_pose)
+    if bake_warnings:
+        navbake_metadata["warnings"] = bake_warnings
     return {
-        "sceneId": scene.id,
+        "sceneId": baked_pose.scene.id,
         "cellAttributes": [
             {"name": "floorHeight", "type": "Float32Array", "dataType": "continuous"},
             {"name": "roomIndex", "type": "Uint16Array", "dataType": "categorical"},
@@ -285,37 +358,20 @@ def _metadata(config: BakeConfig, standing: BakedStructure, moving: BakedPose) -
         "agentRadius": agent.radius,
         "traversableFloorHeight": agent.traversable_floor_height,
         "useCellFloorHeight": True,
-        # what the format doesn't know
-        "navbake": {
-            "version": __version__,
-            "mujoco": mujoco_version(),
-            "sceneDigest": scene.digest,
-            **standing.settings_metadata,
-            "worldFrame": {
-                "up": "z",
-                "unit": "m",
-                "handedness": "right",
-                "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
-            },
-            "maxSlope": agent.max_slope,
-            "levels": [{"name": level.name, "ground": rounded_ground(level)} for level in levels],
-            "links": [*standing.steps, *_named_links(standing, moving)],
-            **{name: table for name, table in traffic.items() if table},
-            "names": config.names.enabled,
-            "rooms": moving.room_table,
-            "doors": [cut.entry for cut in moving.grid_doors],
-            **({"warnings": warned} if warned else {}),
-        },
+        "navbake": navbake_metadata,
     }
 
 
-def _named_links(standing: BakedStructure, moving: BakedPose) -> list[Json]:
-    """The named links as a file states them, with cells counted on each level's rectangle."""
+def _named_links_to_json(baked_structure: BakedStructure, baked_pose: BakedPose) -> list[Json]:
+    """The named links as written to a file, with cells counted on each level's own rectangle."""
 
-    def cut(stop: Stop) -> Stop:
-        window = standing.boxes.windows[stop.level]
-        cells, _ = crop_cells(np.array([stop.cell]), window, standing.lattice.width)
+    def crop_stop(stop: Stop) -> Stop:
+        window = baked_structure.boxes.windows[stop.level]
+        cells, _ = crop_cells(np.array([stop.cell]), window, baked_structure.lattice.width)
         return replace(stop, cell=int(cells[0]))
 
-    links = moving.links.links
-    return [Link(stops=tuple(map(cut, link.stops)), **link.fields).to_json() for link in links]
+    entries = []
+    for link in baked_pose.links.links:
+        stops = tuple(crop_stop(stop) for stop in link.stops)
+        entries.append(Link(stops=stops, **link.fields).to_json())
+    return entries

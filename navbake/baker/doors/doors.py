@@ -125,7 +125,7 @@ def _classify_leaf(
     """Decide whether a leaf is a door; `leaf_counts`: how many closed leaves block each cell."""
     leaf = leaf_cells.leaf
     rooms = _rooms_beside(leaf, leaf_cells.blocked["closed"], leaf_counts, context)
-    is_door = rooms is not None or leaf.candidate.named
+    is_door = rooms is not None or leaf.candidate.is_named
     return ClassifiedLeaf(
         leaf=leaf,
         is_door=is_door,
@@ -151,7 +151,7 @@ def closes_same_cells(leaf_cells: LeafCells, former: ClassifiedLeaf) -> bool:
         has_same_lines = all(map(np.array_equal, lines, former_lines))
     return (
         has_same_lines
-        and leaf_cells.leaf.candidate.named == former.candidate.named
+        and leaf_cells.leaf.candidate.is_named == former.candidate.is_named
         and all(map(np.array_equal, leaf_cells.blocked["closed"], former.closed_cells))
     )
 

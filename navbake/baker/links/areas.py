@@ -247,7 +247,7 @@ def _collect_geoms(scene: Scene, geoms: Sequence[int]) -> Shapes:
     selections = {}
     for geom in geoms:
         selection = scene.selections[geom]
-        mesh = selection.mesh if selection.counted else "surface"
-        selections[geom] = GeomSelection(counted=True, reason="marks an area", mesh=mesh)
+        mesh = selection.mesh_mode if selection.counted else "surface"
+        selections[geom] = GeomSelection(counted=True, reason="marks an area", mesh_mode=mesh)
     shapes, *_ = collect_shapes(scene.model, scene.data, selections, scene.exact_meshes, geoms)
     return shapes

@@ -24,7 +24,7 @@ from navbake.baker.links.search import (
 )
 from navbake.baker.scene.cars import VERTICAL, CarFloor, find_lift_joints, measure_car
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.names import all_names, find_subtree_ends, mark_body
+from navbake.baker.scene.names import all_names, find_subtree_ends, mark_geoms_of_bodies
 from navbake.baker.scene.pose import data_with_joints
 from navbake.config.links import LinkSettings
 from navbake.navgrid.lattice import Lattice
@@ -74,7 +74,9 @@ def _name_ladders(search: LinkSearch, patterns: Sequence[str]) -> list[tuple[str
     candidates: list[tuple[str, Bool]] = []
     for body, body_name in enumerate(names.bodies):
         if body > 0:  # the world is none
-            candidates.append((body_name, mark_body(model, body, int(subtree_ends[body]))))
+            candidates.append(
+                (body_name, mark_geoms_of_bodies(model, body, int(subtree_ends[body])))
+            )
     for geom, geom_names in enumerate(names.geoms):
         candidates.append((geom_names.geom, np.arange(model.ngeom) == geom))
 
@@ -216,7 +218,7 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
     subtree_ends = find_subtree_ends(model)
     for joint in find_lift_joints(model, scene.data, patterns):
         body = int(model.jnt_bodyid[joint])
-        geoms = mark_body(model, body, int(subtree_ends[body]))
+        geoms = mark_geoms_of_bodies(model, body, int(subtree_ends[body]))
         shapes = search.shapes.only(geoms)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, max_gap + lattice.cell_size)
@@ -242,7 +244,7 @@ def _find_cars(search: LinkSearch, patterns: Sequence[str], max_gap: float) -> I
             height=car_floor.height,
             min_height=min(end_heights),
             max_height=max(end_heights),
-            width=float(measure_extents(shapes, model.ngeom).short_side[car_floor.carrier]),
+            width=float(measure_extents(shapes, model.ngeom).short_side[car_floor.geom]),
             pose=_car_pose(search, car_floor, bounds),
         )
 
@@ -261,7 +263,7 @@ def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[f
     """
     model = search.scene.model
     data = search.scene.data
-    geom = car_floor.carrier
+    geom = car_floor.geom
     middle = bounds.mean(axis=0)
     size = np.diff(bounds, axis=0)[0]
     yaw = 0.0

@@ -1,10 +1,10 @@
-"""A scene in one pose after the other: what moved, the scene as it is now, and its leaves."""
+"""A scene whose poses are tracked: what changes from one pose to the next, and the scene then."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,257 +25,333 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.types import Bool, Float
 
-# What of a model decides which geoms count, as what, and how large they are; users write there
-CHOOSING = (
+if TYPE_CHECKING:
+    import mujoco
+
+# The attributes of a model that decide which geoms count, as what, and how large they are. Users
+# may write to them between two updates.
+GEOM_ATTRIBUTES = (
     "geom_type", "geom_size", "geom_dataid", "geom_contype", "geom_conaffinity", "geom_group",
     "geom_rgba", "geom_matid", "mat_rgba",
 )  # fmt: skip
 
-# What of it tells how joints turn
-TURNING = "jnt_range", "jnt_limited", "jnt_axis", "jnt_pos"
-# Of a data, that a pose is
-PARTS = "qpos", "mocap_pos", "mocap_quat"
+# The attributes of a model that decide how joints move bodies
+JOINT_ATTRIBUTES = ("jnt_range", "jnt_limited", "jnt_axis", "jnt_pos")
+
+# The attributes of the geoms that mark rooms, but for their poses
+MARKER_ATTRIBUTES = ("geom_type", "geom_dataid", "geom_size")
 
 
-class SceneChange(NamedTuple):
-    """What is different in a scene.
+class PoseArrays(NamedTuple):
+    """Copies of the arrays of a data that are its pose.
 
     Attributes:
-        scene: the scene as it is now.
-        geoms: the geoms that count now or did, and whose geometry or way to count differs, by id.
-        structure: why what stands, or what marks rooms, is another; empty where it isn't.
-        digest: returns the scene's digest, which it does not have yet.
-        compared: what the next pose is compared with.
+        qpos: joint positions, (nq,).
+        mocap_pos: positions of mocap bodies, (nmocap, 3) [m].
+        mocap_quat: orientations of mocap bodies, (nmocap, 4): w, x, y, z.
     """
 
-    scene: Scene
-    geoms: Bool
-    structure: str
-    digest: Callable[[], str]
-    compared: PoseSnapshot
+    qpos: Float
+    mocap_pos: Float
+    mocap_quat: Float
 
 
 class PoseSnapshot(NamedTuple):
     """What two poses of a model are compared by.
 
     Attributes:
-        choices: what decides which geoms count.
-        poses: of the geoms, (ngeom, 12).
-        turning: what says how hinges and slides turn, and how far; users write there.
-        positions: of the hinges and slides.
-        marking_geoms: the shapes of the geoms that mark rooms by name.
-        marking_sites: the poses and sizes of the sites that mark rooms.
+        geom_attributes: what decides which geoms count, as bytes.
+        geom_poses: position and rotation of each geom, (ngeom, 12).
+        joint_attributes: what decides how joints move bodies, as bytes.
+        joint_positions: of the hinges and slides.
+        marker_geoms: the shapes of the geoms that mark rooms by name, as bytes.
+        marker_sites: the poses and sizes of the sites that mark rooms.
     """
 
-    choices: list[bytes]
-    poses: Float
-    turning: list[bytes]
-    positions: Float
-    marking_geoms: list[bytes]
-    marking_sites: Float
+    geom_attributes: list[bytes]
+    geom_poses: Float
+    joint_attributes: list[bytes]
+    joint_positions: Float
+    marker_geoms: list[bytes]
+    marker_sites: Float
+
+
+class SceneChange(NamedTuple):
+    """What the next pose changes in a scene.
+
+    Attributes:
+        scene: the scene in the next pose.
+        changed_geoms: by geom id, whether the geom counts now or did before, and its geometry or
+            the way it counts has changed.
+        full_bake_reason: why structure, or what marks rooms, has changed, so that the scene has to
+            be baked as a whole; empty where it hasn't.
+        wait_for_digest: returns the digest of the scene, which `scene` does not have yet.
+        snapshot: what the pose after the next is compared with.
+    """
+
+    scene: Scene
+    changed_geoms: Bool
+    full_bake_reason: str
+    wait_for_digest: Callable[[], str]
+    snapshot: PoseSnapshot
 
 
 class TrackedScene:
     """A scene of one model, in one pose after the other.
 
-    Of two datas of the model one is in the pose of now, and the other becomes the next.
+    It has two datas of the model: one is in the current pose, the other becomes the next.
+
+    Args:
+        config: all settings.
+        scene_model: the compiled model.
+        scene: the scene in its first pose.
+
+    Attributes:
+        scene: the scene in the current pose.
+        pose_arrays: a copy of the current pose, which another thread may read at any time.
     """
 
-    def __init__(self, config: BakeConfig, opened: SceneModel, scene: Scene) -> None:
+    def __init__(self, config: BakeConfig, scene_model: SceneModel, scene: Scene) -> None:
+        model = scene_model.model
         self._config = config
-        self._opened = opened
+        self._scene_model = scene_model
+        self._model = model
         self._meshes = scene.meshes
-        self._model = model = opened.model
-        self.scene = scene
         self._names = digest_names(model)
-        self._next = data_with_joints(model, scene.data, {})
-        self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
-        self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
-        self._hinged_geoms = _mark_moved_by(model, (HINGE, SLIDE))
-        self._slide_geoms = _mark_moved_by(model, (SLIDE,))
+        self._next_data = data_with_joints(model, scene.data, {})
+        # Of equal names the first counts, so that it is entered last.
+        self._body_ids = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
+        self._joint_ids = {
+            joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)
+        }
+        self._is_jointed_geom = _mark_geoms_moved_by(model, (HINGE, SLIDE))
+        self._is_sliding_geom = _mark_geoms_moved_by(model, (SLIDE,))
         self._finds_lifts = any(rule.auto == "lift" for rule in config.links)
-        self._turning_positions = model.jnt_qposadr[np.isin(model.jnt_type, (HINGE, SLIDE))]
-        self._marking_geoms, self._marking_sites = find_markers(model, config.rooms)
-        self.keep(scene, self._read(scene.data))
+        self._qpos_addresses = model.jnt_qposadr[np.isin(model.jnt_type, (HINGE, SLIDE))]
+        marker_geoms, marker_sites = find_markers(model, config.rooms)
+        self._marker_geoms = np.array(marker_geoms, dtype=np.int64)
+        self._marker_sites = np.array(marker_sites, dtype=np.int64)
+        self.scene = scene
+        self.pose_arrays = _copy_pose(scene.data)
+        self._snapshot = self._take_snapshot(scene.data)
 
-    def _read(self, data: Any) -> PoseSnapshot:
+    def _take_snapshot(self, data: mujoco.MjData) -> PoseSnapshot:
         model = self._model
-        sites = self._marking_sites
-        is_structure_body = self.scene.is_structure_body[model.site_bodyid[sites]]
-        where = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
+        sites = self._marker_sites
+        sites = sites[self.scene.is_structure_body[model.site_bodyid[sites]]]
         return PoseSnapshot(
-            choices=[getattr(model, name).tobytes() for name in CHOOSING],
-            poses=np.hstack([data.geom_xpos, data.geom_xmat]),
-            turning=[getattr(model, name).tobytes() for name in TURNING],
-            positions=data.qpos[self._turning_positions],
-            marking_geoms=[
-                getattr(model, name)[self._marking_geoms].tobytes()
-                for name in ("geom_type", "geom_dataid", "geom_size")
+            geom_attributes=[getattr(model, name).tobytes() for name in GEOM_ATTRIBUTES],
+            geom_poses=np.hstack([data.geom_xpos, data.geom_xmat]),
+            joint_attributes=[getattr(model, name).tobytes() for name in JOINT_ATTRIBUTES],
+            joint_positions=data.qpos[self._qpos_addresses],
+            marker_geoms=[
+                getattr(model, name)[self._marker_geoms].tobytes() for name in MARKER_ATTRIBUTES
             ],
-            marking_sites=np.hstack([values[sites][is_structure_body] for values in where]),
+            marker_sites=np.hstack(
+                [
+                    data.site_xpos[sites],
+                    data.site_xmat[sites],
+                    model.site_size[sites],
+                    model.site_type[sites][:, None],
+                ]
+            ),
         )
 
-    def keep(self, scene: Scene, compared: PoseSnapshot) -> None:
-        """Take a scene for the one that the next pose is compared with."""
-        if scene.data is self._next:
-            self._next = self.scene.data
-        self.scene = scene
-        self._compared = compared
-        # whoever reads it on another thread has the last pose, or this one
-        self.kept = tuple(getattr(scene.data, part).copy() for part in PARTS)
+    def commit(self, scene: Scene, snapshot: PoseSnapshot) -> None:
+        """Make a scene the current one, which the next pose is compared with.
 
-    def pose(
+        Args:
+            scene: the scene of the last `SceneChange`, or the current one baked again.
+            snapshot: of the same change.
+        """
+        if scene.data is self._next_data:
+            self._next_data = self.scene.data
+        self.scene = scene
+        self._snapshot = snapshot
+        # One assignment, so that another thread reads the last pose or this one.
+        self.pose_arrays = _copy_pose(scene.data)
+
+    def move(
         self,
-        data: Any,
+        data: mujoco.MjData | None,
         bodies: Mapping[str, ArrayLike] | None,
         joints: Mapping[str, float] | None,
     ) -> SceneChange:
-        """Take the next pose, and find what moved; see `Baker.update`."""
-        was = self.scene
+        """Find what the next pose changes; the current scene stays until `commit`.
+
+        Args:
+            data: the data whose joint positions and mocap bodies are the next pose; the current
+                pose if None.
+            bodies: bodies with a free joint, and mocap bodies, by name, see `Baker.update`.
+            joints: positions of hinges and slides, by name [rad or m].
+
+        Returns:
+            The scene in the next pose, and what has changed.
+
+        Raises:
+            QueryError: there is no such body or joint, or a pose is no number.
+            ConfigError: the data is of another model.
+            SceneError: no geom counts any more.
+        """
+        old_scene = self.scene
         model = self._model
-        source = was.data if data is None else data
+        source = old_scene.data if data is None else data
         check_data(model, source, str(self._config.scene.path))
-        data = self._next
-        for part in PARTS:
-            getattr(data, part)[:] = getattr(source, part)
-        for name, placed in (bodies or {}).items():
-            self._place_body(data, name, placed)
+        next_data = self._next_data
+        next_data.qpos[:] = source.qpos
+        next_data.mocap_pos[:] = source.mocap_pos
+        next_data.mocap_quat[:] = source.mocap_quat
+        for name, pose in (bodies or {}).items():
+            self._place_body(next_data, name, pose)
         for name, position in (joints or {}).items():
-            self._turn_joint(data, name, position)
-        self._check_finite(data)
-        place_geoms(model, data)
-        compared = self._read(data)
-        moved = (compared.poses != self._compared.poses).any(axis=1)
-        if self._may_be_divided_otherwise(data, moved, compared):
-            scene = load_scene(self._config, opened=self._opened._replace(data=data))
-            geoms = find_differing(was.shapes, scene.shapes)
-            geoms |= [a != b for a, b in zip(was.selections, scene.selections, strict=True)]
-            scene = replace(scene, leaves=self._keep_leaves(scene.leaves, moved | geoms, compared))
-            digest: Callable[[], str] = lambda: scene.digest  # noqa: E731
+            self._move_joint(next_data, name, position)
+        self._check_finite(next_data)
+        place_geoms(model, next_data)
+        snapshot = self._take_snapshot(next_data)
+        moved = (snapshot.geom_poses != self._snapshot.geom_poses).any(axis=1)
+        if self._needs_new_roles(next_data, moved, snapshot):
+            scene = load_scene(self._config, scene_model=self._scene_model._replace(data=next_data))
+            changed_geoms = find_changed_geoms(old_scene.shapes, scene.shapes)
+            selections = zip(old_scene.selections, scene.selections, strict=True)
+            changed_geoms |= [old != new for old, new in selections]
+            leaves = self._reuse_leaves(scene.leaves, moved | changed_geoms, snapshot)
+            scene = replace(scene, leaves=leaves)
+            digest = scene.digest
+            wait_for_digest: Callable[[], str] = lambda: digest  # noqa: E731
         else:
-            digest = start_digest(model, data, was.exact_meshes, self._names)
-            geoms = moved & (was.roles != LEFT_OUT)
-            shapes = was.shapes
-            if geoms.any():
-                after, *_ = collect_shapes(
-                    model,
-                    data,
-                    selections=was.selections,
-                    exact_meshes=was.exact_meshes,
-                    only=np.flatnonzero(geoms).tolist(),
-                    meshes=was.meshes,
-                )
-                shapes = shapes.with_replaced(after, geoms)
-            scene = replace(was, shapes=shapes, digest="", data=data)
-            scene = self._follow_leaves(scene, moved, compared)
-        structure = self._find_other_structure(scene, geoms, moved, compared)
-        return SceneChange(scene, geoms, structure, digest, compared)
+            wait_for_digest = start_digest(model, next_data, old_scene.exact_meshes, self._names)
+            changed_geoms = moved & (old_scene.roles != LEFT_OUT)
+            shapes = self._move_shapes(next_data, changed_geoms)
+            scene = replace(old_scene, shapes=shapes, digest="", data=next_data)
+            scene = self._update_leaves(scene, moved, snapshot)
+        return SceneChange(
+            scene=scene,
+            changed_geoms=changed_geoms,
+            full_bake_reason=self._find_full_bake_reason(scene, changed_geoms, moved, snapshot),
+            wait_for_digest=wait_for_digest,
+            snapshot=snapshot,
+        )
 
-    def _find_other_structure(
-        self, scene: Scene, geoms: Bool, moved: Bool, compared: PoseSnapshot
+    def _move_shapes(self, data: mujoco.MjData, changed_geoms: Bool) -> Shapes:
+        """The current scene's shapes, with some geoms in the next pose."""
+        scene = self.scene
+        if not changed_geoms.any():
+            return scene.shapes
+        moved_shapes, *_ = collect_shapes(
+            scene.model,
+            data,
+            selections=scene.selections,
+            exact_meshes=scene.exact_meshes,
+            only=np.flatnonzero(changed_geoms).tolist(),
+            meshes=scene.meshes,
+        )
+        return scene.shapes.with_replaced(moved_shapes, changed_geoms)
+
+    def _find_full_bake_reason(
+        self, scene: Scene, changed_geoms: Bool, moved: Bool, snapshot: PoseSnapshot
     ) -> str:
-        """Why what stands, or what marks rooms, is another than before; empty where it isn't."""
-        was = self.scene
-        differs = geoms & (was.is_structure | scene.is_structure)
-        differs |= was.is_structure != scene.is_structure
-        if differs.any():
-            geom = int(np.argmax(differs))
+        """Why structure, or what marks rooms, has changed; empty where it hasn't."""
+        old_scene = self.scene
+        is_changed = changed_geoms & (old_scene.is_structure | scene.is_structure)
+        is_changed |= old_scene.is_structure != scene.is_structure
+        if is_changed.any():
+            geom = int(np.argmax(is_changed))
             name = scene.geoms[geom].name
-            does = (
-                "carries floor"
-                if MOVING_STRUCTURE in (was.roles[geom], scene.roles[geom])
-                else "stands"
-            )
+            roles = (old_scene.roles[geom], scene.roles[geom])
+            does = "carries floor" if MOVING_STRUCTURE in roles else "stands"
             return f"{name!r}, which {does}, has changed"
-        if ((was.roles == LEAF) != (scene.roles == LEAF)).any():
+        if ((old_scene.roles == LEAF) != (scene.roles == LEAF)).any():
             return "other bodies than before look like leaves of doors"
-        marking = self._marking_geoms
-        is_structure_body = scene.is_structure_body[scene.model.geom_bodyid[marking]]
-        is_other = moved[marking][is_structure_body].any()
-        is_other |= compared.marking_geoms != self._compared.marking_geoms
-        is_other |= not np.array_equal(compared.marking_sites, self._compared.marking_sites)
-        if is_other:
-            return "what marks rooms has changed"
-        return ""
+        markers = self._marker_geoms
+        is_structure = scene.is_structure_body[scene.model.geom_bodyid[markers]]
+        is_marker_changed = (
+            moved[markers][is_structure].any()
+            or snapshot.marker_geoms != self._snapshot.marker_geoms
+            or not np.array_equal(snapshot.marker_sites, self._snapshot.marker_sites)
+        )
+        return "what marks rooms has changed" if is_marker_changed else ""
 
-    def _turn_otherwise(self, compared: PoseSnapshot) -> bool:
-        """Whether hinges and slides turn otherwise than before, as someone wrote to the model."""
-        return compared.turning != self._compared.turning
+    def _are_joints_changed(self, snapshot: PoseSnapshot) -> bool:
+        """Whether joints move bodies in another way than before, as a user wrote to the model."""
+        return snapshot.joint_attributes != self._snapshot.joint_attributes
 
-    def _follow_leaves(self, scene: Scene, moved: Bool, compared: PoseSnapshot) -> Scene:
-        """The scene with the leaves of now."""
-        is_turned = not np.array_equal(compared.positions, self._compared.positions)
-        may_be_leaf = self._hinged_geoms | mark_candidate_geoms(len(moved), scene.leaves)
-        is_turned |= self._turn_otherwise(compared)
-        if not is_turned and not (moved & may_be_leaf).any():
+    def _update_leaves(self, scene: Scene, moved: Bool, snapshot: PoseSnapshot) -> Scene:
+        """Find the door candidates of the next pose, where any may have changed."""
+        may_be_leaf = self._is_jointed_geom | mark_candidate_geoms(len(moved), scene.leaves)
+        may_change = (
+            not np.array_equal(snapshot.joint_positions, self._snapshot.joint_positions)
+            or self._are_joints_changed(snapshot)
+            or (moved & may_be_leaf).any()
+        )
+        if not may_change:
             return scene
-        leaves, unused = find_door_candidates(
+        counted = scene.roles != LEFT_OUT
+        leaves, pattern_warnings = find_door_candidates(
             scene.model,
             scene.data,
             shapes=scene.shapes,
-            counted=scene.roles != LEFT_OUT,
+            counted=counted,
             movable=scene.movable,
             is_structure_body=scene.is_structure_body,
-            named=scene.named_leaves,
+            named_leaves=scene.named_leaves,
             settings=self._config.doors,
         )
-        leaves = self._keep_leaves(leaves, moved, compared)
-        roles = assign_roles(
-            scene.model, scene.roles != LEFT_OUT, scene.movable, scene.is_structure_body, leaves
-        )
-        return replace(scene, leaves=leaves, unused=unused, roles=roles)
+        leaves = self._reuse_leaves(leaves, moved, snapshot)
+        roles = assign_roles(scene.model, counted, scene.movable, scene.is_structure_body, leaves)
+        return replace(scene, leaves=leaves, pattern_warnings=pattern_warnings, roles=roles)
 
-    def _keep_leaves(
-        self, leaves: list[DoorCandidate], moved: Bool, compared: PoseSnapshot
+    def _reuse_leaves(
+        self, leaves: list[DoorCandidate], changed_geoms: Bool, snapshot: PoseSnapshot
     ) -> list[DoorCandidate]:
-        """The leaves of now, of which those that don't differ are the objects that they were."""
-        turn_otherwise = self._turn_otherwise(compared)
-        former = {leaf.id: leaf for leaf in self.scene.leaves}
+        """Replace the candidates that haven't changed by the same objects as before."""
+        are_joints_changed = self._are_joints_changed(snapshot)
+        old_leaves = {leaf.id: leaf for leaf in self.scene.leaves}
 
-        def is_same(leaf: DoorCandidate) -> bool:
-            before = former.get(leaf.id)
-            if before is None or turn_otherwise or moved[leaf.geoms].any():
+        def is_unchanged(leaf: DoorCandidate) -> bool:
+            old_leaf = old_leaves.get(leaf.id)
+            if old_leaf is None or are_joints_changed or changed_geoms[leaf.geoms].any():
                 return False
             return (
-                before.joint_id == leaf.joint_id
-                and before.positions == leaf.positions
-                and before.named == leaf.named
-                and np.array_equal(before.geoms, leaf.geoms)
+                old_leaf.joint_id == leaf.joint_id
+                and old_leaf.positions == leaf.positions
+                and old_leaf.is_named == leaf.is_named
+                and np.array_equal(old_leaf.geoms, leaf.geoms)
             )
 
-        return [former[leaf.id] if is_same(leaf) else leaf for leaf in leaves]
+        return [old_leaves[leaf.id] if is_unchanged(leaf) else leaf for leaf in leaves]
 
-    def _may_be_divided_otherwise(self, data: Any, moved: Bool, compared: PoseSnapshot) -> bool:
-        """Whether other geoms may count, or as what, so that the scene has to be loaded again.
+    def _needs_new_roles(self, data: mujoco.MjData, moved: Bool, snapshot: PoseSnapshot) -> bool:
+        """Whether geoms may count in another way, so that the scene has to be loaded again.
 
-        What was written to the model says so; and the pose of what may be the car of a lift, of a
-        leaf that is spared from being left out, and of meshes so large that their hulls may hide
+        That is so where a user wrote to the model; or where something moved that may be the car of
+        a lift, a leaf that is not left out as movable, or a mesh so large that its hull may hide
         room.
         """
-        if compared.choices != self._compared.choices:
+        if snapshot.geom_attributes != self._snapshot.geom_attributes:
             return True
-        may_be_car = (moved & self._slide_geoms).any() or self._turn_otherwise(compared)
-        if self._finds_lifts and may_be_car:
+        may_change_car = (moved & self._is_sliding_geom).any() or self._are_joints_changed(snapshot)
+        if self._finds_lifts and may_change_car:
             return True
-        if self._config.scene.exclude.movable and (moved & self._hinged_geoms).any():
+        if self._config.scene.exclude.movable and (moved & self._is_jointed_geom).any():
             return True
-        meshes = moved & (self._model.geom_type == MESH)
-        if not meshes.any():
+        is_moved_mesh = moved & (self._model.geom_type == MESH)
+        if not is_moved_mesh.any():
             return False
-        model = self.scene.model
         agent = self._config.agent
         floors = self._config.floors
-        before = HullRoomTest(model, self.scene.data, self._meshes, agent, floors)
-        now = HullRoomTest(model, data, self._meshes, agent, floors)
-        geoms = np.flatnonzero(meshes).tolist()
-        return any(before.is_large(geom) or now.is_large(geom) for geom in geoms)
+        old_test = HullRoomTest(self._model, self.scene.data, self._meshes, agent, floors)
+        new_test = HullRoomTest(self._model, data, self._meshes, agent, floors)
+        return any(
+            old_test.is_large(geom) or new_test.is_large(geom)
+            for geom in np.flatnonzero(is_moved_mesh).tolist()
+        )
 
-    def _place_body(self, pose: Any, name: str, placed: ArrayLike) -> None:
+    def _place_body(self, data: mujoco.MjData, name: str, pose: ArrayLike) -> None:
         model = self._model
-        body = self._bodies.get(name)
+        body = self._body_ids.get(name)
         if body is None:
-            raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._bodies)}")
-        numbers = _numbers(placed, f"body {name!r}")
+            raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._body_ids)}")
+        numbers = _to_numbers(pose, f"body {name!r}")
         if numbers.shape not in ((3,), (7,)):
             raise QueryError(
                 f"expected x, y, z [m] of body {name!r}, or these and a quaternion w, x, y, z; "
@@ -284,83 +360,103 @@ class TrackedScene:
         if len(numbers) == 7 and not numbers[3:].any():
             raise QueryError(f"expected a quaternion of body {name!r} that is not 0")
         mocap = int(model.body_mocapid[body])
-        first = int(model.body_jntadr[body])
+        first_joint = int(model.body_jntadr[body])
         if mocap >= 0:
-            pose.mocap_pos[mocap] = numbers[:3]
+            data.mocap_pos[mocap] = numbers[:3]
             if len(numbers) == 7:
-                pose.mocap_quat[mocap] = numbers[3:]
-        elif first >= 0 and int(model.jnt_type[first]) == FREE:
-            address = int(model.jnt_qposadr[first])
-            pose.qpos[address : address + len(numbers)] = numbers
+                data.mocap_quat[mocap] = numbers[3:]
+        elif first_joint >= 0 and int(model.jnt_type[first_joint]) == FREE:
+            address = int(model.jnt_qposadr[first_joint])
+            data.qpos[address : address + len(numbers)] = numbers
         else:
             raise QueryError(
                 f"body {name!r} can't be placed: it has no free joint and is no mocap body; turn "
                 "its joints, or write to model.body_pos and call update()"
             )
 
-    def _turn_joint(self, pose: Any, name: str, position: ArrayLike) -> None:
+    def _move_joint(self, data: mujoco.MjData, name: str, position: ArrayLike) -> None:
         model = self._model
-        joint = self._joints.get(name)
+        joint = self._joint_ids.get(name)
         if joint is None:
-            raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joints)}")
-        numbers = _numbers(position, f"joint {name!r}")
+            raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joint_ids)}")
+        numbers = _to_numbers(position, f"joint {name!r}")
         if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or numbers.size != 1:
             raise QueryError(
                 f"expected one number [m or rad] for joint {name!r}, a hinge or a slide; place "
                 f"the bodies of other joints"
             )
-        pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
+        data.qpos[model.jnt_qposadr[joint]] = numbers.item()
 
-    def _check_finite(self, pose: Any) -> None:
+    def _check_finite(self, data: mujoco.MjData) -> None:
+        """Raise a QueryError that names a body whose pose is not finite."""
         model = self._model
-        wrong = np.flatnonzero(~np.isfinite(pose.qpos))
-        if not len(wrong) and all(np.isfinite(getattr(pose, part)).all() for part in PARTS[1:]):
+        wrong_qpos = np.flatnonzero(~np.isfinite(data.qpos))
+        is_mocap_finite = np.isfinite(data.mocap_pos).all(axis=1)
+        is_mocap_finite &= np.isfinite(data.mocap_quat).all(axis=1)
+        if not len(wrong_qpos) and is_mocap_finite.all():
             return
-        joints = np.searchsorted(model.jnt_qposadr, wrong, side="right") - 1
-        mocap = np.isfinite(np.hstack([pose.mocap_pos, pose.mocap_quat])).all(axis=1)
-        placed = np.isin(model.body_mocapid, np.flatnonzero(~mocap))
-        for body in (*model.jnt_bodyid[joints], *np.flatnonzero(placed)):
+        wrong_joints = np.searchsorted(model.jnt_qposadr, wrong_qpos, side="right") - 1
+        wrong_mocaps = np.flatnonzero(~is_mocap_finite)
+        mocap_bodies = np.flatnonzero(np.isin(model.body_mocapid, wrong_mocaps))
+        for body in (*model.jnt_bodyid[wrong_joints], *mocap_bodies):
             what = f"body {body_name(model, int(body))!r}"
             raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
-def _mark_moved_by(model: Any, kinds: Sequence[int]) -> Bool:
-    """Mark the geoms of bodies with a joint of some kinds, and of all that hangs on them."""
-    ends = find_subtree_ends(model)
+def _copy_pose(data: mujoco.MjData) -> PoseArrays:
+    return PoseArrays(data.qpos.copy(), data.mocap_pos.copy(), data.mocap_quat.copy())
+
+
+def _mark_geoms_moved_by(model: mujoco.MjModel, joint_types: Sequence[int]) -> Bool:
+    """Mark the geoms of bodies with a joint of some types, and of all that hangs on them."""
+    subtree_ends = find_subtree_ends(model)
     marked = np.zeros(model.ngeom, dtype=np.bool_)
-    for body in model.jnt_bodyid[np.isin(model.jnt_type, kinds)].tolist():
-        marked[geoms_of_bodies(model, body, int(ends[body]))] = True
+    for body in model.jnt_bodyid[np.isin(model.jnt_type, joint_types)].tolist():
+        marked[geoms_of_bodies(model, body, int(subtree_ends[body]))] = True
     return marked
 
 
-def find_differing(was: Shapes, now: Shapes) -> Bool:
-    """Mark the geoms whose geometry differs, shape (ngeom,)."""
-    num = len(was.endless)
-    differs = np.array(was.endless != now.endless)
+def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
+    """Mark the geoms whose geometry differs, shape (ngeom,).
 
-    def compare(old: Primitives, new: Primitives) -> None:
-        arrays: Iterable[tuple[NDArray[Any], NDArray[Any]]] = zip(old, new, strict=True)
-        same: Bool = np.bincount(old.geom, minlength=num) == np.bincount(new.geom, minlength=num)
-        differs[~same] = True
-        kept = same[old.geom], same[new.geom]
-        for one, other in arrays:
-            unequal = one[kept[0]] != other[kept[1]]
-            rows = unequal.any(axis=tuple(range(1, unequal.ndim)))
-            differs[new.geom[kept[1]][rows]] = True
-
-    compare(was.solids, now.solids)
-    compare(was.planes, now.planes)
-    old = dict(zip(was.meshes.geom.tolist(), was.meshes.triangles, strict=True))
-    new = dict(zip(now.meshes.geom.tolist(), now.meshes.triangles, strict=True))
-    for geom in old.keys() | new.keys():
-        one = old.get(geom, ())
-        other = new.get(geom, ())
-        differs[geom] |= len(one) != len(other) or not all(map(np.array_equal, one[:4], other[:4]))
-    return differs
+    Args:
+        old: shapes of a scene.
+        new: shapes of the same model in another pose, or of other geoms of it.
+    """
+    is_changed = np.array(old.endless != new.endless)
+    _mark_changed_primitives(old.solids, new.solids, is_changed)
+    _mark_changed_primitives(old.planes, new.planes, is_changed)
+    old_meshes = dict(zip(old.meshes.geom.tolist(), old.meshes.triangles, strict=True))
+    new_meshes = dict(zip(new.meshes.geom.tolist(), new.meshes.triangles, strict=True))
+    for geom in old_meshes.keys() | new_meshes.keys():
+        if geom not in old_meshes or geom not in new_meshes:
+            is_changed[geom] = True
+            continue
+        # vertices, faces, and the parts with their codes
+        arrays = zip(old_meshes[geom][:4], new_meshes[geom][:4], strict=True)
+        is_changed[geom] |= not all(np.array_equal(before, after) for before, after in arrays)
+    return is_changed
 
 
-def _numbers(given: ArrayLike, what: str) -> Float:
+def _mark_changed_primitives(old: Primitives, new: Primitives, is_changed: Bool) -> None:
+    """Mark the geoms of which solids or planes appeared, vanished or differ."""
+    num_geoms = len(is_changed)
+    old_counts = np.bincount(old.geom, minlength=num_geoms)
+    new_counts = np.bincount(new.geom, minlength=num_geoms)
+    is_in_both: Bool = old_counts == new_counts
+    is_changed[~is_in_both] = True
+    old_rows = is_in_both[old.geom]
+    new_rows = is_in_both[new.geom]
+    geoms = new.geom[new_rows]
+    arrays: Iterable[tuple[NDArray[np.generic], NDArray[np.generic]]] = zip(old, new, strict=True)
+    for old_array, new_array in arrays:
+        is_unequal = old_array[old_rows] != new_array[new_rows]
+        is_unequal_row = is_unequal.any(axis=tuple(range(1, is_unequal.ndim)))
+        is_changed[geoms[is_unequal_row]] = True
+
+
+def _to_numbers(numbers: ArrayLike, what: str) -> Float:
     try:
-        return np.asarray(given, dtype=np.float64)
+        return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise QueryError(f"expected numbers as the pose of {what}, got {given!r}") from error
+        raise QueryError(f"expected numbers as the pose of {what}, got {numbers!r}") from error

@@ -1,7 +1,8 @@
 """Keeps the grid of a scene up to date while things in it move, by the functions that a bake calls.
 
-Poses → what moved → cells near it → occupants of these cells → doors near them → the grid. Floors,
-walls and rooms stay the same objects; where what stands has changed, the whole scene is baked.
+A pose → the geoms that moved → the cells near them → the occupants of these cells → the doors near
+them → the grid. Floors, walls and rooms stay the same objects; where structure has changed, the
+whole scene is baked again.
 """
 
 from __future__ import annotations
@@ -12,21 +13,17 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.baker.bake.arguments import parse_arguments
-from navbake.baker.bake.baked import BakedPose, BakedStructure, GridDoor
+from navbake.baker.bake.arguments import References, parse_arguments
+from navbake.baker.bake.baked import BakedPose, BakedStructure
 from navbake.baker.bake.lattice import fit_lattice
+from navbake.baker.bake.level_crops import make_grid_door
 from navbake.baker.bake.pipeline import build_grid
-from navbake.baker.bake.stages import (
-    make_grid_door,
-    make_links,
-    mark_in_the_way,
-    open_stages,
-)
+from navbake.baker.bake.stages import make_links, mark_in_the_way, open_stages
 from navbake.baker.core.clock import StageClock
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
@@ -42,7 +39,7 @@ from navbake.baker.occupants.movable import (
     MovableContext,
     update_movable_occupants,
 )
-from navbake.baker.scene.model import SceneModel
+from navbake.baker.scene.model import SceneInput, SceneModel
 from navbake.baker.scene.scene import Scene, load_scene_file
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
@@ -52,31 +49,31 @@ from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    import mujoco
     from typing_extensions import Unpack
 
 LOG = logging.getLogger("navbake")
 
-# With fewer boxes than this, one thread is faster
-FEW_BOXES = 16
+# With fewer boxes of moved geoms than this, one thread is faster.
+MIN_BOXES_FOR_THREADS = 16
 
 
 class FullBakeRequired(Exception):
-    """Raised when an update needs a whole bake; the text says why."""
+    """Raised when an update needs a full bake; the text says why."""
 
 
 class Changes(NamedTuple):
     """What an update changed.
 
     Attributes:
-        grid: the grid as it is now, `Baker.grid`.
-        cells: for each level, the ids of the cells of which any layer is another one (floor, room,
+        grid: the new grid, `Baker.grid`.
+        cells: for each level, the ids of the cells in which any layer changed (floor, room,
             occupancy with weight, and those of `attributes`), ascending, int64;
             id = col + row * width.
-        is_new: whether the grid's levels or their rectangles are others: then all cells are
-            listed.
-        reason: why the whole scene was baked again; empty where only what is near to what moved
-            was looked at.
-        seconds: how long it took.
+        is_new: whether the grid's levels or their rectangles changed: then all cells are listed.
+        reason: why the whole scene was baked again; empty where only cells near moved things were
+            updated.
+        seconds: how long the update took [s].
     """
 
     grid: NavGrid
@@ -87,10 +84,17 @@ class Changes(NamedTuple):
 
 
 class BakedScene(NamedTuple):
-    """What a bake found, and what is looked at again when something moves."""
+    """The values of a bake that an update needs.
 
-    standing: BakedStructure
-    moving: BakedPose
+    Attributes:
+        structure: all that follows from structure and closed leaves.
+        pose: all that depends on the scene's pose.
+        door_context: what leaves are classified by.
+        movable_context: what movables are searched over.
+    """
+
+    structure: BakedStructure
+    pose: BakedPose
     door_context: DoorContext
     movable_context: MovableContext
 
@@ -98,14 +102,14 @@ class BakedScene(NamedTuple):
 class Baker:
     """Bakes a scene, and keeps its grid up to date while bodies move and joints turn.
 
-    `grid` is what `navbake.bake` makes of the scene in its pose of now, bit for bit. An update
-    looks again only near what moved; floors, walls and rooms are made by what stands, so that they
+    `grid` is what `navbake.bake` makes of the scene in its current pose, bit for bit. An update
+    recomputes only cells near things that moved; floors, walls and rooms are made by structure, and
     stay. See ``docs/live.md``.
 
-    Grids are never written to: each update makes a new one, which shares with the last what is the
-    same in both. So whoever holds a grid has a snapshot that stays as it is, and any thread may
-    read `grid` while another one updates. A `PathFinder` goes on answering about its own grid,
-    until its method `use` moves it to the new one.
+    Grids are never written to: each update makes a new one, which shares with the last one what is
+    the same in both. So a grid is a snapshot that stays as it is, and any thread may read `grid`
+    while another one updates. A `PathFinder` keeps its own grid until its method `use` moves it to
+    the new one.
 
     Args:
         scene, data, exclude, robot, settings: see `navbake.bake`.
@@ -124,55 +128,57 @@ class Baker:
 
     def __init__(
         self,
-        scene: Any,
-        data: Any = None,
+        scene: SceneInput,
+        data: mujoco.MjData | None = None,
         /,
         *,
-        exclude: Mapping[str, Any] | None = None,
-        robot: Any = None,
+        exclude: Mapping[str, object] | None = None,
+        robot: References | None = None,
         threads: int | None = None,
         **settings: Unpack[SettingKeywords],
     ) -> None:
-        config, opened = parse_arguments(scene, data, settings, exclude, robot)
-        opened = opened or load_scene_file(config.scene)
+        config, scene_model = parse_arguments(scene, data, settings, exclude, robot)
+        if scene_model is None:
+            scene_model = load_scene_file(config.scene)
         self._config = config
-        self._opened = opened
+        self._scene_model = scene_model
         self._threads = threads
         self._lock = threading.Lock()
         with limit_threads(threads):
-            # None while it is brought up to date, and after that has failed
-            self._baked: BakedScene | None = self._bake(opened)
-            self._scene = TrackedScene(config, opened, self._baked.moving.scene)
-            self._grid = build_grid(config, self._baked.standing, self._baked.moving)
+            baked = self._bake(scene_model)
+            # None during an update, and after one that failed
+            self._baked: BakedScene | None = baked
+            self._tracked_scene = TrackedScene(config, scene_model, baked.pose.scene)
+            self._grid = build_grid(config, baked.structure, baked.pose)
         for warning in self._grid.warnings:
             warnings.warn(warning, BakeWarning, stacklevel=2)
 
     @property
     def grid(self) -> NavGrid:
-        """The grid of the scene as it is now; each update makes a new one."""
+        """The grid of the scene in its current pose; each update makes a new one."""
         return self._grid
 
     @property
-    def model(self) -> Any:
+    def model(self) -> mujoco.MjModel:
         """The scene's mujoco.MjModel."""
-        return self._opened.model
+        return self._scene_model.model
 
     @property
     def pose(self) -> tuple[Float, Float, Float]:
-        """Copies of the qpos, mocap_pos and mocap_quat of the data that is baked now."""
-        qpos, position, quaternion = map(np.copy, self._scene.kept)
-        return qpos, position, quaternion
+        """Copies of the qpos, mocap_pos and mocap_quat of the data in the current pose."""
+        arrays = self._tracked_scene.pose_arrays
+        return arrays.qpos.copy(), arrays.mocap_pos.copy(), arrays.mocap_quat.copy()
 
     def update(
         self,
-        data: Any = None,
+        data: mujoco.MjData | None = None,
         *,
         bodies: Mapping[str, ArrayLike] | None = None,
         joints: Mapping[str, float] | None = None,
     ) -> Changes:
         """Bring the grid up to date.
 
-        Without arguments, it looks at the model again: a geom whose size, pose on its body, colour
+        Without arguments, it reads the model again: a geom whose size, pose on its body, colour
         or group was written there may have moved, appeared or vanished. What was written into
         meshes and height fields isn't seen.
 
@@ -189,201 +195,234 @@ class Baker:
         Raises:
             QueryError: there is no such body or joint, or a pose is no number.
             ConfigError: the data is of another model, as when geoms were added to it.
-            SceneError: the scene as it is now holds nothing to bake; `grid` stays as it was.
+            SceneError: the scene holds nothing to bake any more; `grid` stays as it was.
+
+        Example:
+            >>> changes = baker.update(bodies={"chair_3": [2.0, 1.5, 0.0]}, joints={"door_1": 1.2})
+            >>> changes.cells[0]  # of the lowest level
         """
         begin = time.perf_counter()
         with self._lock, limit_threads(self._threads):
-            moved = self._scene.pose(data, bodies, joints)
-            # an error, or an interruption, anywhere below: the next update bakes all again
-            before = self._baked
+            change = self._tracked_scene.move(data, bodies, joints)
+            # After an error or an interruption below, the next update bakes the whole scene.
+            old_baked = self._baked
             self._baked = None
             reason = ""
             try:
-                if before is None:
+                if old_baked is None:
                     raise FullBakeRequired("the last update failed")
-                now = follow(before, moved, self._config)
-            except FullBakeRequired as why:
-                reason = str(why)
+                baked = update_baked_scene(old_baked, change, self._config)
+            except FullBakeRequired as required:
+                reason = str(required)
                 LOG.debug("the whole scene is baked again: %s", reason)
-                now = self._bake(self._opened._replace(data=moved.scene.data))
-            # found beside all of that
-            now = _with_digest(now, moved.digest())
-            old = self._grid
-            grid = build_grid(self._config, now.standing, now.moving)
-            cells, is_new = _compare(old, grid)
-            self._scene.keep(now.moving.scene, moved.compared)
+                baked = self._bake(self._scene_model._replace(data=change.scene.data))
+            # It was computed on another thread meanwhile.
+            baked = _with_digest(baked, change.wait_for_digest())
+            old_grid = self._grid
+            grid = build_grid(self._config, baked.structure, baked.pose)
+            cells, is_new = _find_changed_cells(old_grid, grid)
+            self._tracked_scene.commit(baked.pose.scene, change.snapshot)
             self._grid = grid
-            self._baked = now
+            self._baked = baked
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
 
-    def _bake(self, opened: SceneModel) -> BakedScene:
-        stages = open_stages(self._config, StageClock(), opened=opened)
+    def _bake(self, scene_model: SceneModel) -> BakedScene:
+        stages = open_stages(self._config, StageClock(), scene_model=scene_model)
         return BakedScene(
-            stages.baked_structure, stages.baked_pose, stages.door_context, stages.movable_context
+            structure=stages.baked_structure,
+            pose=stages.baked_pose,
+            door_context=stages.door_context,
+            movable_context=stages.movable_context,
         )
 
 
-def follow(before: BakedScene, moved: SceneChange, config: BakeConfig) -> BakedScene:
-    """Bring a baked scene up to date after something moved.
+def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfig) -> BakedScene:
+    """Recompute what depends on the pose, near the things that moved.
+
+    Args:
+        baked: the values of the last bake or update.
+        change: what the next pose changes.
+        config: all settings.
+
+    Returns:
+        The values for the next pose; the structure's stay the same objects.
 
     Raises:
-        FullBakeRequired: what stands is another, or the lattice, or how leaves close.
+        FullBakeRequired: structure has changed, or the lattice, or the cells that a leaf closes.
     """
-    standing = before.standing
-    was = before.moving
-    scene = moved.scene
-    if moved.structure:
-        raise FullBakeRequired(moved.structure)
-    if fit_lattice(scene, config) != standing.lattice:
+    structure = baked.structure
+    old_pose = baked.pose
+    scene = change.scene
+    if change.full_bake_reason:
+        raise FullBakeRequired(change.full_bake_reason)
+    if fit_lattice(scene, config) != structure.lattice:
         raise FullBakeRequired("the grid is another one: the box round the scene has changed")
-    doors = _follow_doors(before, scene)
+    doors = _update_doors(baked, scene)
     in_the_way = mark_in_the_way(scene, doors, config)
-    differs = moved.geoms & (was.in_the_way | in_the_way)
-    differs |= was.in_the_way ^ in_the_way
+    is_changed = change.changed_geoms & (old_pose.in_the_way | in_the_way)
+    is_changed |= old_pose.in_the_way ^ in_the_way
     boxes = np.concatenate(
         [
-            _boxes_of_some(was.scene, differs & was.in_the_way),
-            _boxes_of_some(scene, differs & in_the_way),
+            _boxes_of_geoms(old_pose.scene, is_changed & old_pose.in_the_way),
+            _boxes_of_geoms(scene, is_changed & in_the_way),
         ]
     )
-    moving = replace(was, scene=scene, doors=doors, in_the_way=in_the_way)
-    with limit_threads(1 if len(boxes) < FEW_BOXES else None):
-        if differs.any():
-            moving = replace(
-                moving,
-                occupants=update_movable_occupants(
-                    was.occupants,
-                    before.movable_context,
-                    shapes=scene.shapes,
-                    in_the_way=in_the_way,
-                    boxes=boxes,
-                ),
-                lost_floors=_follow_lost_floors(moving, standing, differs, config),
+    pose = replace(old_pose, scene=scene, doors=doors, in_the_way=in_the_way)
+    with limit_threads(1 if len(boxes) < MIN_BOXES_FOR_THREADS else None):
+        if is_changed.any():
+            occupants = update_movable_occupants(
+                old_pose.occupants,
+                baked.movable_context,
+                shapes=scene.shapes,
+                in_the_way=in_the_way,
+                boxes=boxes,
             )
-        if doors is not was.doors or moving.occupants is not was.occupants:
-            moving = _cut_doors_again(moving, before, config)
+            lost_floors = _update_lost_floors(pose, structure, is_changed, config)
+            pose = replace(pose, occupants=occupants, lost_floors=lost_floors)
+        if doors is not old_pose.doors or pose.occupants is not old_pose.occupants:
+            pose = _update_grid_doors(pose, baked, config)
     if config.areas:
-        areas = paint_areas(scene, standing.lattice, standing.floors.levels, standing.rooms, config)
-        moving = replace(moving, areas=areas)
+        areas = paint_areas(
+            scene, structure.lattice, structure.floors.levels, structure.rooms, config
+        )
+        pose = replace(pose, areas=areas)
     if config.links:
         links = make_links(
             scene,
-            standing,
+            structure,
             doors=doors,
             in_the_way=in_the_way,
-            occupied=moving.occupants.blocked,
+            occupied=pose.occupants.blocked,
             config=config,
         )
-        moving = replace(moving, links=links)
-    return before._replace(moving=moving)
+        pose = replace(pose, links=links)
+    return baked._replace(pose=pose)
 
 
 def _with_digest(baked: BakedScene, digest: str) -> BakedScene:
-    """The same with the digest of its scene."""
-    scene = replace(baked.moving.scene, digest=digest)
-    return baked._replace(moving=replace(baked.moving, scene=scene))
+    scene = replace(baked.pose.scene, digest=digest)
+    return baked._replace(pose=replace(baked.pose, scene=scene))
 
 
-def _boxes_of_some(scene: Scene, chosen: Bool) -> Float:
-    """The boxes of the chosen geoms of a scene, (n, 6) [m]."""
-    boxes: Float = scene.shapes.boxes[chosen[scene.shapes.boxed_geoms]]
+def _boxes_of_geoms(scene: Scene, mask: Bool) -> Float:
+    """The boxes of the marked geoms of a scene, (n, 6) [m]."""
+    boxes: Float = scene.shapes.boxes[mask[scene.shapes.boxed_geoms]]
     return boxes
 
 
-def _follow_doors(before: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
-    """The leaves of a scene as they are now; the same list where none is another.
+def _update_doors(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
+    """Classify the leaves of a scene that changed; the same list where none did.
 
     Raises:
-        FullBakeRequired: a leaf closes other cells than before, so that rooms may be others.
+        FullBakeRequired: a leaf closes other cells than before, so that rooms may change.
     """
-    was = before.moving.doors
-    by_candidate = {placed.candidate: placed for placed in was}
-    others = [leaf for leaf in scene.leaves if leaf not in by_candidate]
-    if not others:
-        return was
-    lattice = before.standing.lattice
-    footprint = before.movable_context.footprint
-    leaves = pose_leaves(scene, others, lattice, footprint.reach)
-    by_id = {placed.candidate.id: placed for placed in was}
-    for cells in find_blocked_cells(leaves, before.standing.floors.levels, footprint, lattice):
-        leaf = cells.leaf.candidate
-        former = by_id.get(leaf.id)
-        if former is None or not closes_same_cells(cells, former):
-            raise FullBakeRequired(f"the leaf {leaf.id!r} closes other cells")
-        by_candidate[leaf] = move_leaf(cells, former, before.door_context)
-    return [by_candidate[leaf] for leaf in scene.leaves]
+    old_doors = baked.pose.doors
+    leaf_of_candidate = {leaf.candidate: leaf for leaf in old_doors}
+    # Unchanged candidates are the same objects as before.
+    changed_candidates = [
+        candidate for candidate in scene.leaves if candidate not in leaf_of_candidate
+    ]
+    if not changed_candidates:
+        return old_doors
+    lattice = baked.structure.lattice
+    footprint = baked.movable_context.footprint
+    posed_leaves = pose_leaves(scene, changed_candidates, lattice, footprint.reach)
+    levels = baked.structure.floors.levels
+    old_leaf_of_id = {leaf.candidate.id: leaf for leaf in old_doors}
+    for leaf_cells in find_blocked_cells(posed_leaves, levels, footprint, lattice):
+        candidate = leaf_cells.leaf.candidate
+        old_leaf = old_leaf_of_id.get(candidate.id)
+        if old_leaf is None or not closes_same_cells(leaf_cells, old_leaf):
+            raise FullBakeRequired(f"the leaf {candidate.id!r} closes other cells")
+        leaf_of_candidate[candidate] = move_leaf(leaf_cells, old_leaf, baked.door_context)
+    return [leaf_of_candidate[candidate] for candidate in scene.leaves]
 
 
-def _follow_lost_floors(
-    moving: BakedPose, standing: BakedStructure, differs: Bool, config: BakeConfig
+def _update_lost_floors(
+    pose: BakedPose, structure: BakedStructure, is_changed: Bool, config: BakeConfig
 ) -> dict[int, float]:
-    """How much floor there would be on what can move; looked at again where geoms differ."""
-    mover_of = moving.scene.mover_of
-    is_other = np.zeros(len(moving.scene.is_structure_body), dtype=np.bool_)
-    is_other[mover_of[differs]] = True
-    found = find_lost_floors(
-        moving.scene.shapes,
-        moving.in_the_way & is_other[mover_of],
+    """Measure the floor that movables would carry, again for bodies with changed geoms."""
+    scene = pose.scene
+    mover_of = scene.mover_of
+    is_changed_body = np.zeros(len(scene.is_structure_body), dtype=np.bool_)
+    is_changed_body[mover_of[is_changed]] = True
+    changed_areas = find_lost_floors(
+        scene.shapes,
+        pose.in_the_way & is_changed_body[mover_of],
         mover_of=mover_of,
-        levels=standing.floors.levels,
-        lattice=standing.lattice,
+        levels=structure.floors.levels,
+        lattice=structure.lattice,
         agent=config.agent,
     )
-    kept = {body: area for body, area in moving.lost_floors.items() if not is_other[body]}
-    return dict(sorted((kept | found).items()))
+    areas = {body: area for body, area in pose.lost_floors.items() if not is_changed_body[body]}
+    areas |= changed_areas
+    return dict(sorted(areas.items()))
 
 
-def _cut_doors_again(moving: BakedPose, before: BakedScene, config: BakeConfig) -> BakedPose:
-    """The doors as the grid has them: those that moved, and those where cells differ, again."""
-    placed_doors = moving.placed_doors
-    if not placed_doors:
-        return replace(moving, grid_doors=[])
-    standing = before.standing
-    was = before.moving
-    differing = [
-        _differ(moving.occupants.blocked, was.occupants.blocked),
-        _differ(moving.occupants.blocked_squares or [], was.occupants.blocked_squares or []),
-    ]
-    cut_by = dict(zip(was.placed_doors, was.grid_doors, strict=True))
-    grid_doors = list[GridDoor]()
-    for placed in placed_doors:
-        cut = cut_by.get(placed)
-        if cut is None or _blocks_any(placed, differing):
-            cut = make_grid_door(placed, standing, moving.occupants, config)
-        grid_doors.append(cut)
-    return replace(moving, grid_doors=grid_doors)
+def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -> BakedPose:
+    """Make those doors of the grid again that moved, or over whose cells the occupancy changed."""
+    door_leaves = pose.door_leaves
+    if not door_leaves:
+        return replace(pose, grid_doors=[])
+    old_pose = baked.pose
+    changed_cells = _mark_changed_cells(pose.occupants.blocked, old_pose.occupants.blocked)
+    changed_squares = _mark_changed_cells(
+        pose.occupants.blocked_squares or [], old_pose.occupants.blocked_squares or []
+    )
+    old_grid_doors = dict(zip(old_pose.door_leaves, old_pose.grid_doors, strict=True))
+    grid_doors = []
+    for leaf in door_leaves:
+        grid_door = old_grid_doors.get(leaf)
+        if (
+            grid_door is None
+            or _blocks_any(leaf.blocked, changed_cells)
+            or _blocks_any(leaf.blocked_squares, changed_squares)
+        ):
+            grid_door = make_grid_door(leaf, baked.structure, pose.occupants, config)
+        grid_doors.append(grid_door)
+    return replace(pose, grid_doors=grid_doors)
 
 
-def _differ(now: Sequence[Bool], before: Sequence[Bool]) -> list[Bool]:
-    """The cells of each level in which two layers differ, as flat masks."""
-    return [(one != other).ravel() for one, other in zip(now, before, strict=True)]
+def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) -> list[Bool]:
+    """Mark the cells of each level in which two layers differ, flat."""
+    return [(new != old).ravel() for new, old in zip(new_layers, old_layers, strict=True)]
 
 
-def _blocks_any(placed: ClassifiedLeaf, differing: Sequence[Sequence[Bool]]) -> bool:
-    """Whether a leaf blocks any marked cell, or square of a cell, in any of its states."""
-    for by_state, marked in zip((placed.blocked, placed.blocked_squares), differing, strict=True):
-        for levels in by_state.values():
-            if any(mask[cells].any() for mask, cells in zip(marked, levels, strict=False)):
+def _blocks_any(blocked: Mapping[str, Sequence[Int]], marked: Sequence[Bool]) -> bool:
+    """Whether a leaf blocks any marked cell, in any of its states.
+
+    Args:
+        blocked: the cells that the leaf blocks, by state and level.
+        marked: a flat mask of cells for each level; or none at all.
+    """
+    for cells_of_levels in blocked.values():
+        for mask, cells in zip(marked, cells_of_levels, strict=False):
+            if mask[cells].any():
                 return True
     return False
 
 
-def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
-    """The cells that differ in any layer, by level; all where levels or lattices do."""
-    pairs = list(zip(old.levels, new.levels, strict=False))
-    same = len(old.levels) == len(new.levels) and all(a.lattice == b.lattice for a, b in pairs)
-    if not same:
-        return [np.arange(level.width * level.height) for level in new.levels], True
-    cells = []
-    for one, other in pairs:
-        # weights are what the occupancy says
-        differs = one.attributes["occupancy"] != other.attributes["occupancy"]
-        for name, layer in other.attributes.items():
-            before = one.attributes[name]
-            if name != "occupancy" and not np.may_share_memory(before, layer):
-                changed = before != layer
-                if layer.dtype.kind == "f":
-                    changed &= ~(np.isnan(before) & np.isnan(layer))
-                differs |= changed
-        cells.append(np.flatnonzero(differs))
-    return cells, False
+def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int], bool]:
+    """Find the cells of each level in which any layer changed.
+
+    Returns:
+        The ids of the cells, and whether levels or their lattices changed; then all cells.
+    """
+    old_lattices = [level.lattice for level in old_grid.levels]
+    new_lattices = [level.lattice for level in new_grid.levels]
+    if old_lattices != new_lattices:
+        return [np.arange(level.width * level.height) for level in new_grid.levels], True
+    changed_cells = []
+    for old_level, new_level in zip(old_grid.levels, new_grid.levels, strict=True):
+        # Weights follow from the occupancy.
+        is_changed = old_level.attributes["occupancy"] != new_level.attributes["occupancy"]
+        for name, new_layer in new_level.attributes.items():
+            old_layer = old_level.attributes[name]
+            if name == "occupancy" or np.may_share_memory(old_layer, new_layer):
+                continue
+            is_layer_changed = old_layer != new_layer
+            if new_layer.dtype.kind == "f":
+                is_layer_changed &= ~(np.isnan(old_layer) & np.isnan(new_layer))
+            is_changed |= is_layer_changed
+        changed_cells.append(np.flatnonzero(is_changed))
+    return changed_cells, False

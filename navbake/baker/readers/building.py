@@ -1,4 +1,4 @@
-"""Buildings of Open-RMF's traffic editor (``.building.yaml``) as pieces of a scene.
+"""Reads buildings of Open-RMF's traffic editor (``.building.yaml``) as parsed scenes.
 
 Walls, floors with their holes, doors and lifts become what rmf_building_map_tools makes of them
 for simulators: walls 2.5 m high and 0.1 m thick, floors 0.1 m, doors 2.2 m. Levels are laid over
@@ -14,11 +14,11 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.geometry.shapes import Mesh
 from navbake.baker.readers.parsed_scene import (
@@ -36,17 +36,69 @@ from navbake.types import Float, Json
 
 shapely = lazy("shapely")  # of the extra [convert]
 
-WALL = 0.1, 2.5  # thickness and height [m]
-FLOOR = 0.1  # thickness [m]
-DOOR = 0.03, 2.2, 0.01  # thickness, height, and the gap round a leaf [m]
-CAR = 0.05, 0.05, 2.5, 0.05  # its walls' and floor's thickness, its height, the gap round it [m]
-SLIDING = ("sliding", "double_sliding", "telescopic", "double_telescopic")
-HINGED = ("hinged", "double_hinged")
-GEOGRAPHIC = ("web_mercator", "wgs84")
+# Sizes that simulators give to what the file has as lines [m]
+WALL_THICKNESS = 0.1
+WALL_HEIGHT = 2.5
+FLOOR_THICKNESS = 0.1
+DOOR_THICKNESS = 0.03
+DOOR_HEIGHT = 2.2
+DOOR_GAP = 0.01  # round a leaf
+CAR_WALL_THICKNESS = 0.05
+CAR_FLOOR_THICKNESS = 0.05
+CAR_HEIGHT = 2.5
+CAR_GAP = 0.05  # between a car and its shaft
+SLIDING_DOORS = ("sliding", "double_sliding", "telescopic", "double_telescopic")
+HINGED_DOORS = ("hinged", "double_hinged")
+GEOGRAPHIC_SYSTEMS = ("web_mercator", "wgs84")
+
+
+class PlanTransform(NamedTuple):
+    """How the plan of a level lies in the world: complex numbers x + iy are mapped by f z + s.
+
+    Attributes:
+        factor: turns and scales.
+        shift: moves [m].
+    """
+
+    factor: complex
+    shift: complex
+
+
+class Leaf(NamedTuple):
+    """A leaf of a door.
+
+    Attributes:
+        name: of the leaf.
+        side: 1 at the start of the door, -1 at its end.
+        width: [m].
+    """
+
+    name: str
+    side: int
+    width: float
+
+
+class CarWall(NamedTuple):
+    """A wall of a lift's car, in the car's frame, its height left out.
+
+    Attributes:
+        middle: x and y [m].
+        half_size: along x and y [m].
+    """
+
+    middle: tuple[float, float]
+    half_size: tuple[float, float]
 
 
 def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read a building: its floors, walls, doors and lifts.
+
+    Args:
+        path: the file.
+        settings: not needed; as for all readers.
+
+    Returns:
+        The parsed scene.
 
     Raises:
         SceneError: the file is no building, names a vertex that isn't there, or has no scale.
@@ -60,179 +112,227 @@ def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
         raise SceneError(f"no building in {path}: expected `levels`, as traffic-editor writes them")
     import_extra("shapely")
     with np.errstate(divide="raise", invalid="raise"):  # by points that coincide
-        return _Building(content, path).gather()
+        return _BuildingReader(content, path).read()
 
 
-class _Building:
-    """A building's file, and where its vertices are in the world."""
+class _BuildingReader:
+    """Reads the content of a building's file."""
 
     def __init__(self, content: Json, path: Path) -> None:
-        self.content = content
-        self.path = path
-        self.found = ParsedScene()
-        self.levels: Json = content["levels"]
+        self._content = content
+        self._path = path
+        self._parsed_scene = ParsedScene()
+        self._levels: Json = content["levels"]
         system = content.get("coordinate_system", "reference_image")
-        if system in GEOGRAPHIC:
+        if system in GEOGRAPHIC_SYSTEMS:
             raise SceneError(
                 f"{path} is in {system}: expected reference_image or cartesian_meters, which "
                 "traffic-editor saves as well"
             )
-        self.is_image = system == "reference_image"
-        self.maps = dict.fromkeys(self.levels, (1.0 + 0j, 0j))  # z -> z * first + second
-        self.reference = content.get("reference_level_name", next(iter(self.levels), ""))
-        if self.is_image:
-            self.maps = {self.reference: (self._scale(self.reference) + 0.0j, 0.0j)}
-            self.maps |= {name: self._lay(name) for name in self.levels if name not in self.maps}
+        self._is_image = system == "reference_image"
+        self._reference_level = content.get("reference_level_name", next(iter(self._levels), ""))
+        self._transforms = self._find_transforms()
+
+    # ------------------------------------------------------------ places
+
+    def _find_transforms(self) -> dict[str, PlanTransform]:
+        """How the plan of each level lies in the world."""
+        if not self._is_image:
+            return dict.fromkeys(self._levels, PlanTransform(1.0 + 0j, 0j))
+        scale = self._meters_per_pixel(self._reference_level)
+        transforms = {self._reference_level: PlanTransform(scale + 0.0j, 0.0j)}
+        for level in self._levels:
+            if level not in transforms:
+                transforms[level] = self._align_with_reference(level, scale)
+        return transforms
 
     def _points(self, level: str) -> NDArray[np.complex128]:
         """The vertices of a level in the file's units, y up, as complex numbers."""
-        rows = self.levels[level].get("vertices") or []
+        rows = self._levels[level].get("vertices") or []
         points = np.array([complex(row[0], row[1]) for row in rows], dtype=np.complex128)
-        return points.conj() if self.is_image else points
+        return points.conj() if self._is_image else points
 
-    def _scale(self, level: str) -> float:
+    def _meters_per_pixel(self, level: str) -> float:
         """Metres of a pixel, as the mean of the level's measurements."""
         points = self._points(level)
-        shares = []
-        for one, other, values in self.levels[level].get("measurements") or []:
-            shares.append(float(values["distance"][1]) / abs(points[one] - points[other]))
-        if not shares:
+        scales = []
+        for start, end, values in self._levels[level].get("measurements") or []:
+            scales.append(float(values["distance"][1]) / abs(points[start] - points[end]))
+        if not scales:
             raise SceneError(
-                f"level {level!r} of {self.path} has no measurement: pixels have no size without "
+                f"level {level!r} of {self._path} has no measurement: pixels have no size without "
                 "one; draw one in traffic-editor"
             )
-        return float(np.mean(shares))
+        return float(np.mean(scales))
 
-    def _lay(self, level: str) -> tuple[complex, complex]:
-        """How a level's image lies over the reference's: by the fiducials that both have."""
-        scale = self.maps[self.reference][0].real
-        marks = [
-            {name: complex(x, -y) for x, y, name in self.levels[one].get("fiducials") or []}
-            for one in (self.reference, level)
-        ]
-        shared = [name for name in marks[0] if name in marks[1]]
-        if len(shared) < 2:
+    def _align_with_reference(self, level: str, reference_scale: float) -> PlanTransform:
+        """Lay a level's image over the reference level's, by the fiducials that both have."""
+        reference_fiducials = self._fiducials(self._reference_level)
+        level_fiducials = self._fiducials(level)
+        shared_names = [name for name in reference_fiducials if name in level_fiducials]
+        if len(shared_names) < 2:
             self._warn(
-                f"level {level!r} of {self.path} shares {len(shared)} fiducials with "
-                f"{self.reference!r}, expected 2 or more: its image lies over the other's as it is"
+                f"level {level!r} of {self._path} shares {len(shared_names)} fiducials with "
+                f"{self._reference_level!r}, expected 2 or more: its image lies over the other's "
+                "as it is"
             )
-            own = self._scale(level) if self.levels[level].get("measurements") else scale
-            return own + 0.0j, 0.0j
-        ref, own_marks = (np.array([each[name] for name in shared]) for each in marks)
-        first, second = np.array(list(combinations(range(len(shared)), 2))).T
-        apart = ref[second] - ref[first]
-        own_apart = own_marks[second] - own_marks[first]
-        turns = own_apart * apart.conj()
+            has_measurements = bool(self._levels[level].get("measurements"))
+            scale = self._meters_per_pixel(level) if has_measurements else reference_scale
+            return PlanTransform(scale + 0.0j, 0.0j)
+        reference_points = np.array([reference_fiducials[name] for name in shared_names])
+        level_points = np.array([level_fiducials[name] for name in shared_names])
+        pairs = np.array(list(combinations(range(len(shared_names)), 2)))
+        first = pairs[:, 0]
+        second = pairs[:, 1]
+        reference_lines = reference_points[second] - reference_points[first]
+        level_lines = level_points[second] - level_points[first]
+        turns = level_lines * reference_lines.conj()
         turn = (turns / abs(turns)).sum().conj()  # mean of the directions' differences
-        factor = turn / abs(turn) / np.mean(abs(own_apart) / abs(apart))
-        shift = np.mean(ref - own_marks * factor)
-        return complex(factor * scale), complex(shift * scale)
+        factor = turn / abs(turn) / np.mean(abs(level_lines) / abs(reference_lines))
+        shift = np.mean(reference_points - level_points * factor)
+        return PlanTransform(complex(factor * reference_scale), complex(shift * reference_scale))
 
-    def place(self, level: str) -> Float:
+    def _fiducials(self, level: str) -> dict[str, complex]:
+        rows = self._levels[level].get("fiducials") or []
+        return {name: complex(x, -y) for x, y, name in rows}
+
+    def _world_points(self, level: str) -> Float:
         """World x and y of a level's vertices [m], shape (n, 2)."""
-        factor, shift = self.maps[level]
-        placed = self._points(level) * factor + shift
-        return np.stack([placed.real, placed.imag], axis=1)
-
-    def gather(self) -> ParsedScene:
-        lifts: Json = self.content.get("lifts") or {}
-        thick, high = WALL
-        shafts = {name: self._shaft(lift) for name, lift in lifts.items()}
-        for level, content in self.levels.items():
-            xy = self.place(level)
-            z = float(content.get("elevation", 0.0))
-            served = [shafts[name] for name, lift in lifts.items() if self._passes(lift, z)]
-            for number, floor in enumerate(content.get("floors") or [], 1):
-                holes = [xy[hole["vertices"]] for hole in content.get("holes") or []] + served
-                outline = xy[[int(v) for v in floor.get("vertices") or []]]
-                name = f"{level}/floor_{number}"
-                if len(outline) >= 3:
-                    with reading(f"{name} of {self.path}"):
-                        mesh = make_slab(outline, holes, z)
-                    if not len(mesh.faces):
-                        self._warn(f"{name} of {self.path} left out: it has no area")
-                        continue
-                    self.found.pieces.append(ParsedGeom(name, name, "mesh", (), np.eye(4), mesh))
-            for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
-                name = f"{level}/wall_{number}"
-                with reading(f"{name} of {self.path}"):
-                    x, y = xy[other] - xy[one]
-                    middle = (xy[one] + xy[other]) / 2
-                    size = (math.hypot(x, y) + thick) / 2, thick / 2, high / 2
-                    self._add_box(name, size, pose_of((*middle, z + high / 2), math.atan2(y, x)))
-            for number, (one, other, values) in enumerate(content.get("doors") or [], 1):
-                with reading(f"door {number} of level {level!r} in {self.path}"):
-                    self._add_door(xy[[one, other]], z, {k: v[1] for k, v in values.items()})
-        for name, lift in lifts.items():
-            with reading(f"lift {name!r} of {self.path}"):
-                self._add_lift(str(name), lift)
-        return self.found
-
-    def _warn(self, text: str) -> None:
-        self.found.warnings.append(text)
-
-    def _add_box(self, name: str, size: tuple[float, ...], pose: Float, body: str = "") -> None:
-        self.found.pieces.append(ParsedGeom(name, body or name, "box", size, pose))
-
-    def _add_door(self, ends: Float, z: float, values: Json) -> None:
-        """Add a door's leaves, closed; each moves by a joint."""
-        name = str(values["name"])
-        kind = str(values["type"])
-        if kind not in SLIDING + HINGED:
-            self._warn(
-                f"door {name!r} of {self.path} is of type {kind!r}, which is not known: it is left "
-                f"out; known are {', '.join(SLIDING + HINGED)}"
-            )
-            return
-        if values.get("motion_axis") == "end":
-            ends = ends[::-1]
-        back = ends[0] - ends[1]  # x of the door's frame leads from its end to its start
-        length = math.hypot(*back)
-        yaw = math.atan2(back[1], back[0])
-        if length == 0:
-            raise SceneError(f"door {name!r} of {self.path} has no width: its vertices coincide")
-        ratio = float(values.get("right_left_ratio", 1.0))
-        first = length * ratio / (1 + ratio) if kind.startswith("double") else length
-        # leaves at the start and at the end of the door: name, sign of x, length
-        leaves = [(name, 1, first)]
-        if first < length:
-            leaves = [(f"{name}_right", 1, first), (f"{name}_left", -1, length - first)]
-        thick, high, gap = DOOR
-        direction = 1 if float(values.get("motion_direction", 1)) >= 0 else -1
-        for leaf, side, wide in leaves:
-            middle = ends.mean(axis=0) + back / length * side * (length - wide) / 2
-            pose = pose_of((*middle, z + gap + high / 2), yaw)
-            hinge = pose[:3, 3] + pose[:3, 0] * side * wide / 2
-            if kind in SLIDING:
-                joint = ParsedJoint(leaf, "slide", hinge, pose[:3, 0] * side, (0.0, wide))
-            else:
-                turn = math.radians(abs(float(values.get("motion_degrees", 90.0))))
-                axis = np.array([0.0, 0.0, -1.0]) * direction * side
-                joint = ParsedJoint(leaf, "hinge", hinge, axis, (0.0, turn))
-            self.found.bodies[leaf] = ParsedBody(leaf, "", pose, joint)
-            self.found.named_leaves.add(leaf)
-            self._add_box(leaf, ((wide - gap) / 2, thick / 2, high / 2), pose, leaf)
+        transform = self._transforms[level]
+        points = self._points(level) * transform.factor + transform.shift
+        return np.stack([points.real, points.imag], axis=1)
 
     def _elevation(self, level: str) -> float:
-        return float(self.levels[level].get("elevation", 0.0))
+        return float(self._levels[level].get("elevation", 0.0))
 
-    def _passes(self, lift: Json, z: float) -> bool:
+    # ------------------------------------------------------------ floors and walls
+
+    def read(self) -> ParsedScene:
+        """Read all levels and lifts."""
+        lifts: Json = self._content.get("lifts") or {}
+        shafts = {name: self._shaft_corners(lift) for name, lift in lifts.items()}
+        for level in self._levels:
+            z = self._elevation(level)
+            level_shafts = [
+                shafts[name] for name, lift in lifts.items() if self._passes_through(lift, z)
+            ]
+            self._read_level(level, z, level_shafts)
+        for name, lift in lifts.items():
+            with reading(f"lift {name!r} of {self._path}"):
+                self._add_lift(str(name), lift)
+        return self._parsed_scene
+
+    def _read_level(self, level: str, z: float, shafts: list[Float]) -> None:
+        """Add the floors, walls and doors of a level.
+
+        Args:
+            level: its name.
+            z: its elevation [m].
+            shafts: the corners of the shafts that lead through its floors, (4, 2) each [m].
+        """
+        content = self._levels[level]
+        points = self._world_points(level)
+        for number, floor in enumerate(content.get("floors") or [], 1):
+            holes = [points[hole["vertices"]] for hole in content.get("holes") or []]
+            outline = points[[int(vertex) for vertex in floor.get("vertices") or []]]
+            if len(outline) >= 3:
+                self._add_floor(f"{level}/floor_{number}", outline, [*holes, *shafts], z)
+        for number, (start, end, *_) in enumerate(content.get("walls") or [], 1):
+            name = f"{level}/wall_{number}"
+            with reading(f"{name} of {self._path}"):
+                self._add_wall(name, points[start], points[end], z)
+        for number, (start, end, values) in enumerate(content.get("doors") or [], 1):
+            with reading(f"door {number} of level {level!r} in {self._path}"):
+                properties = {key: value[1] for key, value in values.items()}
+                self._add_door(points[[start, end]], z, properties)
+
+    def _warn(self, text: str) -> None:
+        self._parsed_scene.warnings.append(text)
+
+    def _add_floor(self, name: str, outline: Float, holes: list[Float], z: float) -> None:
+        with reading(f"{name} of {self._path}"):
+            mesh = make_slab(outline, holes, z)
+        if not len(mesh.faces):
+            self._warn(f"{name} of {self._path} left out: it has no area")
+            return
+        self._parsed_scene.geoms.append(ParsedGeom(name, name, "mesh", (), np.eye(4), mesh))
+
+    def _add_wall(self, name: str, start: Float, end: Float, z: float) -> None:
+        x, y = end - start
+        middle_x, middle_y = (start + end) / 2
+        half_size = ((math.hypot(x, y) + WALL_THICKNESS) / 2, WALL_THICKNESS / 2, WALL_HEIGHT / 2)
+        pose = make_pose((middle_x, middle_y, z + WALL_HEIGHT / 2), math.atan2(y, x))
+        self._add_box(name, half_size, pose, body=name)
+
+    def _add_box(
+        self, name: str, half_size: tuple[float, float, float], pose: Float, body: str
+    ) -> None:
+        self._parsed_scene.geoms.append(ParsedGeom(name, body, "box", half_size, pose))
+
+    # ------------------------------------------------------------ doors
+
+    def _add_door(self, ends: Float, z: float, properties: Json) -> None:
+        """Add a door's leaves, closed; each moves by a joint.
+
+        Args:
+            ends: start and end of the door, (2, 2) [m].
+            z: elevation of its level [m].
+            properties: the file's.
+        """
+        name = str(properties["name"])
+        kind = str(properties["type"])
+        if kind not in SLIDING_DOORS + HINGED_DOORS:
+            self._warn(
+                f"door {name!r} of {self._path} is of type {kind!r}, which is not known: it is "
+                f"left out; known are {', '.join(SLIDING_DOORS + HINGED_DOORS)}"
+            )
+            return
+        if properties.get("motion_axis") == "end":
+            ends = ends[::-1]
+        to_start = ends[0] - ends[1]  # the x axis of the door's frame
+        length = math.hypot(*to_start)
+        yaw = math.atan2(to_start[1], to_start[0])
+        if length == 0:
+            raise SceneError(f"door {name!r} of {self._path} has no width: its vertices coincide")
+        direction = 1 if float(properties.get("motion_direction", 1)) >= 0 else -1
+        for leaf in _find_leaves(name, kind, length, properties):
+            offset = to_start / length * leaf.side * (length - leaf.width) / 2
+            middle_x, middle_y = ends.mean(axis=0) + offset
+            pose = make_pose((middle_x, middle_y, z + DOOR_GAP + DOOR_HEIGHT / 2), yaw)
+            outer_edge = pose[:3, 3] + pose[:3, 0] * leaf.side * leaf.width / 2
+            if kind in SLIDING_DOORS:
+                axis = pose[:3, 0] * leaf.side
+                limits = (0.0, leaf.width)
+                joint = ParsedJoint(leaf.name, "slide", outer_edge, axis, limits)
+            else:
+                max_angle = math.radians(abs(float(properties.get("motion_degrees", 90.0))))
+                axis = np.array([0.0, 0.0, -1.0]) * direction * leaf.side
+                joint = ParsedJoint(leaf.name, "hinge", outer_edge, axis, (0.0, max_angle))
+            half_size = ((leaf.width - DOOR_GAP) / 2, DOOR_THICKNESS / 2, DOOR_HEIGHT / 2)
+            self._parsed_scene.bodies[leaf.name] = ParsedBody(leaf.name, "", pose, joint)
+            self._parsed_scene.named_leaves.add(leaf.name)
+            self._add_box(leaf.name, half_size, pose, body=leaf.name)
+
+    # ------------------------------------------------------------ lifts
+
+    def _passes_through(self, lift: Json, z: float) -> bool:
         """Whether a lift's shaft leads through the floors at a height."""
-        low = lift.get("lowest_floor")
-        high = lift.get("highest_floor")
-        is_above = not low or z >= self._elevation(low)
-        is_below = not high or z <= self._elevation(high)
+        lowest = lift.get("lowest_floor")
+        highest = lift.get("highest_floor")
+        is_above = not lowest or z >= self._elevation(lowest)
+        is_below = not highest or z <= self._elevation(highest)
         return bool(lift.get("level_doors")) and is_above and is_below
 
     def _pose_of_lift(self, lift: Json, z: float) -> Float:
-        factor, shift = self.maps[lift.get("reference_floor_name") or self.reference]
-        at = complex(lift["x"], -lift["y"] if self.is_image else lift["y"]) * factor + shift
-        return pose_of((at.real, at.imag, z), float(lift["yaw"]))
+        transform = self._transforms[lift.get("reference_floor_name") or self._reference_level]
+        y = -lift["y"] if self._is_image else lift["y"]
+        position = complex(lift["x"], y) * transform.factor + transform.shift
+        return make_pose((position.real, position.imag, z), float(lift["yaw"]))
 
-    def _shaft(self, lift: Json) -> Float:
-        """The corners of a lift's shaft, shape (4, 2)."""
-        half = np.array([lift["width"], lift["depth"]]) / 2 + CAR[3]
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    def _shaft_corners(self, lift: Json) -> Float:
+        """The corners of a lift's shaft, shape (4, 2) [m]."""
+        half_size = np.array([lift["width"], lift["depth"]]) / 2 + CAR_GAP
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half_size
         pose = self._pose_of_lift(lift, 0.0)
         return np.asarray(corners @ pose[:2, :2].T + pose[:2, 3])
 
@@ -241,82 +341,138 @@ class _Building:
         stops = [self._elevation(level) for level in lift.get("level_doors") or {}]
         if len(stops) < 2:
             opens = f"opens on {len(stops)} levels, expected 2 or more"
-            self._warn(f"lift {name!r} of {self.path} {opens}: it is left out")
+            self._warn(f"lift {name!r} of {self._path} {opens}: it is left out")
             return
-        first = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
-        z = self._elevation(first)
+        first_level = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
+        z = self._elevation(first_level)
         pose = self._pose_of_lift(lift, z)
-        limits = min(stops) - z, max(stops) - z
+        limits = (min(stops) - z, max(stops) - z)
         joint = ParsedJoint(name, "slide", pose[:3, 3], np.array([0.0, 0.0, 1.0]), limits)
-        self.found.bodies[name] = ParsedBody(name, "", pose, joint)
-        _, floor, high, _ = CAR
-        half = float(lift["width"]) / 2, float(lift["depth"]) / 2
-        sizes = half[0], half[1], floor / 2
-        self._add_box(f"{name}/floor", sizes, pose @ pose_of((0, 0, -floor / 2)), name)
-        for number, (middle, size) in enumerate(_walls_of_car(half, lift.get("doors") or {}), 1):
-            at = pose @ pose_of((*middle, high / 2))
-            self._add_box(f"{name}/wall_{number}", (*size, high / 2), at, name)
+        self._parsed_scene.bodies[name] = ParsedBody(name, "", pose, joint)
+        half_width = float(lift["width"]) / 2
+        half_depth = float(lift["depth"]) / 2
+        self._add_box(
+            f"{name}/floor",
+            (half_width, half_depth, CAR_FLOOR_THICKNESS / 2),
+            pose @ make_pose((0, 0, -CAR_FLOOR_THICKNESS / 2)),
+            body=name,
+        )
+        walls = _find_car_walls((half_width, half_depth), lift.get("doors") or {})
+        for number, wall in enumerate(walls, 1):
+            self._add_box(
+                f"{name}/wall_{number}",
+                (*wall.half_size, CAR_HEIGHT / 2),
+                pose @ make_pose((*wall.middle, CAR_HEIGHT / 2)),
+                body=name,
+            )
 
 
-def _walls_of_car(
-    half: tuple[float, float], doors: Json
-) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
-    """Middles and half sizes of a car's walls, in its frame: its sides but for the doors."""
-    thick = CAR[0]
+def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[Leaf]:
+    """The leaves of a door: one, or one on each side."""
+    if not kind.startswith("double"):
+        return [Leaf(name, 1, length)]
+    ratio = float(properties.get("right_left_ratio", 1.0))
+    right_width = length * ratio / (1 + ratio)
+    if right_width >= length:
+        return [Leaf(name, 1, right_width)]
+    return [Leaf(f"{name}_right", 1, right_width), Leaf(f"{name}_left", -1, length - right_width)]
+
+
+def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[CarWall]:
+    """Find the walls of a car: its sides but for the doors.
+
+    Args:
+        half_sizes: of the car along x and y [m].
+        doors: the car's, with their place and width in its frame.
+    """
     for axis in (0, 1):  # the sides across x, then those across y
         across = 1 - axis
-        reach = half[across] - (thick if axis == 0 else 0.0)
+        # The sides across x stand between those across y.
+        reach = half_sizes[across] - (CAR_WALL_THICKNESS if axis == 0 else 0.0)
         for sign in (-1, 1):
             gaps = []
             for door in doors.values():
-                at = float(door["x"]), float(door["y"])
-                off = [abs(abs(at[k]) - half[k]) for k in (0, 1)]
-                if (off[0] <= off[1]) == (axis == 0) and (at[axis] > 0) == (sign > 0):
-                    gaps.append((at[across] - door["width"] / 2, at[across] + door["width"] / 2))
+                position = (float(door["x"]), float(door["y"]))
+                x_distance = abs(abs(position[0]) - half_sizes[0])
+                y_distance = abs(abs(position[1]) - half_sizes[1])
+                is_across_axis = (x_distance <= y_distance) == (axis == 0)
+                if is_across_axis and (position[axis] > 0) == (sign > 0):
+                    middle = position[across]
+                    gaps.append((middle - door["width"] / 2, middle + door["width"] / 2))
             begin = -reach
-            for low, end in [*sorted(gaps), (reach, reach)]:
-                if low - begin > 1e-6:
-                    middle = [0.0, 0.0]
-                    size = [0.0, 0.0]
-                    middle[axis] = sign * (half[axis] - thick / 2)
-                    size[axis] = thick / 2
-                    middle[across] = (begin + low) / 2
-                    size[across] = (low - begin) / 2
-                    yield (middle[0], middle[1]), (size[0], size[1])
-                begin = max(begin, end)
+            for gap_begin, gap_end in [*sorted(gaps), (reach, reach)]:
+                if gap_begin - begin > 1e-6:
+                    wall_middle = [0.0, 0.0]
+                    half_size = [0.0, 0.0]
+                    wall_middle[axis] = sign * (half_sizes[axis] - CAR_WALL_THICKNESS / 2)
+                    half_size[axis] = CAR_WALL_THICKNESS / 2
+                    wall_middle[across] = (begin + gap_begin) / 2
+                    half_size[across] = (gap_begin - begin) / 2
+                    yield CarWall(
+                        middle=(wall_middle[0], wall_middle[1]),
+                        half_size=(half_size[0], half_size[1]),
+                    )
+                begin = max(begin, gap_end)
 
 
-def pose_of(at: Any, yaw: float = 0.0) -> Float:
-    """A pose upright at x, y, z [m], turned about z, shape (4, 4)."""
+def make_pose(position: ArrayLike, yaw: float = 0.0) -> Float:
+    """Return an upright pose, shape (4, 4).
+
+    Args:
+        position: x, y and z [m].
+        yaw: the turn about z [rad].
+    """
     pose = np.eye(4)
     pose[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
-    pose[:3, 3] = at
+    pose[:3, 3] = position
     return pose
 
 
 def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
-    """A polygon without its holes as a closed slab below a height; empty for one without area."""
+    """Make a closed slab of `FLOOR_THICKNESS` of a polygon without its holes.
+
+    Args:
+        outline: corners of the polygon, (n, 2) [m].
+        holes: corners of each hole, (n, 2) [m].
+        z: height of the slab's top [m].
+
+    Returns:
+        The slab; an empty mesh where the polygon has no area.
+    """
     area = shapely.make_valid(shapely.polygons(outline))
     for hole in holes:
         area = area.difference(shapely.make_valid(shapely.polygons(hole)))
-    tops = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
-    corners = np.array([shapely.get_coordinates(t.normalize())[2::-1] for t in tops])
-    if not len(tops):
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
+    if not len(triangles):
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
-    flat, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
+    corners = np.array(
+        [shapely.get_coordinates(triangle.normalize())[2::-1] for triangle in triangles]
+    )
+    points, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
     faces = index.reshape(-1, 3).astype(np.int32)
-    a, b, c = (flat[faces[:, k]] for k in range(3))
-    dx, dy = (b - a).T
-    ex, ey = (c - a).T
-    turned = dx * ey - dy * ex < 0
-    faces[turned] = faces[turned][:, ::-1]
-    # an edge of one triangle alone is the outline's, and gets a wall down
+    first_side = points[faces[:, 1]] - points[faces[:, 0]]
+    second_side = points[faces[:, 2]] - points[faces[:, 0]]
+    cross = first_side[:, 0] * second_side[:, 1] - first_side[:, 1] * second_side[:, 0]
+    is_clockwise = cross < 0
+    faces[is_clockwise] = faces[is_clockwise][:, ::-1]
+    # An edge of one triangle alone is part of the outline, and gets a wall down.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    ends = np.sort(edges, axis=1)
-    _, place, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
-    one, other = edges[place[count == 1]].T
-    low = np.int32(len(flat))
-    sides = [np.stack([one, one + low, other], 1), np.stack([other, one + low, other + low], 1)]
-    layers = [np.column_stack([flat, np.full(len(flat), height)]) for height in (z, z - FLOOR)]
-    vertices = np.concatenate(layers)
-    return Mesh(vertices, np.concatenate([faces, faces[:, ::-1] + low, *sides]).astype(np.int32))
+    _, first_edge, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    outline_edges = edges[first_edge[count == 1]]
+    start = outline_edges[:, 0]
+    end = outline_edges[:, 1]
+    below = np.int32(len(points))  # from the index of a point of the top to that of the bottom
+    sides = [
+        np.stack([start, start + below, end], 1),
+        np.stack([end, start + below, end + below], 1),
+    ]
+    bottom = faces[:, ::-1] + below
+    vertices = np.concatenate(
+        [
+            np.column_stack([points, np.full(len(points), height)])
+            for height in (z, z - FLOOR_THICKNESS)
+        ]
+    )
+    return Mesh(vertices, np.concatenate([faces, bottom, *sides]).astype(np.int32))

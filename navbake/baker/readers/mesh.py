@@ -1,8 +1,10 @@
-"""Reads mesh files and trimesh scenes as named parts. Only this module imports trimesh.
+"""Reads mesh files and trimesh scenes as named meshes. Only this module imports trimesh.
 
 Files that trimesh would silently misread are checked or repaired first. Plain binary PLY and STL
 are read without it, as its import takes longer than they do.
 """
+
+from __future__ import annotations
 
 import io
 import json
@@ -16,7 +18,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeGuard
 from urllib.parse import unquote
 
 import numpy as np
@@ -29,124 +31,196 @@ from navbake.formats.allowance import MAX_BYTES
 from navbake.known_names import unique_name
 from navbake.lazy import lazy
 from navbake.threads import run_in_chunks
-from navbake.types import Float, Int32
+from navbake.types import Float, Int32, Json
 
-trimesh = lazy("trimesh")
+if TYPE_CHECKING:
+    import trimesh
+else:
+    trimesh = lazy("trimesh")
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
-AXES = {sign + axis: (np.eye(3)[k] * way).tolist()
-        for sign, way in (("", 1.0), ("-", -1.0)) for k, axis in enumerate("xyz")}  # fmt: skip
-NO_AREA = 5e-15  # of triangles that are no larger [m²]
+# The unit vectors of the axes by their names: x, y, z, -x, -y and -z
+AXES: dict[str, list[float]] = dict(zip("xyz", np.eye(3).tolist(), strict=True))
+AXES |= dict(zip(("-x", "-y", "-z"), (np.eye(3) * -1.0).tolist(), strict=True))
+MIN_TRIANGLE_AREA = 5e-15  # triangles that are no larger are dropped [m²]
 MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
-# How trimesh reads a format
-PLAIN: dict[str, Any] = {"skip_materials": True}
-OPTIONS = {".glb": PLAIN, ".gltf": PLAIN}
-OPTIONS[".obj"] = PLAIN | {"split_objects": True, "split_groups": True, "group_material": False}
+# trimesh's options for a format
+TRIMESH_OPTIONS: dict[str, dict[str, object]] = {
+    ".glb": {"skip_materials": True},
+    ".gltf": {"skip_materials": True},
+    ".obj": {
+        "skip_materials": True,
+        "split_objects": True,
+        "split_groups": True,
+        "group_material": False,
+    },
+}
 
 Direction: TypeAlias = str | Sequence[float] | Float
 """One of `AXES` by its name, or a vector of any length, in the frame of a file."""
 
 
 class NamedMesh(NamedTuple):
-    """One named piece of a mesh file; faces are counter-clockwise from outside."""
+    """One named mesh of a scene: an object, a group, a solid or a node of a file.
 
-    name: str  # the file's; unique once it is in the world's frame
+    Attributes:
+        name: the file's; unique once the mesh is in the world frame.
+        vertices: shape (n, 3).
+        faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
+        mode: as what the file says that `scene.meshes: auto` counts it.
+    """
+
+    name: str
     vertices: Float
     faces: Int32
-    mode: str = "auto"  # as what the file says that `scene.meshes: auto` counts it
+    mode: str = "auto"
+
+
+class Triangles(NamedTuple):
+    """Triangles of a file.
+
+    Attributes:
+        vertices: shape (n, 3).
+        faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
+    """
+
+    vertices: Float
+    faces: Int32
 
 
 def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> list[NamedMesh]:
-    """Read a mesh file as named parts in the world frame: its objects, groups, solids and nodes.
+    """Read a mesh file as named meshes in the world frame: its objects, groups, solids and nodes.
 
     A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`, whatever the file says of
-    its vertical axis (see `file_up_axis`). Triangles without area, unused vertices and parts
+    its vertical axis (see `file_up_axis`). Triangles without area, unused vertices and meshes
     without triangles are dropped.
+
+    Args:
+        path: the file.
+        up: the direction in the file that is up.
+        unit: the metres of one unit of the file.
+
+    Returns:
+        The meshes, at least one [m].
+
+    Raises:
+        SceneError: the file is missing or broken, or has no triangles.
     """
     try:
-        found = _read_parts(path)
-        scale = unit * (_dae_asset(path)[0] if path.suffix.lower() == ".dae" else 1.0)
+        meshes = _read_file(path)
+        scale = unit
+        if path.suffix.lower() == ".dae":
+            scale = unit * _read_dae_asset(path).meters_per_unit
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
-    return _to_world(found, path, up, scale)
+    return _to_world(meshes, path, up, scale)
 
 
-def is_mesh_scene(scene: Any) -> bool:
-    """Whether something is a trimesh.Scene or a trimesh.Trimesh; others don't load trimesh."""
+def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
+    """Whether an object is a trimesh.Scene or a Trimesh; trimesh is loaded for these only."""
     if not any(kind.__module__.partition(".")[0] == "trimesh" for kind in type(scene).__mro__):
         return False
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
 
 
-def join_meshes(parts: Sequence[NamedMesh]) -> tuple[Float, Int32]:
-    """The vertices and faces of all parts, as one mesh."""
-    first = np.cumsum([0, *(len(part.vertices) for part in parts)]).astype(np.int32)
-    faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
-    return np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
+def join_meshes(meshes: Sequence[NamedMesh]) -> Triangles:
+    """Join meshes to one."""
+    first_vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)]).astype(np.int32)
+    faces = [mesh.faces + first for mesh, first in zip(meshes, first_vertices, strict=False)]
+    return Triangles(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
 def convert_trimesh(
-    scene: Any, path: Path, up: Direction = "z", unit: float = 1.0
+    scene: trimesh.Scene | trimesh.Trimesh, path: Path, up: Direction = "z", unit: float = 1.0
 ) -> list[NamedMesh]:
-    """Take a trimesh.Scene or trimesh.Trimesh, which stays as it is, as `read_named_meshes` a file.
+    """Convert a trimesh.Scene or trimesh.Trimesh, as `read_named_meshes` reads a file.
 
-    Parts are named by the scene graph's nodes, or by the stem of the path, which errors name.
+    Args:
+        scene: it is not changed.
+        path: its stem names meshes that the scene graph's nodes don't name; errors name it.
+        up: the direction in the scene that is up.
+        unit: the metres of one unit of the scene.
+
+    Returns:
+        The meshes in the world frame, at least one [m].
+
+    Raises:
+        SceneError: the scene is broken, or has no triangles.
     """
-    with _silence():
-        whole = scene if isinstance(scene, trimesh.Scene) else trimesh.Scene(scene)
+    with _silence_trimesh():
+        if not isinstance(scene, trimesh.Scene):
+            scene = trimesh.Scene(scene)
         try:
-            found = _parts_of(whole)
+            meshes = _meshes_of_nodes(scene)
         except (ValueError, TypeError, KeyError, IndexError) as error:
             reason = " ".join(str(error).split())[:200]
             raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
-    # kernels are compiled for arrays that can be written, and the caller may change these later
-    own = [NamedMesh(name, vertices.copy(), faces.copy()) for name, vertices, faces, _ in found]
-    return _to_world(own, path, up, unit)
+    # Kernels are compiled for arrays that can be written, and the caller may change these later.
+    copied_meshes = [
+        NamedMesh(mesh.name, mesh.vertices.copy(), mesh.faces.copy()) for mesh in meshes
+    ]
+    return _to_world(copied_meshes, path, up, unit)
 
 
-def bounds_of_meshes(parts: Collection[NamedMesh]) -> Float:
-    """The lower and the upper corner of the box round parts, shape (2, 3) [m]."""
-    boxes = np.array([bounding_box(part.vertices) for part in parts])
+def bounds_of_meshes(meshes: Collection[NamedMesh]) -> Float:
+    """Return the lower and the upper corner of the box round meshes, shape (2, 3) [m]."""
+    boxes = np.array([bounding_box(mesh.vertices) for mesh in meshes])
     return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
-def _read_parts(path: Path) -> list[NamedMesh]:
-    """A part for each node of the file that carries a mesh, in the file's frame and unit."""
+def _read_file(path: Path) -> list[NamedMesh]:
+    """A mesh for each node of the file that has one, in the file's frame and unit."""
     suffix = path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
-    if (plain := read_plain(path)) is not None:
-        return [NamedMesh("", *plain)]
-    data = PREPARE[suffix](path) if suffix in PREPARE else b""
-    source: Any = io.BytesIO(data) if suffix in PREPARE else path
-    options = {"file_type": suffix[1:], "process": False, **OPTIONS.get(suffix, {})}
+    triangles = read_plain(path)
+    if triangles is not None:
+        return [NamedMesh("", triangles.vertices, triangles.faces)]
+    content = b""
+    source: io.BytesIO | Path = path
+    if suffix in REPAIR_FUNCTIONS:
+        content = REPAIR_FUNCTIONS[suffix](path)
+        source = io.BytesIO(content)
+    options: dict[str, Any] = {
+        "file_type": suffix[1:],
+        "process": False,
+        **TRIMESH_OPTIONS.get(suffix, {}),
+    }
     try:
-        with _silence():
-            parts = _parts_of(trimesh.load_scene(source, **options))
+        with _silence_trimesh():
+            meshes = _meshes_of_nodes(trimesh.load_scene(source, **options))
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         text = f"cannot read the mesh {path}, it is broken or cut off: {reason}"
         raise SceneError(text) from error
-    if suffix == ".ply":  # of one that is cut off, trimesh finds fewer than its header says
-        header = data[:MOST_HEADER].partition(b"end_header")[0]
-        for name, field in ((b"vertex", "vertices"), (b"face", "faces")):
-            count = sum(len(getattr(part, field)) for part in parts)
-            said = re.search(rb"element %s (\d+)" % name, header)
-            if said and int(said[1]) > count:
-                expected = f"expected {int(said[1])} {name.decode()} elements"
-                raise SceneError(f"{path} is cut off: {expected}, got {count}")
-    return parts
+    if suffix == ".ply":
+        _check_ply_counts(content, meshes, path)
+    return meshes
 
 
-def _parts_of(loaded: Any) -> list[NamedMesh]:
+def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> None:
+    """Refuse a PLY that is cut off: trimesh finds fewer elements than its header says."""
+    header = content[:MAX_PLY_HEADER].partition(b"end_header")[0]
+    counts = {
+        "vertex": sum(len(mesh.vertices) for mesh in meshes),
+        "face": sum(len(mesh.faces) for mesh in meshes),
+    }
+    for element, count in counts.items():
+        declared = re.search(rb"element %s (\d+)" % element.encode(), header)
+        if declared and int(declared[1]) > count:
+            expected = f"expected {int(declared[1])} {element} elements"
+            raise SceneError(f"{path} is cut off: {expected}, got {count}")
+
+
+def _meshes_of_nodes(scene: trimesh.Scene) -> list[NamedMesh]:
     """The nodes' meshes in the file's frame, without lines and points, which have no surface."""
-    parts = []
-    for node in loaded.graph.nodes_geometry:
-        matrix, geometry_name = loaded.graph[node]
-        geometry = loaded.geometry[geometry_name]
+    meshes = []
+    for node in scene.graph.nodes_geometry:
+        transform, geometry_name = scene.graph[node]
+        geometry = scene.geometry[geometry_name]
         if not isinstance(geometry, trimesh.Trimesh):
             continue
         faces = np.asarray(geometry.faces, dtype=np.int64)
@@ -155,122 +229,161 @@ def _parts_of(loaded: Any) -> list[NamedMesh]:
             raise ValueError(f"{geometry_name!r} has no vertices of three coordinates or triangles")
         if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
             raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
-        turn, shift = np.split(np.asarray(matrix, dtype=np.float64)[:3], [3], axis=1)
-        way = -1 if np.linalg.det(turn) < 0 else 1  # a mirror turns every triangle over
-        corners = np.ascontiguousarray(faces[:, ::way], dtype=np.int32)
+        transform = np.asarray(transform, dtype=np.float64)
+        linear_part = transform[:3, :3]
+        translation = transform[:3, 3]
+        if np.linalg.det(linear_part) < 0:  # a mirror turns every triangle over
+            faces = faces[:, ::-1]
         name = str(node)
         if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
-            name = str(loaded.graph.transforms.parents.get(node, geometry_name))
-        parts.append(NamedMesh(name, _turn(vertices, turn) + shift[:, 0], corners))
-    return parts
+            name = str(scene.graph.transforms.parents.get(node, geometry_name))
+        meshes.append(
+            NamedMesh(
+                name=name,
+                vertices=_transform(vertices, linear_part) + translation,
+                faces=np.ascontiguousarray(faces, dtype=np.int32),
+            )
+        )
+    return meshes
 
 
-def _turn(vertices: Float, matrix: Float) -> Float:
-    """Vertices times a matrix; those of most files stay as they are."""
+def _transform(vertices: Float, matrix: Float) -> Float:
+    """Vertices times a matrix; the same array for the identity, as in most files."""
     return vertices if (matrix == np.eye(3)).all() else vertices @ matrix.T
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
+def _silence_trimesh() -> Iterator[None]:
     """Keep trimesh's log and warnings off stderr: what matters is raised."""
     logger = logging.getLogger("trimesh")  # its modules' loggers take their level from it
-    before = logger.level
+    old_level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.setLevel(before)
+        logger.setLevel(old_level)
 
 
 def file_up_axis(path: Path) -> str | None:
-    """The axis that is up in a mesh file: y by glTF's specification, a DAE's own, else None."""
+    """Return the axis that a mesh file says is up: y of glTF, a DAE's own, else None."""
     suffix = path.suffix.lower()
     if suffix == ".dae" and path.is_file():
-        with suppress(ElementTree.ParseError):  # whoever reads the mesh says what is wrong
-            return _dae_asset(path)[1]
+        with suppress(ElementTree.ParseError):  # reading the mesh will say what is wrong
+            return _read_dae_asset(path).up_axis
     return "y" if suffix in (".glb", ".gltf") else None
 
 
 def rotation_to_z_up(up: Direction) -> Float:
-    """The rotation that turns a direction to +z by the least angle, exact for axes, (3, 3)."""
+    """Return the rotation that turns a direction to +z by the least angle, (3, 3), exact for axes.
+
+    Source: Rodrigues' formula for the rotation between two unit vectors.
+    """
     vector = AXES[up] if isinstance(up, str) else up
     x, y, z = np.divide(vector, np.linalg.norm(vector)).tolist()
-    if z < -0.5:  # over the opposite direction, as near that no axis is the best
-        return np.asarray(rotation_to_z_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0]) + 0.0)
-    across = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])  # Rodrigues' formula
-    return np.asarray(np.eye(3) + across + across @ across / (1.0 + z) + 0.0)
+    if z < -0.5:
+        # Near -z no axis is the best, and the formula loses digits: first half a turn about x.
+        rotation = rotation_to_z_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0])
+        return np.asarray(rotation + 0.0)
+    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + z) + 0.0)
 
 
-def _dae_asset(path: Path) -> tuple[float, str | None]:
-    """Metres per unit of a DAE, 1 if it states none; and its axis that is up, or None."""
-    meters = 1.0
-    up = None
+class DaeAsset(NamedTuple):
+    """What a DAE says of its frame.
+
+    Attributes:
+        meters_per_unit: 1 if it says nothing.
+        up_axis: a name of `AXES`; None if it says nothing.
+    """
+
+    meters_per_unit: float
+    up_axis: str | None
+
+
+def _read_dae_asset(path: Path) -> DaeAsset:
+    meters_per_unit = 1.0
+    up_axis = None
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rpartition("}")[2]
         if event == "start" and tag == "unit":
             meter = element.get("meter", "1")
-            meters = 0.0
+            meters_per_unit = 0.0
             with suppress(ValueError):
-                meters = float(meter)
-            if not 0 < meters < float("inf"):
+                meters_per_unit = float(meter)
+            if not 0 < meters_per_unit < float("inf"):
                 raise SceneError(f"expected a number > 0 as <unit meter> in {path}, got {meter!r}")
         if event == "end" and tag == "up_axis":
             axis = (element.text or "").strip()[:1].lower()
-            up = axis if axis in AXES else None
+            up_axis = axis if axis in AXES else None
         if event == "end" and tag == "asset":
             break
-    return meters, up
+    return DaeAsset(meters_per_unit, up_axis)
 
 
-def _to_world(found: list[NamedMesh], path: Path, up: Direction, scale: float) -> list[NamedMesh]:
-    """Turn parts into the world frame, with unique names."""
-    turn = scale * rotation_to_z_up(up)
-    taken = {"world"}  # MuJoCo's own body
-    parts = []
-    for part in found:
-        name = "".join(char if char.isprintable() else "_" for char in part.name)
+def _to_world(meshes: list[NamedMesh], path: Path, up: Direction, scale: float) -> list[NamedMesh]:
+    """Transform meshes to the world frame, with unique names."""
+    matrix = scale * rotation_to_z_up(up)
+    used_names = {"world"}  # MuJoCo's own body
+    world_meshes = []
+    for mesh in meshes:
+        name = "".join(char if char.isprintable() else "_" for char in mesh.name)
         if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
             name = stem_of(path)
         name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
-        vertices, faces = drop_unused_vertices(part.vertices, part.faces)
+        vertices, faces = drop_unused_vertices(mesh.vertices, mesh.faces)
         with np.errstate(all="ignore"):
-            vertices = _turn(vertices, turn)
-        part = check_mesh(NamedMesh(name, vertices, faces), path)
-        if len(part.faces):
-            parts.append(part._replace(name=unique_name(name, taken)))
-    if not parts:
+            vertices = _transform(vertices, matrix)
+        checked_mesh = check_mesh(NamedMesh(name, vertices, faces), path)
+        if len(checked_mesh.faces):
+            world_meshes.append(checked_mesh._replace(name=unique_name(name, used_names)))
+    if not world_meshes:
         raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
-    return parts
+    return world_meshes
 
 
-def check_mesh(part: NamedMesh, path: Path) -> NamedMesh:
-    """Refuse coordinates that are no places; leave out triangles without area."""
-    name, vertices, faces, mode = part
-    box = bounding_box(vertices) if len(vertices) else np.zeros(6)
+def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
+    """Check a mesh's coordinates, and drop triangles without area.
+
+    Args:
+        mesh: in the world frame [m].
+        path: of the scene, for errors.
+
+    Returns:
+        The mesh; it may have no triangles.
+
+    Raises:
+        SceneError: a coordinate is not finite, or beyond `MAX_COORDINATE`.
+    """
+    box = bounding_box(mesh.vertices) if len(mesh.vertices) else np.zeros(6)
     if not np.isfinite(box).all():
-        raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
+        raise SceneError(f"mesh {mesh.name!r} in {path} has coordinates that are no numbers")
     if np.abs(box).max() > MAX_COORDINATE:
         beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
-        raise SceneError(f"mesh {name!r} in {path} {beyond}")
-    has_area = triangle_areas(vertices, faces) > NO_AREA
-    used = (vertices, faces) if has_area.all() else drop_unused_vertices(vertices, faces[has_area])
-    return NamedMesh(name, *used, mode)
+        raise SceneError(f"mesh {mesh.name!r} in {path} {beyond}")
+    has_area = triangle_areas(mesh.vertices, mesh.faces) > MIN_TRIANGLE_AREA
+    if has_area.all():
+        return mesh
+    vertices, faces = drop_unused_vertices(mesh.vertices, mesh.faces[has_area])
+    return mesh._replace(vertices=vertices, faces=faces)
 
 
 # ---------------------------------------------------------------- files
 
-# [bytes]
-STL_HEADER = 84
-STL_TRIANGLE = 50
-MOST_HEADER = 1 << 20  # of a PLY; what counts stands before that [bytes]
-LEAST_READ = 1 << 16  # vertices or triangles of a plain file that a thread reads at once
+STL_HEADER = 84  # [bytes]
+STL_TRIANGLE = 50  # [bytes]
+MAX_PLY_HEADER = 1 << 20  # where a PLY's header ends, at most [bytes]
+MIN_CHUNK = 1 << 16  # vertices or triangles of a plain file that a thread reads at once
 
 
-def prepare_obj(path: Path) -> bytes:
-    """An OBJ's text as trimesh reads it rightly: UTF-8, no indents, absolute indices."""
-    text = _as_utf8(path.read_bytes()).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+def repair_obj(path: Path) -> bytes:
+    """Return an OBJ's text so that trimesh reads it rightly: UTF-8, no indents, absolute indices.
+
+    Raises:
+        SceneError: a face refers to no vertex.
+    """
+    text = _to_utf8(path.read_bytes()).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     text = text.replace(b"\\\n", b" ")
     if re.search(rb"(?m)^(?:[ \t]+[vf]|[vf]\t)", text):
         text = b"\n".join(b" ".join(line.split()) for line in text.split(b"\n"))
@@ -281,50 +394,57 @@ def prepare_obj(path: Path) -> bytes:
     for number, line in enumerate(lines):
         num_vertices += line.startswith(b"v ")
         if line.startswith(b"f "):
-            # references to vertices, counted from 1; textures and normals don't matter here
+            # Vertices are counted from 1, or from the last one so far by negative numbers. Textures
+            # and normals don't matter here.
             words = [word.partition(b"/")[0] for word in line.partition(b"#")[0].split()[1:]]
             indices = [int(word) if re.fullmatch(rb"[-+]?\d{1,18}", word) else 0 for word in words]
-            indices = [index + (index < 0) * (num_vertices + 1) for index in indices]
+            indices = [index + num_vertices + 1 if index < 0 else index for index in indices]
             if min(indices, default=1) <= 0:
-                wanted = "expected numbers of vertices, counted from 1"
-                raise SceneError(f"{wanted}, in line {number + 1} of {path}")
+                expected = "expected numbers of vertices, counted from 1"
+                raise SceneError(f"{expected}, in line {number + 1} of {path}")
             lines[number] = b"f " + " ".join(map(str, indices)).encode()
     return b"\n".join(lines)
 
 
-def prepare_stl(path: Path) -> bytes:
-    """An STL's bytes; refuses one that is cut off, or neither text nor binary."""
-    data = path.read_bytes()
-    if data.lstrip()[:5].lower() == b"solid" and b"facet" in (words := data.lower()):
-        starts = re.findall(b"(?m)^\\s*%ssolid" % b"", words)
-        ends = re.findall(b"(?m)^\\s*%ssolid" % b"end", words)
-        if len(ends) < len(starts):
+def repair_stl(path: Path) -> bytes:
+    """Return an STL's bytes, without what some writers append.
+
+    Raises:
+        SceneError: it is cut off, or neither text nor binary.
+    """
+    content = path.read_bytes()
+    may_be_text = content.lstrip()[:5].lower() == b"solid"
+    lower_case = content.lower() if may_be_text else b""
+    if b"facet" in lower_case:
+        num_starts = len(re.findall(rb"(?m)^\s*solid", lower_case))
+        num_ends = len(re.findall(rb"(?m)^\s*endsolid", lower_case))
+        if num_ends < num_starts:
             raise SceneError(f"{path} is cut off: its last solid has no end")
-        return _as_utf8(data)
-    count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
-    size = STL_HEADER + STL_TRIANGLE * count
-    if len(data) < max(size, STL_HEADER):
-        wanted = f"expected {size} bytes for the {count} triangles of its header"
-        raise SceneError(f"{path} is cut off or no STL: {wanted}, got {len(data)}")
-    return data[:size]  # trimesh takes no more, some writers append something
+        return _to_utf8(content)
+    num_triangles = int.from_bytes(content[STL_HEADER - 4 : STL_HEADER], "little")
+    size = STL_HEADER + STL_TRIANGLE * num_triangles
+    if len(content) < max(size, STL_HEADER):
+        expected = f"expected {size} bytes for the {num_triangles} triangles of its header"
+        raise SceneError(f"{path} is cut off or no STL: {expected}, got {len(content)}")
+    return content[:size]
 
 
-def prepare_ply(path: Path) -> bytes:
-    """A PLY's bytes, as UTF-8 if it is text."""
-    data = path.read_bytes()
-    return _as_utf8(data) if b"format ascii" in data[:200] else data
+def repair_ply(path: Path) -> bytes:
+    """Return a PLY's bytes, as UTF-8 if it is text."""
+    content = path.read_bytes()
+    return _to_utf8(content) if b"format ascii" in content[:200] else content
 
 
-def _as_utf8(data: bytes) -> bytes:
+def _to_utf8(text: bytes) -> bytes:
     """Text that decodes; trimesh needs another package to guess at other encodings."""
-    return data.decode("utf-8-sig", errors="replace").encode()
+    return text.decode("utf-8-sig", errors="replace").encode()
 
 
 PLY_FORMATS = {b"binary_little_endian": "<", b"binary_big_endian": ">"}
 PLY_TYPES = {b"uchar": "u1", b"uint8": "u1", b"int": "i4", b"int32": "i4", b"uint": "u4"}
 PLY_TYPES |= {b"uint32": "u4", b"float": "f4", b"float32": "f4", b"double": "f8", b"float64": "f8"}
 PLY_COORDINATES = {b"x", b"y", b"z"}
-# What a plain vertex may have; one with texture coordinates may belong to several vertices
+# What a plain vertex may have; with texture coordinates, several may be the same vertex
 PLY_VERTEX = PLY_COORDINATES | {b"nx", b"ny", b"nz", b"red", b"green", b"blue", b"alpha"}
 PLY_HEADER = re.compile(
     rb"ply\nformat (?P<format>\w+) 1\.0\n(?:comment [^\n]*\n)*"
@@ -334,87 +454,104 @@ PLY_HEADER = re.compile(
 )
 
 
-def read_plain(path: Path) -> tuple[Float, Int32] | None:
-    """The vertices and triangles of a binary PLY or STL that holds nothing but these, else None.
+def read_plain(path: Path) -> Triangles | None:
+    """Read a binary PLY or STL that holds nothing but vertices and triangles.
 
     Each thread reads and converts ranges of them.
+
+    Returns:
+        The triangles; None for any other file.
     """
     if path.suffix.lower() == ".ply":
         return _read_plain_ply(path)
-    if path.suffix.lower() != ".stl":
-        return None
+    if path.suffix.lower() == ".stl":
+        return _read_plain_stl(path)
+    return None
+
+
+def _read_plain_stl(path: Path) -> Triangles | None:
     with path.open("rb") as file:
         header = file.read(STL_HEADER)
-    count = int.from_bytes(header[STL_HEADER - 4 :], "little")
+    num_triangles = int.from_bytes(header[STL_HEADER - 4 :], "little")
     is_text = header.lstrip()[:5].lower() in (b"solid", b"")
-    if is_text or not count or path.stat().st_size < STL_HEADER + STL_TRIANGLE * count:
+    size = STL_HEADER + STL_TRIANGLE * num_triangles
+    if is_text or not num_triangles or path.stat().st_size < size:
         return None
-    facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    vertices = np.empty((3 * count, 3))
+    triangle_type = np.dtype(
+        [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    )
+    vertices = np.empty((3 * num_triangles, 3))
 
     def read(first: int, end: int) -> None:
-        some = np.fromfile(path, facet, end - first, offset=STL_HEADER + first * STL_TRIANGLE)
-        _to_float64(list(some["corners"].reshape(-1, 3).T), vertices[3 * first : 3 * end])
+        offset = STL_HEADER + first * STL_TRIANGLE
+        records = np.fromfile(path, triangle_type, end - first, offset=offset)
+        corners = records["corners"].reshape(-1, 3)
+        _write_float64(list(corners.T), vertices[3 * first : 3 * end])
 
-    run_in_chunks(read, count, least=LEAST_READ)
-    return vertices, np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    run_in_chunks(read, num_triangles, least=MIN_CHUNK)
+    return Triangles(vertices, np.arange(3 * num_triangles, dtype=np.int32).reshape(-1, 3))
 
 
-def _read_plain_ply(path: Path) -> tuple[Float, Int32] | None:
+def _read_plain_ply(path: Path) -> Triangles | None:
     with path.open("rb") as file:
-        header = PLY_HEADER.match(file.read(MOST_HEADER))
+        header = PLY_HEADER.match(file.read(MAX_PLY_HEADER))
     if header is None or header["format"] not in PLY_FORMATS:
         return None
-    order = PLY_FORMATS[header["format"]]
-    named = [line.split()[1:] for line in header["properties"].splitlines()]
-    names = {name for _, name in named}
-    kinds = {*(kind for kind, _ in named), header["count"], header["index"]}
-    is_known = len(names) == len(named) and PLY_COORDINATES <= names <= PLY_VERTEX
-    if not is_known or not kinds <= PLY_TYPES.keys():
+    byte_order = PLY_FORMATS[header["format"]]
+    properties = [line.split()[1:] for line in header["properties"].splitlines()]
+    names = {name for _, name in properties}
+    types = {*(type_name for type_name, _ in properties), header["count"], header["index"]}
+    has_plain_names = len(names) == len(properties) and PLY_COORDINATES <= names <= PLY_VERTEX
+    if not has_plain_names or not types <= PLY_TYPES.keys():
         return None
-    vertex = np.dtype([(name.decode(), order + PLY_TYPES[kind]) for kind, name in named])
-    count = order + PLY_TYPES[header["count"]]
-    index = order + PLY_TYPES[header["index"]]
-    face = np.dtype([("count", count), ("index", index, 3)])
+    vertex_type = np.dtype(
+        [(name.decode(), byte_order + PLY_TYPES[type_name]) for type_name, name in properties]
+    )
+    count_type = byte_order + PLY_TYPES[header["count"]]
+    index_type = byte_order + PLY_TYPES[header["index"]]
+    face_type = np.dtype([("count", count_type), ("index", index_type, 3)])
     num_vertices = int(header["vertices"])
     num_faces = int(header["faces"])
-    middle = header.end() + num_vertices * vertex.itemsize
-    size = middle + num_faces * face.itemsize
+    faces_offset = header.end() + num_vertices * vertex_type.itemsize
+    size = faces_offset + num_faces * face_type.itemsize
     if not num_vertices or not num_faces or path.stat().st_size != size:
         return None
     vertices = np.empty((num_vertices, 3))
     faces = np.empty((num_faces, 3), dtype=np.int32)
-    is_odd = np.zeros(num_faces, dtype=np.bool_)
+    is_wrong = np.zeros(num_faces, dtype=np.bool_)
 
     def read_vertices(first: int, end: int) -> None:
-        offset = header.end() + first * vertex.itemsize
-        some = np.fromfile(path, vertex, end - first, offset=offset)
-        _to_float64([some[axis] for axis in "xyz"], vertices[first:end])
+        offset = header.end() + first * vertex_type.itemsize
+        records = np.fromfile(path, vertex_type, end - first, offset=offset)
+        _write_float64([records[axis] for axis in "xyz"], vertices[first:end])
 
     def read_faces(first: int, end: int) -> None:
-        some = np.fromfile(path, face, end - first, offset=middle + first * face.itemsize)
-        faces[first:end] = some["index"]  # one too large for that is negative
-        # the number of a polygon's corners stands before each; it has to be three for all
-        np.not_equal(some["count"], 3, out=is_odd[first:end])
+        offset = faces_offset + first * face_type.itemsize
+        records = np.fromfile(path, face_type, end - first, offset=offset)
+        faces[first:end] = records["index"]  # an index too large for int32 becomes negative
+        # The number of its corners stands before each polygon. It has to be three for all.
+        np.not_equal(records["count"], 3, out=is_wrong[first:end])
         low = faces[first:end].min()
         high = faces[first:end].max()
-        is_odd[first] |= low < 0 or high >= num_vertices
+        is_wrong[first] |= low < 0 or high >= num_vertices
 
-    run_in_chunks(read_vertices, num_vertices, least=LEAST_READ)
-    run_in_chunks(read_faces, num_faces, least=LEAST_READ)
-    return None if is_odd.any() else (vertices, faces)
+    run_in_chunks(read_vertices, num_vertices, least=MIN_CHUNK)
+    run_in_chunks(read_faces, num_faces, least=MIN_CHUNK)
+    return None if is_wrong.any() else Triangles(vertices, faces)
 
 
-def _to_float64(axes: Sequence[NDArray[np.floating]], out: Float) -> None:
+def _write_float64(coordinates: Sequence[NDArray[np.floating]], out: Float) -> None:
+    """Write x, y and z into columns of an array."""
     with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
-        for k, axis in enumerate(axes):
-            np.add(axis, 0.0, out=out[:, k], dtype=np.float64)  # no -0.0
+        for axis, column in enumerate(coordinates):
+            np.add(column, 0.0, out=out[:, axis], dtype=np.float64)  # no -0.0
 
 
 JSON_CHUNK = 0x4E4F534A
 TRIANGLE_FAN = 6
 MESHOPT = "`gltfpack -i FILE -o unpacked.glb -noq` unpacks it (npm has gltfpack)"
-UNREAD = {
+# Extensions of glTF that trimesh does not read, and what to do
+UNREAD_EXTENSIONS = {
     "EXT_mesh_gpu_instancing": "export its copies as nodes",
     "EXT_meshopt_compression": MESHOPT,
     "KHR_meshopt_compression": MESHOPT,
@@ -423,62 +560,92 @@ DRACO = "KHR_draco_mesh_compression"  # which trimesh reads by DracoPy
 
 
 def check_gltf(path: Path) -> None:
-    """Refuse a glTF or GLB file that is cut off, or that trimesh would read as something else."""
+    """Check a glTF or GLB file for what trimesh would misread.
+
+    Raises:
+        SceneError: it is broken, cut off, or uses what trimesh does not read.
+    """
     try:
-        data = path.read_bytes()
-        text = data
+        content = path.read_bytes()
+        text = content
         if path.suffix.lower() == ".glb":
-            if len(data) < 20 or not data.startswith(b"glTF"):
-                raise ValueError("it has no GLB header")
-            version, length, json_length, kind = struct.unpack_from("<4I", data, 4)
-            if version != 2:
-                raise ValueError(f"expected version 2, got {version}")
-            if length > len(data):
-                raise ValueError(f"it is cut off: expected {length} bytes, got {len(data)}")
-            if kind != JSON_CHUNK or 20 + json_length > len(data):
-                raise ValueError("its first chunk is no JSON")
-            text = data[20 : 20 + json_length]
+            text = _json_of_glb(content)
         header = json.loads(text)
         if not isinstance(header, dict):
             raise ValueError("its JSON is no object")
-        problem = next(_find_problems(header, len(data), path.parent), "")
+        problem = next(_find_problems(header, len(content), path.parent), "")
     except (ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise SceneError(f"broken glTF {path}: {' '.join(str(error).split())[:200]}") from error
     if problem:
         raise SceneError(f"cannot read {path}: {problem}")
 
 
-def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[str]:
-    used = (name for name in header.get("extensionsUsed", []) if name in UNREAD)
-    yield from (f"it uses {name}: {UNREAD[name]}" for name in used)
-    if DRACO in header.get("extensionsUsed", []) and find_spec("DracoPy") is None:
+def _json_of_glb(content: bytes) -> bytes:
+    """The first chunk of a GLB; raises a ValueError for a broken one."""
+    if len(content) < 20 or not content.startswith(b"glTF"):
+        raise ValueError("it has no GLB header")
+    version, length, json_length, kind = struct.unpack_from("<4I", content, 4)
+    if version != 2:
+        raise ValueError(f"expected version 2, got {version}")
+    if length > len(content):
+        raise ValueError(f"it is cut off: expected {length} bytes, got {len(content)}")
+    if kind != JSON_CHUNK or 20 + json_length > len(content):
+        raise ValueError("its first chunk is no JSON")
+    return content[20 : 20 + json_length]
+
+
+def _find_problems(header: Json, size: int, folder: Path) -> Iterator[str]:
+    """What trimesh would misread in a glTF file, and what to do.
+
+    Args:
+        header: the file's JSON.
+        size: of the file [bytes].
+        folder: of the file.
+    """
+    extensions = header.get("extensionsUsed", [])
+    for extension in extensions:
+        if extension in UNREAD_EXTENSIONS:
+            yield f"it uses {extension}: {UNREAD_EXTENSIONS[extension]}"
+    if DRACO in extensions and find_spec("DracoPy") is None:
         yield f'it uses {DRACO}: `pip install "navbake[draco]"` reads it'
     accessors = header.get("accessors", [])
     for accessor in accessors:
         if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):
             raise ValueError(f"it claims {accessor['count']} numbers without data")
-    for primitive in (each for mesh in header.get("meshes", []) for each in mesh["primitives"]):
-        if primitive.get("mode") == TRIANGLE_FAN:
-            yield "it has triangle fans: export them as triangles"
-        indices = primitive["attributes"].get("POSITION"), primitive.get("indices")
-        for accessor in (accessors[index] for index in indices if index is not None):
-            if "sparse" in accessor:
-                yield "it has sparse accessors: export them as plain ones"
-            if accessor.get("normalized"):
-                yield "its positions are normalized integers: export it unquantized"
-    for uri in (buffer.get("uri") for buffer in header.get("buffers", [])):
-        if uri is None or uri.startswith("data:"):
-            continue
-        if ".." in Path(unquote(uri)).parts:
-            yield f"its buffer {uri[:80]!r} lies outside of its folder: put it beside it"
-            continue
-        there = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
-        there = [file for file in there if os.path.exists(file)]
-        if not there:
-            yield f"its buffer {uri[:80]!r} is missing"
-        # a device would never end
-        if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BYTES for file in there):
-            yield f"its buffer {uri[:80]!r} is no file of {MAX_BYTES >> 20} MiB at most"
+    for mesh in header.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            yield from _find_problems_of_primitive(primitive, accessors)
+    for buffer in header.get("buffers", []):
+        uri = buffer.get("uri")
+        if uri is not None and not uri.startswith("data:"):
+            yield from _find_problems_of_buffer(uri, folder)
 
 
-PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
+def _find_problems_of_primitive(primitive: Json, accessors: list[Json]) -> Iterator[str]:
+    if primitive.get("mode") == TRIANGLE_FAN:
+        yield "it has triangle fans: export them as triangles"
+    for index in (primitive["attributes"].get("POSITION"), primitive.get("indices")):
+        if index is None:
+            continue
+        accessor = accessors[index]
+        if "sparse" in accessor:
+            yield "it has sparse accessors: export them as plain ones"
+        if accessor.get("normalized"):
+            yield "its positions are normalized integers: export it unquantized"
+
+
+def _find_problems_of_buffer(uri: str, folder: Path) -> Iterator[str]:
+    if ".." in Path(unquote(uri)).parts:
+        yield f"its buffer {uri[:80]!r} lies outside of its folder: put it beside it"
+        return
+    places = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
+    files = [file for file in places if os.path.exists(file)]
+    if not files:
+        yield f"its buffer {uri[:80]!r} is missing"
+    # A device would never end.
+    if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BYTES for file in files):
+        yield f"its buffer {uri[:80]!r} is no file of {MAX_BYTES >> 20} MiB at most"
+
+
+# How the content of a file is repaired before trimesh reads it
+REPAIR_FUNCTIONS = {".obj": repair_obj, ".stl": repair_stl, ".ply": repair_ply}

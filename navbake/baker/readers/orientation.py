@@ -1,4 +1,4 @@
-"""Which way a mesh is up: by its largest flat surfaces, and by what stands on them."""
+"""The orientation of a mesh: which way is up, by its flat surfaces and by what stands on them."""
 
 from __future__ import annotations
 
@@ -22,140 +22,199 @@ from navbake.config.settings import SceneSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float
 
-SPECK = 0.1  # of a piece of a scan that is left out [m²]
-MOST_TRIANGLES = 30_000  # that are used; of more, each second one, or third, …
-# How many times the area of walls of one direction the floors and ceilings have at least of a mesh
-# that lies on its side
-LYING = 1.5
-UNCLEAR = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
-NUM_AXES = 400  # of the hemisphere's directions in which surfaces are counted, 7° apart
-NEAR = 0.12  # at most so far are directions from the nearest of these, of unit length
-FACING = np.cos(np.radians(30.0))  # of a triangle, along its plane's normal: scans are noisy
-APART = np.cos(np.radians(40.0))  # of two directions that are looked at
-THICK = 0.08  # of what is one flat surface, on both sides [m]
-STANDING = 0.12, 1.1  # heights over a floor at which most furniture is [m]
-PLANES = 4  # flat surfaces that are looked at in a direction
-# shares of the largest one that floors have, and that is no furniture
-FLOOR = 0.5
-WALL = 0.25
-AWAY = 0.2  # of a floor's surface that may face down, beside what faces up
-SIZE_WEIGHT = 0.1  # of a flat surface, beside what stands on it
-LEAST = 4.0  # area of a floor; a mesh whose flat surfaces are smaller may be furniture [m²]
-CLEAR = 0.1, 1.3  # of its size, and times what is so in any other direction, that stands on it
+MIN_PIECE_AREA = 0.1  # smaller pieces of a scan are left out [m²]
+MAX_TRIANGLES = 30_000  # that are sampled; of more, each second one, or third, …
+# A mesh that lies on its side has this many times as much area of floors and ceilings as of walls
+# of one direction.
+LYING_RATIO = 1.5
+CEILING_WARNING = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
+NUM_AXES = 400  # directions of a hemisphere by which triangles are counted, 7° apart
+# How far a direction is from the nearest of these axes, at most; both of unit length
+AXIS_DISTANCE = 0.12
+# Cosines of the angles between a triangle's normal and its plane's (scans are noisy), and between
+# two axes that are searched for planes
+FACING = np.cos(np.radians(30.0))
+APART = np.cos(np.radians(40.0))
+MAX_SEARCHED_AXES = 4
+MAX_PLANES = 4  # flat surfaces that are searched along an axis
+NUM_FITS = 4  # how many times an axis or a plane is fitted again
+PLANE_THICKNESS = 0.08  # of one flat surface, on both sides of its plane [m]
+# A plane is fitted where the variance of its triangles in the second direction is larger: a strip
+# says little of its normal [m²]
+MIN_PLANE_VARIANCE = 0.04
+# Heights over a floor at which most furniture is [m]
+FURNITURE_LOW = 0.12
+FURNITURE_HIGH = 1.1
+# Shares of the largest flat surface: floors are at least as large, and what is larger than the
+# second is no furniture
+FLOOR_SHARE = 0.5
+WALL_SHARE = 0.25
+MAX_DOWN_SHARE = 0.2  # of a floor's surface that may face down, less what faces up
+SIZE_WEIGHT = 0.1  # of the area of a flat surface, beside the area that stands on it
+MIN_FLOOR_AREA = 4.0  # a mesh whose flat surfaces are smaller may be furniture [m²]
+# Up is clear where the furniture is more than this share of the floor, and more than this many
+# times the furniture in any other direction.
+CLEAR_SHARE = 0.1
+CLEAR_RATIO = 1.3
 
 
 class Orientation(NamedTuple):
-    """A direction that may be up."""
+    """A direction of a mesh that may be up.
 
-    direction: Float  # of unit length, in the frame of the mesh
-    size: float  # area of the largest flat surface that faces along it [m²]
-    standing: float  # area of what stands on such ones: of no wall, at heights `STANDING` [m²]
+    Attributes:
+        direction: of unit length, in the frame of the mesh.
+        floor_area: of the largest flat surface that faces along it [m²].
+        furniture_area: of what stands on such surfaces and is no wall, at heights from
+            `FURNITURE_LOW` to `FURNITURE_HIGH` [m²].
+    """
+
+    direction: Float
+    floor_area: float
+    furniture_area: float
 
 
-class Surface(NamedTuple):
-    """Some triangles of a mesh."""
+class TriangleSample(NamedTuple):
+    """A sample of a mesh's triangles.
 
-    center: Float  # (n, 3) [m]
-    normal: Float  # of unit length, (n, 3)
-    area: Float  # of each, and of those that it stands for [m²]
+    Attributes:
+        center: (n, 3) [m].
+        normal: of unit length, (n, 3).
+        area: of each, and of the triangles that it stands for, (n,) [m²].
+    """
+
+    center: Float
+    normal: Float
+    area: Float
 
 
 def orient_meshes(
     read: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
 ) -> list[NamedMesh]:
-    """Take the parts of a mesh in the world frame, as `scene.up` says; warn where that looks wrong.
+    """Turn the meshes of a file into the world frame, as `scene.up` says.
 
     `auto` is the axis that the file states, else z; or y where a file without one seems to lie on
-    its side, see `lies_on_side`, and `find_up` agrees. `read` takes ``up``, a direction in the
-    file, and returns the parts [m].
+    its side, see `lies_on_side`, and `find_orientations` agrees. `level` is the direction that
+    `find_orientations` finds.
+
+    Args:
+        read: takes the direction that is up in the file as ``up``, and returns the meshes [m].
+        settings: `scene.up` and `scene.scan`, and the path.
+        warnings: the list to which a warning is added where the orientation looks wrong.
+
+    Returns:
+        The meshes in the world frame [m].
     """
-    said = file_up_axis(Path(settings.path)) if settings.up == "auto" else None
-    is_level = settings.up == "level" or (said is None and settings.up == "auto" and settings.scan)
-    up = (said or "z") if settings.up in ("auto", "level") else settings.up
-    parts = read(up=up)
+    file_axis = file_up_axis(Path(settings.path)) if settings.up == "auto" else None
+    is_auto_without_axis = settings.up == "auto" and file_axis is None
+    is_level = settings.up == "level" or (is_auto_without_axis and settings.scan)
+    up = (file_axis or "z") if settings.up in ("auto", "level") else settings.up
+    meshes = read(up=up)
     if settings.scan:
-        parts = drop_specks(parts, warnings)
-    surface = sample_surface(parts)
-    ups, is_clear = find_up(surface)
+        meshes = drop_small_pieces(meshes, warnings)
+    sample = sample_triangles(meshes)
+    orientations, is_clear = find_orientations(sample)
+    best = orientations[0]
     if is_level:
         if not is_clear:
-            other = _name(-ups[0].direction)
-            warnings.append(f"{UNCLEAR}: `scene.up: {other}` turns the mesh over")
-        return _turned(parts, ups[0].direction)
-    turn = rotation_to_z_up(up).T
-    best = turn @ ups[0].direction
-    lies = settings.up == "auto" and lies_on_side(parts, surface)
-    if is_clear and lies and said is None and abs(ups[0].direction[1]) > FACING:
-        axis = _name(best)
+            opposite = _name_direction(-best.direction)
+            warnings.append(f"{CEILING_WARNING}: `scene.up: {opposite}` turns the mesh over")
+        return _turn_up(meshes, best.direction)
+    to_file_frame = rotation_to_z_up(up).T
+    best_in_file = to_file_frame @ best.direction
+    is_lying = settings.up == "auto" and lies_on_side(meshes, sample)
+    if is_clear and is_lying and file_axis is None and abs(best.direction[1]) > FACING:
+        axis = _name_direction(best_in_file)
         warnings.append(
             f"the mesh lies on its side, and is taken with {axis} up, as things stand on what "
             f"faces that way: `scene.up: {axis}` silences this, `z` leaves it as it is"
         )
-        return _turned(parts, AXES[axis])
-    if is_clear and ups[0].direction[2] < -FACING:
+        return _turn_up(meshes, AXES[axis])
+    if is_clear and best.direction[2] < -FACING:
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "
-            f"{ups[0].standing:.1f} m² hang from a surface like it above: "
-            f"`scene.up: {_name(best)}` turns the mesh over"
+            f"{best.furniture_area:.1f} m² hang from a surface like it above: "
+            f"`scene.up: {_name_direction(best_in_file)}` turns the mesh over"
         )
-    elif lies:
-        axis = _name(np.abs(turn[:, 1]))
+    elif is_lying:
+        axis = _name_direction(np.abs(to_file_frame[:, 1]))
         warnings.append(
             f"the mesh is lowest along {axis}, and most of its surface faces along {axis}: if it "
             f"lies on its side, set `scene.up` to {axis} ({up} silences this)"
         )
-    return parts
+    return meshes
 
 
-def drop_specks(parts: list[NamedMesh], warnings: list[str]) -> list[NamedMesh]:
-    """Leave out connected pieces smaller than `SPECK`, with a warning.
+def drop_small_pieces(meshes: list[NamedMesh], warnings: list[str]) -> list[NamedMesh]:
+    """Drop connected pieces of a scan that are smaller than `MIN_PIECE_AREA`, with a warning.
 
     Scanners see people, reflections and dust as small pieces that stand in mid-air.
+
+    Args:
+        meshes: in the world frame [m].
+        warnings: the list to which a warning is added where pieces are dropped.
+
+    Returns:
+        The meshes without these pieces; all meshes where nothing else would remain.
     """
     from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
 
-    kept = list[NamedMesh]()
-    dropped = 0
-    lost = 0.0
-    for part in parts:
-        _, place = np.unique(part.vertices, axis=0, return_inverse=True)
-        corners = place.reshape(-1)[part.faces]
-        ends = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
-        size = int(corners.max()) + 1
-        edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
-        piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-        area = np.bincount(piece, triangle_areas(part.vertices, part.faces))
-        small = (area > 0.0) & (area < SPECK)
-        dropped = dropped + int(small.sum())
-        lost = lost + float(area[small].sum())
-        vertices, faces = drop_unused_vertices(part.vertices, part.faces[~small[piece]])
+    large_meshes = list[NamedMesh]()
+    num_dropped = 0
+    dropped_area = 0.0
+    for mesh in meshes:
+        # Corners at one place are one point, whatever their indices.
+        _, point_of_vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
+        corners = point_of_vertex.reshape(-1)[mesh.faces]
+        num_points = int(corners.max()) + 1
+        starts = corners[:, [0, 1]].ravel()
+        ends = corners[:, [1, 2]].ravel()
+        edges = coo_array(
+            (np.ones(len(starts), dtype=np.bool_), (starts, ends)), shape=(num_points, num_points)
+        )
+        _, piece_of_point = csgraph.connected_components(edges, directed=False)
+        piece_of_face = piece_of_point[corners[:, 0]]
+        areas = np.bincount(piece_of_face, triangle_areas(mesh.vertices, mesh.faces))
+        is_small = (areas > 0.0) & (areas < MIN_PIECE_AREA)
+        num_dropped += int(is_small.sum())
+        dropped_area += float(areas[is_small].sum())
+        faces = mesh.faces[~is_small[piece_of_face]]
+        vertices, faces = drop_unused_vertices(mesh.vertices, faces)
         if len(faces):
-            kept.append(NamedMesh(part.name, vertices, faces))
-    if not kept or not dropped:
-        return parts
-    each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
-    warnings.append(f"{dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
-    return kept
+            large_meshes.append(NamedMesh(mesh.name, vertices, faces))
+    if not large_meshes or not num_dropped:
+        return meshes
+    each = f"each smaller than {MIN_PIECE_AREA} m² and {dropped_area:.2f} m² in all"
+    warnings.append(f"{num_dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
+    return large_meshes
 
 
-def _turned(parts: list[NamedMesh], up: Direction) -> list[NamedMesh]:
-    return [part._replace(vertices=part.vertices @ rotation_to_z_up(up).T) for part in parts]
+def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
+    """Meshes turned so that a direction of them becomes +z."""
+    rotation = rotation_to_z_up(up)
+    return [mesh._replace(vertices=mesh.vertices @ rotation.T) for mesh in meshes]
 
 
-def lies_on_side(parts: Collection[NamedMesh], surface: Surface) -> bool:
+def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
-    Its box is lowest along y, and `LYING` times as much area faces within 45° of y as of z.
+    Its box is lowest along y, and `LYING_RATIO` times as much area faces within 45° of y as of z.
+
+    Args:
+        meshes: in the world frame [m].
+        sample: of their triangles.
     """
-    along_y, along_z = np.abs(surface.normal[:, 1:].T) >= np.sqrt(0.5)
-    if surface.area[along_y].sum() <= LYING * surface.area[along_z].sum():
+    faces_along_y = np.abs(sample.normal[:, 1]) >= np.sqrt(0.5)
+    faces_along_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)
+    y_area = sample.area[faces_along_y].sum()
+    z_area = sample.area[faces_along_z].sum()
+    if y_area <= LYING_RATIO * z_area:
         return False
-    low, high = bounds_of_meshes(parts)
+    low, high = bounds_of_meshes(meshes)
     width, depth, height = np.subtract(high, low)
     return bool(depth < min(width, height))
 
 
-def _name(direction: Float) -> str:
+def _name_direction(direction: Float) -> str:
     """A direction as `scene.up` takes it: the axis that it is near to, or its numbers."""
     name, axis = max(AXES.items(), key=lambda item: float(np.dot(item[1], direction)))
     if np.dot(axis, direction) >= np.cos(np.radians(10.0)):
@@ -163,111 +222,178 @@ def _name(direction: Float) -> str:
     return "[" + ", ".join(f"{value:.4g}" for value in direction) + "]"
 
 
-def find_up(surface: Surface) -> tuple[list[Orientation], bool]:
-    """The directions that may be up, the likeliest first, and whether the first is clearly up.
+def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
+    """Find the directions of a mesh that may be up, the likeliest first.
 
-    They are those that large flat surfaces face, and the opposite ones, exact by fitted planes. Up
-    is where most stands on these: things gather on floors. It is clear where no other direction has
-    as much. Of two that are alike, that nearer to +z comes first.
+    They are the directions that large flat surfaces face, and the opposite ones, exact by fitted
+    planes. Up is where most furniture stands on these: things gather on floors. Of two directions
+    that are equally likely, that nearer to +z comes first.
+
+    Args:
+        sample: of the mesh's triangles.
+
+    Returns:
+        The directions; and whether the first is clearly up, as no other one has as much furniture.
     """
-    center, normal, area = surface
-    found = [_find_planes(axis, surface) for axis in _find_axes(normal, area)]
-    largest = max((planes[0].size for planes in found if planes), default=0.0)
-    rest = np.ones(len(area), dtype=np.bool_)
-    for plane in (plane for planes in found for plane in planes if plane.size > WALL * largest):
-        rest &= ~plane.own
-    center = center[rest]
-    area = area[rest]
-    ups = list[Orientation]()
-    for planes in found:
-        flats = [plane for plane in planes if plane.size >= FLOOR * largest]
-        for way in (1.0, -1.0):
-            floors = [plane for plane in flats if way * plane.facing >= -AWAY * plane.size]
+    planes_of_axes = [_find_planes(axis, sample) for axis in _find_axes(sample.normal, sample.area)]
+    largest = max((planes[0].size for planes in planes_of_axes if planes), default=0.0)
+    may_be_furniture = np.ones(len(sample.area), dtype=np.bool_)
+    for planes in planes_of_axes:
+        for plane in planes:
+            if plane.size > WALL_SHARE * largest:
+                may_be_furniture &= ~plane.is_member
+    furniture_center = sample.center[may_be_furniture]
+    furniture_area = sample.area[may_be_furniture]
+    orientations = list[Orientation]()
+    for planes in planes_of_axes:
+        large_planes = [plane for plane in planes if plane.size >= FLOOR_SHARE * largest]
+        for sign in (1.0, -1.0):
+            floors = [
+                plane
+                for plane in large_planes
+                if sign * plane.facing >= -MAX_DOWN_SHARE * plane.size
+            ]
             if not floors:
                 continue
-            up = way * floors[0].normal
-            stands = np.zeros(len(area), dtype=np.bool_)
+            up = sign * floors[0].normal
+            stands_on_floor = np.zeros(len(furniture_area), dtype=np.bool_)
             for plane in floors:
-                height = (center - plane.middle) @ up
-                stands |= (height >= STANDING[0]) & (height <= STANDING[1])
-            ups.append(Orientation(up, floors[0].size, float(area[stands].sum())))
-    ups.sort(
-        key=lambda one: -round(one.standing + SIZE_WEIGHT * one.size, 3) - 1e-6 * one.direction[2]
+                height = (furniture_center - plane.center) @ up
+                stands_on_floor |= (height >= FURNITURE_LOW) & (height <= FURNITURE_HIGH)
+            orientations.append(
+                Orientation(
+                    direction=up,
+                    floor_area=floors[0].size,
+                    furniture_area=float(furniture_area[stands_on_floor].sum()),
+                )
+            )
+    orientations.sort(key=_unlikeliness)
+    best = orientations[0]
+    other_areas = [CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
+    needed_area = max([CLEAR_SHARE * best.floor_area, *other_areas])
+    is_clear = best.floor_area >= MIN_FLOOR_AREA and best.furniture_area > needed_area
+    return orientations, is_clear
+
+
+def _unlikeliness(orientation: Orientation) -> float:
+    area = orientation.furniture_area + SIZE_WEIGHT * orientation.floor_area
+    return float(-round(area, 3) - 1e-6 * orientation.direction[2])
+
+
+def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:
+    """Sample up to `MAX_TRIANGLES` triangles of meshes, at even distances in the file."""
+    num_triangles = sum(len(mesh.faces) for mesh in meshes)
+    step = max(1, -(-num_triangles // MAX_TRIANGLES))
+    descriptions = [describe_triangles(mesh.vertices, mesh.faces[::step].copy()) for mesh in meshes]
+    centers, normals, areas = zip(*descriptions, strict=True)
+    return TriangleSample(
+        center=np.concatenate(centers),
+        normal=np.concatenate(normals),
+        area=np.concatenate(areas) * step,
     )
-    least = [CLEAR[0] * ups[0].size, *(CLEAR[1] * one.standing for one in ups[1:])]
-    return ups, ups[0].size >= LEAST and ups[0].standing > max(least)
-
-
-def sample_surface(parts: Collection[NamedMesh]) -> Surface:
-    """Take `MOST_TRIANGLES` triangles of parts."""
-    step = max(1, -(-sum(len(part.faces) for part in parts) // MOST_TRIANGLES))
-    found = [describe_triangles(part.vertices, part.faces[::step].copy()) for part in parts]
-    center, normal, area = map(np.concatenate, zip(*found, strict=True))
-    return Surface(center, normal, area * step)
 
 
 def list_axes() -> Float:
-    """`NUM_AXES` directions of a hemisphere, by ascending z: Fibonacci's lattice."""
+    """Return `NUM_AXES` directions of a hemisphere, by ascending z: Fibonacci's lattice."""
     number = np.arange(NUM_AXES)
-    up = (number + 0.5) / NUM_AXES
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * number
-    wide = np.sqrt(1.0 - up * up)
-    return np.stack([wide * np.cos(turn), wide * np.sin(turn), up], axis=1)
+    z = (number + 0.5) / NUM_AXES
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * number
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
 def _find_axes(normal: Float, area: Float) -> list[Float]:
-    """Up to four directions in which most of the surface faces, either way."""
+    """Find up to `MAX_SEARCHED_AXES` directions that most of the surface faces, either way."""
     axes = list_axes()
-    nearest = np.zeros(len(normal), dtype=np.int64)
-    run_in_chunks(find_nearest_axes, len(normal), normal, axes, NEAR, nearest, least=1024)
-    count = (np.abs(axes @ axes.T) >= FACING) @ np.bincount(nearest, area, NUM_AXES)
-    found: list[Float] = []
-    for _ in range(4):
-        best = start = axes[count.argmax()]
-        for _ in range(4):  # to the mean direction of what faces that way
-            own = np.abs(normal @ best) >= FACING
-            best = np.linalg.eigh((normal[own] * area[own, None]).T @ normal[own])[1][:, 2]
-        if all(abs(best @ other) < FACING for other in found):
-            found.append(best)
-        count[(np.abs(axes @ best) >= APART) | (np.abs(axes @ start) >= APART)] = 0.0
-        if not count.any():
+    nearest_axis = np.zeros(len(normal), dtype=np.int64)
+    run_in_chunks(
+        find_nearest_axes, len(normal), normal, axes, AXIS_DISTANCE, nearest_axis, least=1024
+    )
+    area_of_axis = np.bincount(nearest_axis, area, NUM_AXES)
+    facing_area = (np.abs(axes @ axes.T) >= FACING) @ area_of_axis
+    directions: list[Float] = []
+    for _ in range(MAX_SEARCHED_AXES):
+        start = axes[facing_area.argmax()]
+        direction = start
+        for _ in range(NUM_FITS):
+            # to the mean direction of the triangles that face this way: the first principal axis
+            faces_along = np.abs(normal @ direction) >= FACING
+            weighted_normals = normal[faces_along] * area[faces_along, None]
+            direction = np.linalg.eigh(weighted_normals.T @ normal[faces_along])[1][:, 2]
+        if all(abs(direction @ accepted) < FACING for accepted in directions):
+            directions.append(direction)
+        is_near = np.abs(axes @ direction) >= APART
+        is_near |= np.abs(axes @ start) >= APART
+        facing_area[is_near] = 0.0
+        if not facing_area.any():
             break
-    return found
+    return directions
 
 
 class _Plane(NamedTuple):
+    """A flat surface of a mesh.
+
+    Attributes:
+        size: its area [m²].
+        facing: the area of it that faces along the normal, less what faces away [m²].
+        center: (3,) [m].
+        normal: of unit length, (3,).
+        is_member: by triangle of the sample, whether it is part of the surface.
+    """
+
     size: float
-    facing: float  # the part of it that faces along the normal, less what faces away [m²]
-    middle: Float
+    facing: float
+    center: Float
     normal: Float
-    own: Bool  # its triangles
+    is_member: Bool
 
 
-def _find_planes(axis: Float, surface: Surface) -> list[_Plane]:
-    """The largest flat surfaces that face along an axis, the largest first."""
-    left = np.flatnonzero(np.abs(surface.normal @ axis) >= FACING)
+def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
+    """Find the largest flat surfaces that face along an axis, the largest first.
+
+    The plane with most area in one slot of the axis is fitted to the triangles near it, which are
+    then taken out; and so on.
+    """
+    remaining = np.flatnonzero(np.abs(sample.normal @ axis) >= FACING)
     planes = list[_Plane]()
-    slot, slots = np.unique(np.floor(surface.center[left] @ axis / THICK), return_inverse=True)
-    for _ in range(PLANES):
-        if not len(left):
+    slots, slot_of_triangle = np.unique(
+        np.floor(sample.center[remaining] @ axis / PLANE_THICKNESS), return_inverse=True
+    )
+    for _ in range(MAX_PLANES):
+        if not len(remaining):
             break
-        center, normal, area = (array[left] for array in surface)
-        middle = axis * slot[np.bincount(slots, area).argmax()] * THICK
-        best = axis
-        own = np.abs((center - middle) @ axis) <= 2 * THICK
-        for _ in range(4):  # fitted to what lies near it
-            total = area[own].sum()
-            middle = area[own] @ center[own] / total
-            apart = center[own] - middle
-            spread, ways = np.linalg.eigh((apart * area[own, None]).T @ apart)
-            if spread[1] > 0.04 * total:  # a strip says little of its normal
-                best = ways[:, 0] if ways[:, 0] @ axis > 0 else -ways[:, 0]
-            near = np.abs((center - middle) @ best) <= THICK
-            own = near if near.any() else own
-        facing = float(area[own] @ np.sign(normal[own] @ best))
-        mask = np.zeros(len(surface.area), dtype=np.bool_)
-        mask[left[own]] = True
-        planes.append(_Plane(float(area[own].sum()), facing, middle, best, mask))
-        left = left[~own]
-        slots = slots[~own]
+        centers = sample.center[remaining]
+        area = sample.area[remaining]
+        largest_slot = np.bincount(slot_of_triangle, area).argmax()
+        center = axis * slots[largest_slot] * PLANE_THICKNESS
+        normal = axis
+        is_member = np.abs((centers - center) @ axis) <= 2 * PLANE_THICKNESS
+        for _ in range(NUM_FITS):
+            total_area = area[is_member].sum()
+            center = area[is_member] @ centers[is_member] / total_area
+            offsets = centers[is_member] - center
+            # The principal axes of the triangles' centers: the first is the plane's normal.
+            variances, principal_axes = np.linalg.eigh(
+                (offsets * area[is_member, None]).T @ offsets
+            )
+            if variances[1] > MIN_PLANE_VARIANCE * total_area:
+                normal = principal_axes[:, 0]
+                if not normal @ axis > 0:
+                    normal = -normal
+            is_near = np.abs((centers - center) @ normal) <= PLANE_THICKNESS
+            is_member = is_near if is_near.any() else is_member
+        signs = np.sign(sample.normal[remaining][is_member] @ normal)
+        is_member_of_sample = np.zeros(len(sample.area), dtype=np.bool_)
+        is_member_of_sample[remaining[is_member]] = True
+        planes.append(
+            _Plane(
+                size=float(area[is_member].sum()),
+                facing=float(area[is_member] @ signs),
+                center=center,
+                normal=normal,
+                is_member=is_member_of_sample,
+            )
+        )
+        remaining = remaining[~is_member]
+        slot_of_triangle = slot_of_triangle[~is_member]
     return sorted(planes, key=lambda plane: -plane.size)

@@ -1,11 +1,11 @@
-"""Pieces of a scene as its reader finds them, and how models of MuJoCo are made and compiled.
+"""Scenes as a reader parses them, and how models of MuJoCo are built of them and compiled.
 
-USD and SDF become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates, checks and
-batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that never move
-are kept exact beside the model, see `model_of_meshes`.
+USD, SDF and buildings become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates,
+checks and batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that
+never move are kept exact beside the model, see `model_of_meshes`.
 
 MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
-So of more than `MERGE_ABOVE` pieces, static ones that stand together become one mesh, until
+So of more than `MERGE_ABOVE` geoms, static ones that stand together become one mesh, until
 `MERGE_DOWN_TO` are left.
 """
 
@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -30,73 +30,121 @@ from navbake.known_names import unique_name
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int, Int32
 
-TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-"""Vertices and faces, counter-clockwise from outside."""
-BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
+# A mesh in place of one that is kept exact beside the model; counter-clockwise from outside
+TETRAHEDRON = Mesh(
+    vertices=np.eye(4, 3),
+    faces=np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], dtype=np.int32),
+)
+PLACEHOLDER_NAME = "mesh"  # of the tetrahedron
+MUJOCO_PREFIX = "MuJoCo: "  # what MuJoCo's warnings begin with
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 MERGE_ABOVE = 10_000
 MERGE_DOWN_TO = 3000
 MAX_GEOMS = 2_000_000  # of a scene, instances counted each
-STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
 # MuJoCo's types by the names that they have in its XML
-KINDS = {
+GEOM_TYPES = {
     name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
     for name in ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 }
-JOINTS = {
+JOINT_TYPES = {
     name: getattr(mujoco.mjtJoint, f"mjJNT_{name.upper()}")
     for name in ("hinge", "slide", "ball", "free")
 }
 
 
 class ParsedGeom(NamedTuple):
-    """A shape of a scene file, which becomes one geom of MuJoCo's model."""
+    """A shape of a scene file, which becomes one geom of MuJoCo's model.
+
+    Attributes:
+        name: need not be unique.
+        body: the name of the body that it belongs to.
+        kind: one of `GEOM_TYPES`.
+        size: MuJoCo's [m]; of a mesh empty.
+        pose: (4, 4), from its own frame to the world [m]; rigid unless it is a mesh.
+        mesh: its triangles, in its own frame, of a mesh.
+        heights: of a height field, 0 to 1, row 0 at the smallest y.
+        mode: as what `scene.meshes: auto` counts a mesh: ``surface`` or ``hull``.
+        collides: whether it can collide.
+        drawn: whether it is drawn.
+    """
 
     name: str
-    body: str  # the body that it belongs to
-    kind: str  # one of `KINDS`
-    size: tuple[float, ...]  # MuJoCo's [m]; of a mesh empty
-    pose: Float  # (4, 4), from its own frame to the world [m]; rigid unless it is a mesh
+    body: str
+    kind: str
+    size: tuple[float, ...]
+    pose: Float
     mesh: Mesh | None = None
-    heights: Float | None = None  # of a height field, 0 to 1, row 0 at the smallest y
-    mode: str = "surface"  # of a mesh, as what `scene.meshes: auto` counts it: surface or hull
+    heights: Float | None = None
+    mode: str = "surface"
     collides: bool = True
     drawn: bool = True
 
 
 class ParsedJoint(NamedTuple):
-    """How a body moves against its parent, in the world's frame as the scene stands."""
+    """How a body moves against its parent, in the world frame as the scene stands.
+
+    Attributes:
+        name: of the joint.
+        kind: one of `JOINT_TYPES`.
+        anchor: a point that it turns about, (3,) [m].
+        axis: that it turns about, or slides along, (3,).
+        limits: lowest and highest position [m or rad]; None for none.
+        position: as the scene stands [m or rad].
+    """
 
     name: str
-    kind: str  # one of `JOINTS`
+    kind: str
     anchor: Float
     axis: Float
-    limits: tuple[float, float] | None = None  # [m or rad]
-    position: float = 0.0  # as the scene stands [m or rad]
+    limits: tuple[float, float] | None = None
+    position: float = 0.0
 
 
 class ParsedBody(NamedTuple):
-    """A body that moves, or hangs on one that does."""
+    """A body that moves, or hangs on one that does.
+
+    Attributes:
+        name: of the body.
+        parent: another body's name, or empty for the world.
+        pose: (4, 4), rigid, world frame [m].
+        joint: how it moves against its parent; None for not at all.
+    """
 
     name: str
-    parent: str  # another body's name, or empty for the world
-    pose: Float  # (4, 4), rigid
+    parent: str
+    pose: Float
     joint: ParsedJoint | None
 
 
 @dataclass
 class ParsedScene:
-    """All that a reader found in a scene. Bodies that are not listed never move."""
+    """All that a reader parses of a scene file.
 
-    pieces: list[ParsedGeom] = field(default_factory=list)
-    bodies: dict[str, ParsedBody] = field(default_factory=dict)  # by name, parents first
+    Attributes:
+        geoms: all shapes.
+        bodies: the bodies that move, by name, parents first; all others never move.
+        warnings: one line each.
+        decimals: the decimals that coordinates are rounded to [m]; None for all.
+        named_leaves: the names of bodies that the file says are doors.
+    """
+
+    geoms: list[ParsedGeom] = field(default_factory=list)
+    bodies: dict[str, ParsedBody] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
-    decimals: int | None = None  # to which coordinates are rounded [m]
-    named_leaves: set[str] = field(default_factory=set)  # bodies that the file says are doors
+    decimals: int | None = None
+    named_leaves: set[str] = field(default_factory=set)
 
 
 def check_count(count: int, path: Path) -> None:
-    """Refuse more pieces than a few lines of instances in instances should make."""
+    """Refuse more geoms than a few lines of instances in instances should make.
+
+    Args:
+        count: of geoms, and of models that they are in.
+        path: of the scene, for the error.
+
+    Raises:
+        SceneError: there are more than `MAX_GEOMS`.
+    """
     if count > MAX_GEOMS:
         most = f"more than {MAX_GEOMS:,} pieces and models, each instance counted"
         raise SceneError(f"{path} has {most}, the most that navbake reads: bake a part of it")
@@ -104,7 +152,11 @@ def check_count(count: int, path: Path) -> None:
 
 @contextmanager
 def reading(what: str) -> Iterator[None]:
-    """Make a SceneError, which names the file or a part of it, of all that a reader can't take."""
+    """Raise a SceneError, which names the file or a part of it, for all errors of a reader.
+
+    Args:
+        what: what is read, such as ``prim /World of room.usda``.
+    """
     try:
         yield
     except (NavbakeError, OSError, MemoryError):
@@ -115,263 +167,394 @@ def reading(what: str) -> Iterator[None]:
 
 
 class JointTree:
-    """Joints between bodies, as a tree: a body hangs on the first one that it is tied to.
+    """Joints between bodies, as a tree: a body hangs on the first one that it is attached to.
 
-    Attributes:
-        poses: of all bodies that may move, by name, (4, 4), rigid.
+    Args:
+        poses: of all bodies that may move, by name, (4, 4), rigid [m].
     """
 
     def __init__(self, poses: Mapping[str, Float]) -> None:
-        self.poses = poses
-        self._ties: dict[
-            str, tuple[str, ParsedJoint | None]
-        ] = {}  # by body: its parent and its joint
+        self._poses = poses
+        # by the child's name: its parent's, empty for the world, and the joint
+        self._parents: dict[str, str] = {}
+        self._joints: dict[str, ParsedJoint | None] = {}
 
-    def tie(self, parent: str, child: str, joint: ParsedJoint | None) -> bool:
-        """Tie a body to another one, or to the world (empty); by no joint, they are one piece.
+    def attach(self, parent: str, child: str, joint: ParsedJoint | None) -> bool:
+        """Attach a body to another one, or to the world.
 
-        Returns whether it did: not where the child hangs on one already, or the parent on it.
+        Args:
+            parent: the other body's name; empty for the world.
+            child: the body's name.
+            joint: how it moves against its parent; None where both are one piece.
+
+        Returns:
+            Whether it was attached: not where the child hangs on a body already, or the parent
+            hangs on the child.
         """
-        above = parent
-        while above and above != child:
-            above = self._ties.get(above, ("", None))[0]
-        if child in self._ties or above:
+        ancestor = parent
+        while ancestor and ancestor != child:
+            ancestor = self._parents.get(ancestor, "")
+        if child in self._parents or ancestor == child:
             return False
-        self._ties[child] = parent, joint
+        self._parents[child] = parent
+        self._joints[child] = joint
         return True
 
-    def has(self, name: str) -> bool:
+    def is_attached(self, name: str) -> bool:
         """Whether a body hangs on another one, or on the world."""
-        return name in self._ties
+        return name in self._parents
 
-    def make_bodies(self, held: Collection[str] = ()) -> dict[str, ParsedBody]:
-        """All bodies that move, parents first; what hangs on nothing is free, unless it is held."""
-        free = np.zeros(3)
-        for name in self.poses:
-            joint = None if name in held else ParsedJoint(name, "free", free, free)
-            self._ties.setdefault(name, ("", joint))
-        moving: dict[str, ParsedBody] = {}
-        left = dict.fromkeys(self.poses)
-        while left:
-            for name in [name for name in left if self._ties[name][0] not in left]:
-                del left[name]
-                parent, joint = self._ties[name]
-                if joint is not None or parent in moving:
-                    parent = parent if parent in moving else ""
-                    moving[name] = ParsedBody(name, parent, self.poses[name], joint)
-        return moving
+    def make_bodies(self, fixed: Collection[str] = ()) -> dict[str, ParsedBody]:
+        """Return all bodies that move, parents first.
+
+        Bodies that hang on nothing are free.
+
+        Args:
+            fixed: the names of bodies that stay where they are, if they hang on nothing.
+        """
+        zero = np.zeros(3)
+        for name in self._poses:
+            if name not in self._parents:
+                joint = None if name in fixed else ParsedJoint(name, "free", zero, zero)
+                self._parents[name] = ""
+                self._joints[name] = joint
+        bodies: dict[str, ParsedBody] = {}
+        pending = dict.fromkeys(self._poses)
+        while pending:
+            for name in [name for name in pending if self._parents[name] not in pending]:
+                del pending[name]
+                parent = self._parents[name]
+                joint = self._joints[name]
+                if joint is not None or parent in bodies:
+                    parent = parent if parent in bodies else ""
+                    bodies[name] = ParsedBody(name, parent, self._poses[name], joint)
+        return bodies
+
+
+# ---------------------------------------------------------------- models of parsed scenes
 
 
 def build_model(
-    found: ParsedScene, path: Path, ground: float | None, warnings: list[str]
-) -> tuple[Any, dict[int, NamedMesh]]:
-    """Compile what a reader found; returns the model, and the static meshes by geom id."""
-    warnings += found.warnings
-    taken = set[str]()
-    parts = dict[str, NamedMesh]()
-    moving = dict[str, NamedMesh]()
-    pieces = list[ParsedGeom]()
-    for piece in merge_geoms(found, path, warnings):
-        piece = piece._replace(name=unique_name(piece.name, taken))
-        if piece.kind == "plane" and any(piece.size) and piece.body in found.bodies:
-            # MuJoCo has planes on static bodies only
-            piece = piece._replace(kind="mesh", size=(), mesh=tessellate("plane", piece.size))
-        if piece.mesh is not None:
-            # a mesh that moves is in the frame of its body
-            body = found.bodies.get(piece.body)
-            mesh = _place([piece.mesh], _own_pose(piece.pose, body)[None], found.decimals)
-            part = check_mesh(NamedMesh(piece.name, *mesh, piece.mode), path)
-            if not len(part.faces):
+    parsed_scene: ParsedScene, path: Path, ground: float | None, warnings: list[str]
+) -> tuple[mujoco.MjModel, dict[int, NamedMesh]]:
+    """Build and compile a model of a parsed scene.
+
+    Args:
+        parsed_scene: what a reader parsed.
+        path: of the scene, for errors.
+        ground: the height of `scene.ground` [m]; None for none.
+        warnings: the list to which warnings are added.
+
+    Returns:
+        The model; and the meshes that never move, by geom id, world frame. The model has a
+        tetrahedron in place of each of these.
+
+    Raises:
+        SceneError: there is no geometry, or MuJoCo can't compile the model.
+    """
+    warnings += parsed_scene.warnings
+    bodies = parsed_scene.bodies
+    used_names = set[str]()
+    static_meshes = dict[str, NamedMesh]()
+    moving_meshes = dict[str, NamedMesh]()
+    geoms = list[ParsedGeom]()
+    for geom in merge_geoms(parsed_scene, path, warnings):
+        geom = geom._replace(name=unique_name(geom.name, used_names))
+        body = bodies.get(geom.body)
+        if geom.kind == "plane" and any(geom.size) and body is not None:
+            # MuJoCo has planes on static bodies only.
+            geom = geom._replace(kind="mesh", size=(), mesh=tessellate("plane", geom.size))
+        if geom.mesh is not None:
+            # A mesh that moves is in the frame of its body.
+            pose = _pose_in_body(geom.pose, body)
+            mesh = _join_at_poses([geom.mesh], pose[None], parsed_scene.decimals)
+            named_mesh = NamedMesh(geom.name, mesh.vertices, mesh.faces, geom.mode)
+            named_mesh = check_mesh(named_mesh, path)
+            if not len(named_mesh.faces):
                 continue
-            (parts if body is None else moving)[piece.name] = part
-        pieces.append(piece)
-    if not pieces:
+            if body is None:
+                static_meshes[geom.name] = named_mesh
+            else:
+                moving_meshes[geom.name] = named_mesh
+        geoms.append(geom)
+    if not geoms:
         raise SceneError(f"no geometry in {path}: expected at least one mesh or solid")
 
-    def build() -> Any:
+    def build() -> mujoco.MjModel:
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        holders = {"": spec.worldbody}
-        for body in found.bodies.values():
-            own = _own_pose(body.pose, found.bodies.get(body.parent))
-            holder = holders[body.parent].add_body(name=body.name, **_place_of(own))
-            holders[body.name] = holder
-            if (joint := body.joint) is None:
-                continue
-            made = holder.add_joint(name=joint.name, type=JOINTS[joint.kind])
-            if joint.kind != "free":  # the others are in the body's frame
-                turn = body.pose[:3, :3]
-                made.pos = (joint.anchor - body.pose[:3, 3]) @ turn
-                made.axis = joint.axis @ turn
-                made.ref = joint.position
-            if joint.limits is not None:
-                made.range = joint.limits
-                made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        if parts:
-            fill_mesh(spec.add_mesh(name=STAND_IN), *TETRAHEDRON)
-        for piece in pieces:
-            if piece.body not in holders:
-                holders[piece.body] = spec.worldbody.add_body(name=piece.body)
-            geom = holders[piece.body].add_geom(name=piece.name, type=KINDS[piece.kind])
-            geom.contype = geom.conaffinity = int(piece.collides)
-            geom.rgba = (0.5, 0.5, 0.5, float(piece.drawn))
-            if piece.name in parts:
-                geom.meshname = STAND_IN
-            elif piece.name in moving:
-                mesh = moving[piece.name]
-                fill_mesh(spec.add_mesh(name=piece.name), mesh.vertices, mesh.faces)
-                geom.meshname = piece.name
+        spec_bodies = {"": spec.worldbody}
+        for body in bodies.values():
+            spec_bodies[body.name] = _add_body(spec_bodies[body.parent], body, bodies)
+        if static_meshes:
+            fill_mesh(spec.add_mesh(name=PLACEHOLDER_NAME), TETRAHEDRON.vertices, TETRAHEDRON.faces)
+        for geom in geoms:
+            if geom.body not in spec_bodies:
+                spec_bodies[geom.body] = spec.worldbody.add_body(name=geom.body)
+            spec_geom = spec_bodies[geom.body].add_geom(name=geom.name, type=GEOM_TYPES[geom.kind])
+            spec_geom.contype = int(geom.collides)
+            spec_geom.conaffinity = int(geom.collides)
+            spec_geom.rgba = (0.5, 0.5, 0.5, float(geom.drawn))
+            if geom.name in static_meshes:
+                spec_geom.meshname = PLACEHOLDER_NAME
+            elif geom.name in moving_meshes:
+                mesh = moving_meshes[geom.name]
+                fill_mesh(spec.add_mesh(name=geom.name), mesh.vertices, mesh.faces)
+                spec_geom.meshname = geom.name
             else:
-                place = _place_of(_own_pose(piece.pose, found.bodies.get(piece.body)))
-                geom.pos = place["pos"]
-                geom.quat = place["quat"]
-                if piece.heights is None:
-                    last = float(piece.kind == "plane")  # MuJoCo wants the spacing of its lines
-                    geom.size = (*piece.size, last, 0.0)[:3]
-                else:
-                    rows, cols = piece.heights.shape
-                    field = spec.add_hfield(name=piece.name, nrow=rows, ncol=cols)
-                    field.size = piece.size
-                    field.userdata = piece.heights.ravel()
-                    geom.hfieldname = piece.name
+                _set_solid(spec, spec_geom, geom, bodies.get(geom.body))
         return compile_geometry(spec, ground, warnings)
 
     model = compile_model(path, warnings, build)
-    kind = mujoco.mjtObj.mjOBJ_GEOM
-    return model, {mujoco.mj_name2id(model, kind, name): part for name, part in parts.items()}
+    exact_meshes = {
+        mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name): mesh
+        for name, mesh in static_meshes.items()
+    }
+    return model, exact_meshes
 
 
-def _own_pose(pose: Float, body: ParsedBody | None) -> Float:
+def _add_body(
+    spec_parent: mujoco.MjsBody, body: ParsedBody, bodies: Mapping[str, ParsedBody]
+) -> mujoco.MjsBody:
+    """Add a body to its parent, with its joint."""
+    pose = _pose_in_body(body.pose, bodies.get(body.parent))
+    spec_body = spec_parent.add_body(name=body.name, pos=pose[:3, 3], quat=_quaternion(pose))
+    joint = body.joint
+    if joint is None:
+        return spec_body
+    spec_joint = spec_body.add_joint(name=joint.name, type=JOINT_TYPES[joint.kind])
+    if joint.kind != "free":  # the others are in the body's frame
+        rotation = body.pose[:3, :3]
+        spec_joint.pos = (joint.anchor - body.pose[:3, 3]) @ rotation
+        spec_joint.axis = joint.axis @ rotation
+        spec_joint.ref = joint.position
+    if joint.limits is not None:
+        spec_joint.range = joint.limits
+        spec_joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    return spec_body
+
+
+def _set_solid(
+    spec: mujoco.MjSpec, spec_geom: mujoco.MjsGeom, geom: ParsedGeom, body: ParsedBody | None
+) -> None:
+    """Set pose and size of a solid, a plane or a height field."""
+    pose = _pose_in_body(geom.pose, body)
+    spec_geom.pos = pose[:3, 3]
+    spec_geom.quat = _quaternion(pose)
+    if geom.heights is None:
+        last = float(geom.kind == "plane")  # MuJoCo wants the spacing of a plane's lines
+        spec_geom.size = (*geom.size, last, 0.0)[:3]
+        return
+    num_rows, num_cols = geom.heights.shape
+    height_field = spec.add_hfield(name=geom.name, nrow=num_rows, ncol=num_cols)
+    height_field.size = geom.size
+    height_field.userdata = geom.heights.ravel()
+    spec_geom.hfieldname = geom.name
+
+
+def _pose_in_body(pose: Float, body: ParsedBody | None) -> Float:
     """A pose in the frame of a body; in the world's without."""
     return pose if body is None else np.asarray(np.linalg.solve(body.pose, pose))
 
 
-def _place_of(pose: Float) -> dict[str, Float]:
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
-    return {"pos": pose[:3, 3], "quat": quat}
+def _quaternion(pose: Float) -> Float:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(pose[:3, :3]).ravel())
+    return quaternion
 
 
-def _place(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
-    """Meshes at poses, shape (n, 4, 4), as one."""
-    counts = [len(mesh.vertices) for mesh in meshes]
-    owner = np.repeat(np.arange(len(meshes)), counts)
-    turns = poses[:, :3, :3]
+def _join_at_poses(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
+    """Join meshes at poses, shape (n, 4, 4), to one mesh; its arrays are new."""
+    vertex_counts = [len(mesh.vertices) for mesh in meshes]
+    face_counts = [len(mesh.faces) for mesh in meshes]
+    rotations = poses[:, :3, :3]
+    mesh_of_vertex = np.repeat(np.arange(len(meshes)), vertex_counts)
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    vertices = (turns[owner] @ vertices[:, :, None])[:, :, 0] + poses[owner, :3, 3]
+    vertices = (rotations[mesh_of_vertex] @ vertices[:, :, None])[:, :, 0]
+    vertices = vertices + poses[mesh_of_vertex, :3, 3]
     if decimals is not None:
         vertices = np.round(vertices, decimals) + 0.0  # no -0.0
+    mesh_of_face = np.repeat(np.arange(len(meshes)), face_counts)
     faces = np.concatenate([mesh.faces for mesh in meshes])
-    owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
-    mirrors = np.linalg.det(turns)[owner] < 0  # which turn every triangle over
-    faces[mirrors] = faces[mirrors, ::-1]
-    first = (np.cumsum(counts) - counts).astype(np.int32)
-    return Mesh(vertices, faces + first[owner, None])
+    is_mirrored = np.linalg.det(rotations)[mesh_of_face] < 0  # which turns every triangle over
+    faces[is_mirrored] = faces[is_mirrored, ::-1]
+    first_vertices = (np.cumsum(vertex_counts) - vertex_counts).astype(np.int32)
+    return Mesh(vertices, faces + first_vertices[mesh_of_face, None])
 
 
-def merge_geoms(found: ParsedScene, path: Path, warnings: list[str]) -> list[ParsedGeom]:
-    """Make meshes of static pieces with a common body, or a common path, until few are left.
+# ---------------------------------------------------------------- merging
 
-    Where most stand together goes first. Such a mesh has the name of what they have in common, and
-    a warning says so. What moves, planes and height fields stay.
+
+def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> list[ParsedGeom]:
+    """Merge static geoms with a common body, or a common path, to meshes, until few are left.
+
+    Where most stand together goes first. Such a mesh has the name of what they have in common.
+    Geoms that move, planes and height fields are not merged.
+
+    Args:
+        parsed_scene: what a reader parsed.
+        path: of the scene, for the warning.
+        warnings: the list to which a warning is added where geoms are merged.
+
+    Returns:
+        The geoms; those of the scene where there are no more than `MERGE_ABOVE`.
     """
-    pieces = found.pieces
-    if len(pieces) <= MERGE_ABOVE:
-        return pieces
-    stays = [p.body in found.bodies or p.kind in ("plane", "hfield") for p in pieces]
-    # a piece stands in its body, a body in what its path names before its last "/"
-    owners = [f"{piece.body}\0{number}" for number, piece in enumerate(pieces)]
-    while len(left := set(owners)) > MERGE_DOWN_TO:
-        count = Counter(map(_above, left))
-        num = len(left)
-        chosen = set[str]()
-        for name, size in count.most_common():
-            if num <= MERGE_DOWN_TO or (size == 1 and chosen):
+    geoms = parsed_scene.geoms
+    if len(geoms) <= MERGE_ABOVE:
+        return geoms
+    groups: dict[tuple[object, ...], list[ParsedGeom]] = {}
+    for number, (geom, group_name) in enumerate(zip(geoms, _find_group_names(geoms), strict=True)):
+        is_kept = geom.body in parsed_scene.bodies or geom.kind in ("plane", "hfield")
+        is_alone = is_kept or "\0" in group_name
+        key: tuple[object, ...] = (group_name, geom.collides, geom.drawn)
+        if is_alone:
+            key = (number,)
+        groups.setdefault(key, []).append(geom)
+    merged_geoms = []
+    for key, group in groups.items():
+        is_alone = len(key) == 1
+        merged_geoms.append(
+            group[0] if is_alone else _merge_group(str(key[0]), group, parsed_scene.decimals)
+        )
+    warnings.append(
+        f"{path} has {len(geoms)} pieces of geometry: of more than {MERGE_ABOVE}, those that stand "
+        f"together count as one mesh, by the name that they share; {len(merged_geoms)} are left"
+    )
+    return merged_geoms
+
+
+def _find_group_names(geoms: Sequence[ParsedGeom]) -> list[str]:
+    """The name of the group that each geom is merged into; with a null byte for a group of one.
+
+    A geom stands in its body, a body in what its path names before the last slash.
+    """
+    names = [f"{geom.body}\0{number}" for number, geom in enumerate(geoms)]
+    distinct_names = set(names)
+    while len(distinct_names) > MERGE_DOWN_TO:
+        num_children = Counter(_parent_of(name) for name in distinct_names)
+        num_groups = len(distinct_names)
+        merged_parents = set[str]()
+        for parent, count in num_children.most_common():
+            if num_groups <= MERGE_DOWN_TO or (count == 1 and merged_parents):
                 break
-            chosen.add(name)
-            num -= size - 1
-        chosen = chosen if num < len(left) else set(count)
-        owners = [above if (above := _above(name)) in chosen else name for name in owners]
-    groups: dict[tuple[Any, ...], list[ParsedGeom]] = {}
-    for number, (piece, owner) in enumerate(zip(pieces, owners, strict=True)):
-        alone = stays[number] or "\0" in owner
-        key = (number,) if alone else (owner, piece.collides, piece.drawn)
-        groups.setdefault(key, []).append(piece)
-    merged = [
-        group[0] if len(key) == 1 else _merge(str(key[0]), group, found.decimals)
-        for key, group in groups.items()
-    ]
-    what = f"of more than {MERGE_ABOVE}, those that stand together count as one mesh"
-    text = f"{what}, by the name that they share; {len(merged)} are left"
-    warnings.append(f"{path} has {len(pieces)} pieces of geometry: {text}")
-    return merged
+            merged_parents.add(parent)
+            num_groups -= count - 1
+        if num_groups == len(distinct_names):
+            merged_parents = set(num_children)
+        parents = [_parent_of(name) for name in names]
+        names = [
+            parent if parent in merged_parents else name
+            for name, parent in zip(names, parents, strict=True)
+        ]
+        distinct_names = set(names)
+    return names
 
 
-def _above(name: str) -> str:
+def _parent_of(name: str) -> str:
     return name.rpartition("\0" if "\0" in name else "/")[0] or "/"
 
 
-def _merge(name: str, group: Sequence[ParsedGeom], decimals: int | None) -> ParsedGeom:
-    known: dict[Any, Mesh] = {}
+def _merge_group(name: str, group: Sequence[ParsedGeom], decimals: int | None) -> ParsedGeom:
+    """Merge geoms to one mesh."""
+    mesh_of_shape: dict[tuple[object, ...], Mesh] = {}
     meshes = list[Mesh]()
-    for piece in group:
-        key = (piece.kind, piece.size, piece.mode, id(piece.mesh))
-        if key not in known:
-            mesh = piece.mesh or tessellate(piece.kind, piece.size)
-            hull = hull_faces(mesh.vertices) if piece.mode == "hull" else None
-            known[key] = mesh if hull is None else Mesh(mesh.vertices, hull)
-        meshes.append(known[key])
-    mesh = _place(meshes, np.stack([piece.pose for piece in group]), decimals)
-    rights = group[0].collides, group[0].drawn
-    return ParsedGeom(name, name, "mesh", (), np.eye(4), mesh, None, "surface", *rights)
+    for geom in group:
+        shape = (geom.kind, geom.size, geom.mode, id(geom.mesh))
+        if shape not in mesh_of_shape:
+            mesh = geom.mesh or tessellate(geom.kind, geom.size)
+            hull = hull_faces(mesh.vertices) if geom.mode == "hull" else None
+            mesh_of_shape[shape] = mesh if hull is None else Mesh(mesh.vertices, hull)
+        meshes.append(mesh_of_shape[shape])
+    poses = np.stack([geom.pose for geom in group])
+    return ParsedGeom(
+        name=name,
+        body=name,
+        kind="mesh",
+        size=(),
+        pose=np.eye(4),
+        mesh=_join_at_poses(meshes, poses, decimals),
+        collides=group[0].collides,
+        drawn=group[0].drawn,
+    )
 
 
-# ---------------------------------------------------------------- specs
+# ---------------------------------------------------------------- compiling
 
 
 def model_of_meshes(
-    parts: list[NamedMesh], path: Path, ground: float | None, warnings: list[str]
-) -> tuple[Any, dict[int, NamedMesh]]:
-    """A model with mesh parts' names, and the parts by geom id.
+    meshes: list[NamedMesh], path: Path, ground: float | None, warnings: list[str]
+) -> tuple[mujoco.MjModel, dict[int, NamedMesh]]:
+    """Compile a model with the names of meshes, which are kept exact beside it.
 
-    Each is a static body with one geom, which can't collide. It is a tetrahedron, as MuJoCo would
-    compile the part's triangles for many seconds.
+    Each mesh is a static body with one geom, which can't collide. That is a tetrahedron, as MuJoCo
+    would compile the mesh's triangles for many seconds.
+
+    Args:
+        meshes: with unique names.
+        path: of the scene, for errors.
+        ground: the height of `scene.ground` [m]; None for none.
+        warnings: the list to which warnings are added.
+
+    Returns:
+        The model, and the meshes by geom id.
     """
 
-    def build() -> Any:
+    def build() -> mujoco.MjModel:
         spec = mujoco.MjSpec()
-        for part in parts:
-            fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
-            body = spec.worldbody.add_body(name=part.name)
-            geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH)
-            geom.meshname = part.name
+        for mesh in meshes:
+            fill_mesh(spec.add_mesh(name=mesh.name), TETRAHEDRON.vertices, TETRAHEDRON.faces)
+            body = spec.worldbody.add_body(name=mesh.name)
+            geom = body.add_geom(name=mesh.name, type=mujoco.mjtGeom.mjGEOM_MESH)
+            geom.meshname = mesh.name
             geom.contype = 0
             geom.conaffinity = 0
         return compile_geometry(spec, ground, warnings)
 
     model = compile_model(path, warnings, build)
-    return model, {int(model.geom(part.name).id): part for part in parts}
+    return model, {int(model.geom(mesh.name).id): mesh for mesh in meshes}
 
 
-def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
-    """Call `load`; MuJoCo's error is raised as a SceneError, with its warnings."""
+def compile_model(
+    path: Path, warnings: list[str], load: Callable[[], mujoco.MjModel], hint: str = ""
+) -> mujoco.MjModel:
+    """Call a function that compiles a model; raise MuJoCo's error as a SceneError.
+
+    Args:
+        path: of the scene, for the error.
+        warnings: MuJoCo's so far, which the error quotes.
+        load: the function.
+        hint: added to the error, unless memory was lacking.
+
+    Raises:
+        SceneError: MuJoCo can't compile the model.
+    """
     try:
         return load()
     except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
-        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)]
-        lines = dict.fromkeys(" ".join(line.split()) for line in said or [type(error).__name__])
-        reason = "; ".join(line for line in lines if line)  # each once, in order
+        messages = str(error).splitlines()
+        messages += [warning.removeprefix(MUJOCO_PREFIX) for warning in warnings]
+        messages = messages or [type(error).__name__]
+        # each once, in order
+        lines = dict.fromkeys(" ".join(message.split()) for message in messages)
+        reason = "; ".join(line for line in lines if line)
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         hint = "" if lacked_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
 
 
-def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
-    """Compile a spec; what MuJoCo warns of is added to `warnings`.
+def compile_spec(spec: mujoco.MjSpec, ground: float | None, warnings: list[str]) -> mujoco.MjModel:
+    """Compile a spec, and collect what MuJoCo warns of.
 
-    Endless ground is added at a height, under a name that nothing else has.
+    Args:
+        spec: the spec, which is changed.
+        ground: the height of endless ground to add, under a name that nothing else has [m]; None
+            for none.
+        warnings: the list to which MuJoCo's warnings are added.
+
+    Returns:
+        The compiled model.
     """
     for mesh in spec.meshes:
         # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
@@ -379,45 +562,63 @@ def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
         if hasattr(mesh, "octree_maxdepth"):
             mesh.octree_maxdepth = 0
     if ground is not None:
-        name = unique_name("ground", {thing.name for thing in (*spec.geoms, *spec.bodies)})
+        used_names = {element.name for element in (*spec.geoms, *spec.bodies)}
+        name = unique_name("ground", used_names)
         body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
-        # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
+        # It collides with nothing, so that `scene.geoms: auto` goes by the scene's own geoms.
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
-    with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
+    # MjSpec warns by Python's means.
+    with python_warnings.catch_warnings(record=True) as recorded:
         python_warnings.simplefilter("always")
         model = spec.compile()
-    texts = [f"{BY_MUJOCO}{each.message}" for each in said]
+    texts = [f"{MUJOCO_PREFIX}{warning.message}" for warning in recorded]
     warnings.extend(text for text in texts if text not in warnings)
     return model
 
 
-def compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> Any:
-    """Compile a spec with any masses and inertias, which a bake does not need."""
+def compile_geometry(
+    spec: mujoco.MjSpec, ground: float | None, warnings: list[str]
+) -> mujoco.MjModel:
+    """Compile a spec with any masses and inertias, which a bake does not need.
+
+    Args:
+        spec: the spec, which is changed.
+        ground: see `compile_spec`.
+        warnings: see `compile_spec`.
+    """
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
     return compile_spec(spec, ground, warnings)
 
 
-def fill_mesh(mesh: Any, vertices: Float, faces: Int | Int32) -> None:
-    spare = np.repeat(vertices[-1:], max(0, 4 - len(vertices)), axis=0)  # MuJoCo wants four
-    mesh.uservert = np.concatenate([vertices, spare]).astype(np.float32).ravel()
+def fill_mesh(mesh: mujoco.MjsMesh, vertices: Float, faces: Int | Int32) -> None:
+    """Set the triangles of a mesh of a spec, which need not be closed.
+
+    Args:
+        mesh: the mesh.
+        vertices: shape (n, 3) [m].
+        faces: indices of vertices, shape (m, 3).
+    """
+    num_missing = max(0, 4 - len(vertices))  # MuJoCo wants four vertices
+    padding = np.repeat(vertices[-1:], num_missing, axis=0)
+    mesh.uservert = np.concatenate([vertices, padding]).astype(np.float32).ravel()
     mesh.userface = faces.astype(np.int32).ravel()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # which needs no closed mesh
 
 
 @contextmanager
 def catch_warnings() -> Iterator[list[str]]:
-    """Yield a list that receives MuJoCo's warnings, each after `BY_MUJOCO`.
+    """Yield a list that receives MuJoCo's warnings, each after `MUJOCO_PREFIX`.
 
     Without this, MuJoCo writes them to ./MUJOCO_LOG.TXT.
     """
     with _WARNING_LOCK:
-        before = mujoco.get_mju_user_warning()
+        old_hook = mujoco.get_mju_user_warning()
         warnings: list[str] = []
-        mujoco.set_mju_user_warning(lambda text: warnings.append(f"{BY_MUJOCO}{text}"))
+        mujoco.set_mju_user_warning(lambda text: warnings.append(f"{MUJOCO_PREFIX}{text}"))
         try:
             yield warnings
         finally:
-            mujoco.set_mju_user_warning(before)
+            mujoco.set_mju_user_warning(old_hook)

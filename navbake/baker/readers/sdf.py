@@ -1,9 +1,9 @@
-"""Reads worlds and models of Gazebo (SDF) as pieces: collisions, visuals, and joints of links.
+"""Reads worlds and models of Gazebo (SDF): collisions, visuals, and joints of links.
 
 Collisions collide and aren't drawn, visuals are drawn and don't collide. Lights, plugins, sensors
-and populations are passed by. Meshes count by their triangles, as Gazebo collides them. A static
-model is one body by its name; of others, the canonical link has the model's name, and further ones
-are called ``model::link``.
+and populations are not read. Meshes count by their triangles, as Gazebo collides them. A static
+model is one body by its name. Of other models, the canonical link has the model's name, and further
+links are called ``model::link``.
 
 Source: SDFormat specification 1.12, sdformat.org.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from navbake.baker.readers.parsed_scene import (
     check_count,
 )
 from navbake.baker.readers.sdf_frames import (
-    WORLD,
+    WORLD_NAMES,
     Element,
     Scope,
     is_true,
@@ -46,66 +46,132 @@ from navbake.formats.scene_files import find_model_file, list_sdf_paths
 from navbake.formats.source import read_pixels
 from navbake.types import Float
 
-BASE = 0.1  # of a height field, below its lowest point [m]
-FLAT = 1e-6  # the least height of one [m]
-ENDLESS = 1e10  # of a joint's limits, which SDF states as 1e16 [m or rad]
-# Of solids: the element with the numbers of their size, how many, and times what they are MuJoCo's
-SOLIDS = {"box": ("size", 3, 0.5), "sphere": ("radius", 1, 1.0), "ellipsoid": ("radii", 3, 1.0)}
-HINGES = ("revolute", "continuous")
-MOST_NESTED = 50  # models in models
-LAST_IN_MODEL = 1, 4  # the last version of SDF whose axes are in the frame of the model
+HEIGHT_FIELD_BASE = 0.1  # of a height field, below its lowest point [m]
+MIN_HEIGHT_RANGE = 1e-6  # of a height field [m]
+# A joint's limit from here on is none; SDF states it as 1e16 [m or rad].
+UNLIMITED = 1e10
+HINGE_TYPES = ("revolute", "continuous")
+MAX_NESTING = 50  # models in models
+# The last version of SDF whose axes are in the frame of the model
+LAST_VERSION_WITH_MODEL_AXES = (1, 4)
 # Models that come with Gazebo itself, where they aren't found
 SUN = "sun"
 GROUND = "ground_plane"
+
+
+class SolidSize(NamedTuple):
+    """How SDF states the size of a solid.
+
+    Attributes:
+        element: that has the numbers.
+        num_values: how many numbers there are.
+        factor: from these to MuJoCo's.
+    """
+
+    element: str
+    num_values: int
+    factor: float
+
+
+SOLID_SIZES = {
+    "box": SolidSize("size", 3, 0.5),
+    "sphere": SolidSize("radius", 1, 1.0),
+    "ellipsoid": SolidSize("radii", 3, 1.0),
+}
+
+
+class HeightField(NamedTuple):
+    """A height field of an image.
+
+    Attributes:
+        heights: from 0 to 1, row 0 at the smallest y.
+        size: MuJoCo's: half its width and depth, the range of its heights, its base [m].
+        lowest: its lowest height [m].
+    """
+
+    heights: Float
+    size: tuple[float, float, float, float]
+    lowest: float
+
+
+class MeshKey(NamedTuple):
+    """By what meshes that are read once are found again.
+
+    Attributes:
+        file: of the mesh.
+        submesh: the name of the part of it that counts; empty for all.
+        is_centered: whether the part is moved to the origin.
+    """
+
+    file: Path
+    submesh: str
+    is_centered: bool
+
+
+class JointOfScope(NamedTuple):
+    """A ``<joint>``, and the world or model that it stands in."""
+
+    scope: Scope
+    element: Element
 
 
 def read_world(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read the first world of an .sdf or .world file, or its models.
 
     A mesh or height field that is missing is an error where it collides, and a warning where it is
-    only drawn; models are looked for as `navbake.formats.scene_files.list_sdf_paths` says.
+    only drawn. Models are searched for as `navbake.formats.scene_files.list_sdf_paths` says.
+
+    Args:
+        path: the file.
+        settings: `scene.model_path`.
+
+    Returns:
+        The parsed scene.
 
     Raises:
         SceneError: the file, or a model in it, is missing or broken.
     """
-    return _Reader(path, settings).read()
+    return _WorldReader(path, settings).read()
 
 
-class _Reader:
+class _WorldReader:
+    """Reads a file, and those that it includes."""
+
     def __init__(self, path: Path, settings: SceneSettings) -> None:
         self._path = path
-        self._folders = settings.model_path
-        self._result = ParsedScene()
-        self._poses: dict[str, Float] = {}  # of bodies that may move
-        self._bodies: dict[str, str] = {}  # by link with its scope's names, its body
-        self._joints: list[tuple[Scope, Element]] = []
-        self._meshes: dict[Any, Mesh] = {}
+        self._model_folders = settings.model_path
+        self._parsed_scene = ParsedScene()
+        self._body_poses: dict[str, Float] = {}  # of bodies that may move, by name
+        self._body_of_link: dict[str, str] = {}  # by full name; empty for a static model's
+        self._joints: list[JointOfScope] = []
+        self._meshes: dict[MeshKey, Mesh] = {}
         self._parse = cache(parse_sdf)
         self._find_model = cache(self._search_model)
-        self._count = 0  # of models and pieces
+        self._count = 0  # of models and geoms
 
     def read(self) -> ParsedScene:
+        """Read the world with all models in it."""
         root = self._parse(self._path)
         worlds = root.findall("world")
         if len(worlds) > 1:
             self._warn(f"{len(worlds)} worlds in {self._path}: the first one is taken")
         element = worlds[0] if worlds else root
-        world = Scope(self.find_models, element, element, self._path, None)
+        world = Scope(self._find_models, element, element, self._path, None)
         if world.element.find("state/model") is not None:
             self._warn(
                 f"<state> of {self._path} is passed by, as in today's Gazebo; Gazebo classic "
                 "places models by it"
             )
-        self._read_inner(world)
-        self._joints += [(world, joint) for joint in world.element.findall("joint")]
-        ties = JointTree(self._poses)
-        for scope, element in self._joints:
-            self._tie(ties, scope, element)
-        self._result.bodies = ties.make_bodies()
-        return self._result
+        self._read_models(world)
+        self._joints += [JointOfScope(world, joint) for joint in world.element.findall("joint")]
+        joint_tree = JointTree(self._body_poses)
+        for joint in self._joints:
+            self._attach(joint_tree, joint.scope, joint.element)
+        self._parsed_scene.bodies = joint_tree.make_bodies()
+        return self._parsed_scene
 
     def _warn(self, text: str) -> None:
-        self._result.warnings.append(text)
+        self._parsed_scene.warnings.append(text)
 
     # ------------------------------------------------------------ models
 
@@ -113,9 +179,9 @@ class _Reader:
         self._count += 1
         check_count(self._count, self._path)
 
-    def find_models(self, scope: Scope) -> list[Scope]:
+    def _find_models(self, scope: Scope) -> list[Scope]:
         """The models in a world or a model, in order."""
-        if scope.depth > MOST_NESTED:
+        if scope.depth > MAX_NESTING:
             raise SceneError(f"{scope.file} includes itself, by model {scope.name!r}")
         models = []
         for element in scope.element:
@@ -126,18 +192,21 @@ class _Reader:
                 model = None if file is None else self._parse(file).find("model")
             if model is not None and file is not None:
                 self._add_to_count()
-                models.append(Scope(self.find_models, model, element, file, scope))
+                models.append(Scope(self._find_models, model, element, file, scope))
         return models
 
     def _search_model(self, uri: str, file: Path) -> Path | None:
         """The file of an included model; None where Gazebo has it itself."""
-        places = list(list_sdf_paths(uri, file, self._folders))
-        found = next((one for one in map(find_model_file, places) if one.is_file()), None)
-        if found is None and _model_name(uri) not in (SUN, GROUND):
-            raise _not_found(f"{uri!r} of {file}", places)
-        return found
+        places = list(list_sdf_paths(uri, file, self._model_folders))
+        for place in places:
+            candidate = find_model_file(place)
+            if candidate.is_file():
+                return candidate
+        if _model_name(uri) not in (SUN, GROUND):
+            raise _not_found_error(f"{uri!r} of {file}", places)
+        return None
 
-    def _read_inner(self, scope: Scope) -> None:
+    def _read_models(self, scope: Scope) -> None:
         """Read the models in a world or a model."""
         for element in scope.element:
             if element.tag == "population":
@@ -149,43 +218,48 @@ class _Reader:
                     text = "taken as Gazebo's own, endless ground"
                     self._warn(f"{uri} of {scope.file} not found: {text}")
                     name = text_of(element, "name") or GROUND
-                    pose = scope.place(element)
-                    self._add(name, name, "plane", (0.0, 0.0), pose, is_visual=False)
+                    pose = scope.pose_of_element(element)
+                    self._add_geom(ParsedGeom(name, name, "plane", (0.0, 0.0), pose, drawn=False))
         for model in scope.models:
             self._read_model(model)
 
     def _read_model(self, scope: Scope) -> None:
-        self._read_inner(scope)
-        first = scope.canonical()
+        self._read_models(scope)
+        canonical_link = scope.canonical_link()
         for link in scope.element.findall("link"):
-            own = str(link.get("name"))
-            name = scope.full(own)
-            body = scope.name if scope.is_static or own == first else name
-            self._bodies[name] = "" if scope.is_static else body
+            link_name = str(link.get("name"))
+            full_name = scope.full_name(link_name)
+            has_model_name = scope.is_static or link_name == canonical_link
+            body = scope.name if has_model_name else full_name
+            self._body_of_link[full_name] = "" if scope.is_static else body
             if not scope.is_static:
-                self._poses[body] = scope.pose_of(own)
+                self._body_poses[body] = scope.pose_of(link_name)
             for element in link:
                 if element.tag in ("collision", "visual"):
-                    shape = f"{name}::{element.get('name')}"
-                    self._read_shape(scope, element, shape, body, scope.place(element, own))
+                    name = f"{full_name}::{element.get('name')}"
+                    pose = scope.pose_of_element(element, link_name)
+                    self._read_shape(scope, element, name, body, pose)
         if not scope.is_static:
-            self._joints += [(scope, joint) for joint in scope.element.findall("joint")]
+            self._joints += [JointOfScope(scope, joint) for joint in scope.element.findall("joint")]
 
     # ------------------------------------------------------------ geometry
 
-    def _add(
-        self, name: str, body: str, kind: str, size: tuple[float, ...], pose: Float,
-        mesh: Mesh | None = None, heights: Float | None = None, *, is_visual: bool,
-    ) -> None:  # fmt: skip
-        shape = kind, size, pose, mesh, heights
+    def _add_geom(self, geom: ParsedGeom) -> None:
         self._add_to_count()
-        self._result.pieces.append(
-            ParsedGeom(name, body, *shape, "surface", collides=not is_visual, drawn=is_visual)
-        )
+        self._parsed_scene.geoms.append(geom)
 
     def _read_shape(
         self, scope: Scope, element: Element, name: str, body: str, pose: Float
     ) -> None:
+        """Read the geometry of a ``<collision>`` or a ``<visual>``.
+
+        Args:
+            scope: the model that it stands in.
+            element: the ``<collision>`` or ``<visual>``.
+            name: of the geom.
+            body: the name of the geom's body.
+            pose: of the element, (4, 4) [m].
+        """
         is_visual = element.tag == "visual"
         geometry = element.find("geometry")
         shape = None if geometry is None else next(iter(geometry), None)
@@ -202,63 +276,81 @@ class _Reader:
         heights = None
         size = tuple[float, ...]()
         kind = shape.tag
-        if kind in SOLIDS:
-            key, count, share = SOLIDS[kind]
-            size = tuple(value * share for value in numbers(key, count))
-        elif kind in ("cylinder", "capsule", "cone"):
-            size = numbers("radius")[0], numbers("length")[0] / 2
-            if kind == "cone":
-                kind, size, mesh = "mesh", (), tessellate(kind, size)
+        if kind in SOLID_SIZES:
+            stated_size = SOLID_SIZES[kind]
+            values = numbers(stated_size.element, stated_size.num_values)
+            size = tuple(value * stated_size.factor for value in values)
+        elif kind in ("cylinder", "capsule"):
+            size = (numbers("radius")[0], numbers("length")[0] / 2)
+        elif kind == "cone":  # which MuJoCo has not
+            mesh = tessellate("cone", (numbers("radius")[0], numbers("length")[0] / 2))
+            kind = "mesh"
         elif kind == "plane":
-            turn = rotation_to_z_up(np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))).T
+            normal = np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))
             pose = pose.copy()
-            pose[:3, :3] = pose[:3, :3] @ turn
-            # what collides is endless, what is drawn has a size
+            pose[:3, :3] = pose[:3, :3] @ rotation_to_z_up(normal).T
+            # A plane that collides is endless, one that is drawn has a size.
             sides = numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
-            size = sides[0] / 2, sides[1] / 2
+            size = (sides[0] / 2, sides[1] / 2)
         elif kind in ("mesh", "heightmap"):
-            file = self._find(text_of(shape, "uri"), scope.file, where, is_drawn=is_visual)
+            uri = text_of(shape, "uri")
+            file = self._find_file(uri, scope.file, where, is_required=not is_visual)
             if file is None:
                 return
             if kind == "mesh":
                 mesh = self._read_mesh(file, shape, where)
-                pose = pose @ np.diag([*numbers("scale", 3, [1.0] * 3), 1.0])
+                pose = pose @ np.diag([*numbers("scale", 3, [1.0, 1.0, 1.0]), 1.0])
             else:
                 kind = "hfield"
-                shift = numbers("pos", 3, [0.0] * 3)
-                heights, size, lift = _read_heights(file, numbers("size", 3, [1.0] * 3))
+                position = numbers("pos", 3, [0.0, 0.0, 0.0])
+                height_field = _read_heights(file, numbers("size", 3, [1.0, 1.0, 1.0]))
+                heights = height_field.heights
+                size = height_field.size
                 pose = pose.copy()
-                pose[:3, 3] += pose[:3, :3] @ np.add(shift, [0.0, 0.0, lift])
+                pose[:3, 3] += pose[:3, :3] @ np.add(position, [0.0, 0.0, height_field.lowest])
         else:
             self._warn(f"{where} left out: its geometry is <{kind}>")
             return
-        self._add(name, body, kind, size, pose, mesh, heights, is_visual=is_visual)
+        self._add_geom(
+            ParsedGeom(
+                name=name,
+                body=body,
+                kind=kind,
+                size=size,
+                pose=pose,
+                mesh=mesh,
+                heights=heights,
+                collides=not is_visual,
+                drawn=is_visual,
+            )
+        )
 
-    def _find(self, uri: str, file: Path, where: str, *, is_drawn: bool) -> Path | None:
-        """The file of a mesh or image; None, with a warning, for a missing one that is drawn."""
-        places = list(list_sdf_paths(uri, file, self._folders))
-        found = next((place for place in places if place.is_file()), None)
-        if found is None and is_drawn:
-            self._warn(f"{uri!r} of {where} not found: left out, as it is only drawn")
-        elif found is None:
-            raise _not_found(f"{uri!r} of {where}", places)
-        return found
+    def _find_file(self, uri: str, file: Path, where: str, *, is_required: bool) -> Path | None:
+        """The file of a mesh or image; None, with a warning, for a missing one not required."""
+        places = list(list_sdf_paths(uri, file, self._model_folders))
+        for place in places:
+            if place.is_file():
+                return place
+        if is_required:
+            raise _not_found_error(f"{uri!r} of {where}", places)
+        self._warn(f"{uri!r} of {where} not found: left out, as it is only drawn")
+        return None
 
     def _read_mesh(self, file: Path, shape: Element, where: str) -> Mesh:
         """A mesh in metres, z up: a DAE by its own unit and axis, glTF y up, others as they are."""
         submesh = text_of(shape, "submesh/name")
         is_centered = is_true(text_of(shape, "submesh/center"))
-        key = file, submesh, is_centered
+        key = MeshKey(file, submesh, is_centered)
         if key not in self._meshes:
             if file.suffix.lower() not in MESH_SUFFIXES:
-                known = ", ".join(sorted(MESH_SUFFIXES))
-                raise SceneError(f"cannot read {file}, the mesh of {where}: expected {known}")
-            parts = read_named_meshes(file, file_up_axis(file) or "z")
-            named = [part for part in parts if submesh in ("", part.name)]
-            if not named:
-                listed = ", ".join(sorted(part.name for part in parts)[:20])
+                suffixes = ", ".join(sorted(MESH_SUFFIXES))
+                raise SceneError(f"cannot read {file}, the mesh of {where}: expected {suffixes}")
+            meshes = read_named_meshes(file, file_up_axis(file) or "z")
+            matching = [mesh for mesh in meshes if submesh in ("", mesh.name)]
+            if not matching:
+                listed = ", ".join(sorted(mesh.name for mesh in meshes)[:20])
                 raise SceneError(f"no submesh {submesh!r} in {file}, of {where}: it has {listed}")
-            vertices, faces = join_meshes(named)
+            vertices, faces = join_meshes(matching)
             if is_centered:
                 vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
             self._meshes[key] = Mesh(vertices, faces)
@@ -266,63 +358,79 @@ class _Reader:
 
     # ------------------------------------------------------------ joints
 
-    def _body_of(self, scope: Scope, name: str) -> str:
+    def _find_body(self, scope: Scope, name: str) -> str:
         """The body that a joint's end belongs to, by a link's or a frame's name; empty for none."""
-        at = scope
-        end = name
-        for _ in range(MOST_NESTED):  # frames may be attached to frames
-            if end in WORLD:
+        frame_scope = scope
+        frame_name = name
+        for _ in range(MAX_NESTING):  # frames may be attached to frames
+            if frame_name in WORLD_NAMES:
                 return ""
-            at, end = at.resolve(end)
-            if not end:
-                if at.above is None:
+            frame_scope, frame_name = frame_scope.resolve(frame_name)
+            if not frame_name:
+                if frame_scope.parent is None:
                     return ""
-                end = at.canonical()
+                frame_name = frame_scope.canonical_link()
                 continue
-            element = at.frame(end)
+            element = frame_scope.frame(frame_name)
             if element.tag == "link":
-                return self._bodies[at.full(end)]
-            end = text_of(element, "child") if element.tag == "joint" else ""
-            end = end or element.get("attached_to", "")
+                return self._body_of_link[frame_scope.full_name(frame_name)]
+            child = text_of(element, "child") if element.tag == "joint" else ""
+            frame_name = child or element.get("attached_to", "")
         raise SceneError(f"no link {name!r} of {scope.name or 'the world'} in {scope.file}")
 
-    def _tie(self, ties: JointTree, scope: Scope, element: Element) -> None:
-        kind = str(element.get("type"))
-        name = scope.full(str(element.get("name")))
-        parent = self._body_of(scope, text_of(element, "parent"))
-        child = self._body_of(scope, text_of(element, "child"))
+    def _attach(self, joint_tree: JointTree, scope: Scope, element: Element) -> None:
+        """Attach the child of a ``<joint>`` to its parent."""
+        name = scope.full_name(str(element.get("name")))
+        parent = self._find_body(scope, text_of(element, "parent"))
+        child = self._find_body(scope, text_of(element, "child"))
         where = f"joint {name!r} of {scope.file}"
-        joint = None
-        place = scope.pose_of(str(element.get("name")))
+        joint = self._read_joint(scope, element, name, where)
+        if not child or not joint_tree.attach(parent, child, joint):
+            self._warn(f"{where} is left out: its bodies don't move, or hang on other joints")
+
+    def _read_joint(
+        self, scope: Scope, element: Element, name: str, where: str
+    ) -> ParsedJoint | None:
+        """A joint in the world frame; None where it is fixed, or taken as that."""
+        kind = str(element.get("type"))
+        pose = scope.pose_of(str(element.get("name")))
         axis = element.find("axis")
         if kind == "ball":
-            joint = ParsedJoint(name, "ball", place[:3, 3], np.zeros(3))
-        elif kind in (*HINGES, "prismatic") and axis is not None:
+            return ParsedJoint(name, "ball", pose[:3, 3], np.zeros(3))
+        if kind in (*HINGE_TYPES, "prismatic") and axis is not None:
+            direction = np.array(
+                numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}")
+            )
             xyz = axis.find("xyz")
-            way = np.array(numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}"))
-            frame = "" if xyz is None else xyz.get("expressed_in", "")
-            turn = scope.pose_of(frame) if frame else place
-            is_old = _version_of(self._parse(scope.file)) <= LAST_IN_MODEL
+            axis_frame = "" if xyz is None else xyz.get("expressed_in", "")
+            axis_pose = scope.pose_of(axis_frame) if axis_frame else pose
+            version = _version_of(self._parse(scope.file))
+            is_old = version <= LAST_VERSION_WITH_MODEL_AXES
             if is_old or is_true(text_of(axis, "use_parent_model_frame")):
-                turn = scope.pose_of("")
-            low = numbers_of(
-                text_of(axis, f"limit/{'lower'}") or "-1e16", 1, f"<{'lower'}> of {where}"
-            )[0]
-            high = numbers_of(
-                text_of(axis, f"limit/{'upper'}") or "1e16", 1, f"<{'upper'}> of {where}"
-            )[0]
-            is_limited = low < high and max(-low, high) < ENDLESS and kind != "continuous"
-            limits = (low, high) if is_limited else None
-            kind = "hinge" if kind in HINGES else "slide"
-            joint = ParsedJoint(name, kind, place[:3, 3], turn[:3, :3] @ way, limits)
-        elif kind != "fixed":
+                axis_pose = scope.pose_of("")
+            lower_text = text_of(axis, "limit/lower") or "-1e16"
+            upper_text = text_of(axis, "limit/upper") or "1e16"
+            low = numbers_of(lower_text, 1, f"<lower> of {where}")[0]
+            high = numbers_of(upper_text, 1, f"<upper> of {where}")[0]
+            is_limited = low < high and max(-low, high) < UNLIMITED and kind != "continuous"
+            return ParsedJoint(
+                name=name,
+                kind="hinge" if kind in HINGE_TYPES else "slide",
+                anchor=pose[:3, 3],
+                axis=axis_pose[:3, :3] @ direction,
+                limits=(low, high) if is_limited else None,
+            )
+        if kind != "fixed":
             self._warn(f"{where} is taken as fixed: its type is {kind}")
-        if not child or not ties.tie(parent, child, joint):
-            self._warn(f"{where} is left out: its bodies don't move, or hang on other joints")
+        return None
 
 
 def parse_sdf(file: Path) -> Element:
-    """The <sdf> element of a file."""
+    """Parse a file, and return its <sdf> element.
+
+    Raises:
+        SceneError: the XML is broken, or no SDF.
+    """
     try:
         root = ElementTree.parse(file).getroot()
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
@@ -342,30 +450,39 @@ def _model_name(uri: str) -> str:
     return Path(uri.partition("://")[2] or uri).name
 
 
-def _read_heights(file: Path, sides: list[float]) -> tuple[Float, tuple[float, ...], float]:
-    """A height field of an image: heights from 0 to 1, MuJoCo's size, and its lowest height [m].
+def _read_heights(file: Path, sides: list[float]) -> HeightField:
+    """Read a height field of an image.
 
     The brightest pixel is as high as `sides` say; the first row of pixels is at the largest y.
+
+    Args:
+        file: the image.
+        sides: its width, depth and height [m].
     """
     try:
-        light = read_pixels(file).light[::-1].astype(np.float64)
+        brightness = read_pixels(file).light[::-1].astype(np.float64)
     except FormatError as error:
         raise SceneError(str(error)) from error
-    light /= max(float(light.max()), 1.0)
-    low = float(light.min())
-    high = float(light.max())
-    rise = max((high - low) * sides[2], FLAT)
-    heights = (light - low) / ((high - low) or 1.0)
-    return heights, (sides[0] / 2, sides[1] / 2, rise, BASE), low * sides[2]
+    brightness /= max(float(brightness.max()), 1.0)
+    low = float(brightness.min())
+    high = float(brightness.max())
+    height_range = max((high - low) * sides[2], MIN_HEIGHT_RANGE)
+    return HeightField(
+        heights=(brightness - low) / ((high - low) or 1.0),
+        size=(sides[0] / 2, sides[1] / 2, height_range, HEIGHT_FIELD_BASE),
+        lowest=low * sides[2],
+    )
 
 
-def _not_found(what: str, places: list[Path]) -> SceneError:
+def _not_found_error(what: str, places: list[Path]) -> SceneError:
     """The error of a file or model that is in none of its possible places."""
     folders = list(dict.fromkeys(str(place) for place in places))
     listed = ", ".join(folders[:4]) + (", …" if len(folders) > 4 else "")
-    folder = next((place for place in places if place.is_dir()), None)
-    empty = "" if folder is None else f" ({folder} has no {find_model_file(folder).name})"
+    existing_folder = next((place for place in places if place.is_dir()), None)
+    hint = ""
+    if existing_folder is not None:
+        hint = f" ({existing_folder} has no {find_model_file(existing_folder).name})"
     return SceneError(
-        f"{what} not found in {listed}{empty}: name the folder that holds it by `--model-path`, "
+        f"{what} not found in {listed}{hint}: name the folder that holds it by `--model-path`, "
         "`scene.model_path` or GZ_SIM_RESOURCE_PATH"
     )

@@ -1,4 +1,4 @@
-"""The frames of SDF files: worlds and models as scopes of names, and the poses of what is in them.
+"""The frames of SDF files: worlds and models as scopes of names, and the poses in them.
 
 Source: SDFormat specification 1.12, sdformat.org, its chapter on the semantics of poses.
 """
@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,164 +18,246 @@ import numpy as np
 from navbake.errors import SceneError
 from navbake.types import Float
 
-WORLD = "world", "__root__"  # the names of the world's own frame
+WORLD_NAMES = ("world", "__root__")  # of the world's own frame
 Element = ElementTree.Element
 
 
-class Scope:
-    """A world or a model: the frames that have a name in it, and where they are.
-
-    Poses are found when they are needed, so that an element may name a later one.
+class FrameInScope(NamedTuple):
+    """A frame of a scope.
 
     Attributes:
-        name: with those of the models round it, as ``house::door``; empty for a world.
-        own: the same without them.
-        file: in which it stands.
-        is_merged: whether it is part of the model round it, by ``<include merge="true">``.
+        scope: the world or model that the frame stands in.
+        name: its name there; empty for the scope's own frame.
+    """
+
+    scope: Scope
+    name: str
+
+
+class Scope:
+    """A world or a model: its named frames, and their poses.
+
+    Poses are computed when they are first read, so that an element may name a later one.
+
+    Args:
+        find_models: returns the models in a world or a model, in order.
+        element: the ``<world>`` or ``<model>``.
+        placement: the element that has its name and pose: ``<include>``, or `element` itself.
+        file: the file that the element stands in.
+        parent: the world or model that it stands in; None for a world.
+
+    Attributes:
+        element: see above.
+        file: see above.
+        parent: see above.
+        name: with the names of the models around it, as ``house::door``; empty for a world.
+        local_name: its name alone; empty for a world.
+        depth: how many models and worlds it stands in.
+        is_static: whether it, or a model around it, never moves.
+        is_merged: whether it is part of the model around it, by ``<include merge="true">``.
     """
 
     def __init__(
-        self, find: FindModels, element: Element, placing: Element, file: Path, above: Scope | None
+        self,
+        find_models: FindModels,
+        element: Element,
+        placement: Element,
+        file: Path,
+        parent: Scope | None,
     ) -> None:
-        self._find_models = find
         self.element = element
-        self._placing = placing
         self.file = file
-        self.above = above
-        self._frames = {
-            str(each.get("name")): each
-            for each in element
-            if each.tag in ("link", "joint", "frame") and each.get("name")
-        }
-        self._poses: dict[str, Float] = {} if above is not None else {"": np.eye(4)}
-        self._open: list[str] = []
-        self.name = self.own = ""
+        self.parent = parent
+        self.name = ""
+        self.local_name = ""
         self.depth = 0
         self.is_static = False
         self.is_merged = False
-        if above is None:
+        self._find_models = find_models
+        self._placement = placement
+        self._frames = {
+            str(child.get("name")): child
+            for child in element
+            if child.tag in ("link", "joint", "frame") and child.get("name")
+        }
+        self._poses: dict[str, Float] = {} if parent is not None else {"": np.eye(4)}
+        self._pending: list[str] = []  # frames whose poses are being computed
+        if parent is None:
             return
-        # a model's name, pose and static are those of an include, where it has them
-        self.own = str(element.get("name", "model"))
-        if placing is not element:
-            self.own = text_of(placing, "name") or self.own
-            self.is_merged = above.above is not None and is_true(placing.get("merge", ""))
-        self.name = f"{above.name}::{self.own}" if above.name else self.own
-        self.depth = above.depth + 1
-        self.is_static = above.is_static
+        # A model's name, pose and static are those of an include, where it has them.
+        self.local_name = str(element.get("name", "model"))
+        if placement is not element:
+            self.local_name = text_of(placement, "name") or self.local_name
+            self.is_merged = parent.parent is not None and is_true(placement.get("merge", ""))
+        self.name = f"{parent.name}::{self.local_name}" if parent.name else self.local_name
+        self.depth = parent.depth + 1
+        self.is_static = parent.is_static
         if self.is_merged:
-            self.name = above.name
+            self.name = parent.name
             return
-        stated = [each for each in (placing, element) if each.find("static") is not None]
-        self.is_static |= bool(stated) and is_true(text_of(stated[0], "static"))
+        for source in (placement, element):
+            if source.find("static") is not None:
+                self.is_static |= is_true(text_of(source, "static"))
+                break
 
     @cached_property
     def models(self) -> list[Scope]:
-        """The models in it, those of includes too."""
+        """The models in it, and those that it includes."""
         return self._find_models(self)
 
     @cached_property
-    def inner(self) -> dict[str, Scope]:
-        """The models in it that go by their own name."""
-        return {model.own: model for model in self.models if not model.is_merged}
+    def _named_models(self) -> dict[str, Scope]:
+        """The models in it that have a name of their own."""
+        return {model.local_name: model for model in self.models if not model.is_merged}
 
-    def full(self, name: str) -> str:
-        """A name with those of the models round it."""
+    def full_name(self, name: str) -> str:
+        """Return a name with the names of the models around it."""
         return f"{self.name}::{name}" if self.name else name
 
     def frame(self, name: str) -> Element:
-        """A frame of the scope's own."""
+        """Return the element of a frame in this scope."""
         return self._frames[name]
 
-    def resolve(self, name: str) -> tuple[Scope, str]:
-        """The scope that a frame stands in, and its name there; empty is the scope's own frame."""
-        first, _, rest = name.partition("::")
-        if first == "__parent__" and self.above is not None:
-            return self.above.resolve(rest)
-        if (found := self._find("" if name == "__model__" else name)) is not None:
-            return found
-        if self.is_merged and self.above is not None:
-            return self.above.resolve(name)
-        known = ", ".join(sorted({*self._frames, *self.inner})[:20]) or "none"
-        raise SceneError(f"no frame {name!r} {self._where}: it has {known}")
+    def resolve(self, name: str) -> FrameInScope:
+        """Find the scope that a frame stands in, and the frame's name there.
 
-    def _find(self, name: str) -> tuple[Scope, str] | None:
-        """The same, in this scope and in the models that are merged with it or in it."""
+        Args:
+            name: as it is used in this scope, such as ``door::leaf``.
+
+        Raises:
+            SceneError: there is no such frame.
+        """
+        first, _, remainder = name.partition("::")
+        if first == "__parent__" and self.parent is not None:
+            return self.parent.resolve(remainder)
+        frame = self._find_frame("" if name == "__model__" else name)
+        if frame is not None:
+            return frame
+        if self.is_merged and self.parent is not None:
+            return self.parent.resolve(name)
+        names = ", ".join(sorted({*self._frames, *self._named_models})[:20]) or "none"
+        raise SceneError(f"no frame {name!r} {self._where}: it has {names}")
+
+    def _find_frame(self, name: str) -> FrameInScope | None:
+        """As `resolve`, in this scope, in models in it, and in models that are merged with it."""
         if not name or name in self._frames:
-            return self, name
-        first, _, rest = name.partition("::")
-        if first in self.inner:
-            return self.inner[first].resolve(rest)
-        merged = (model._find(name) for model in self.models if model.is_merged)
-        return next((found for found in merged if found is not None), None)
+            return FrameInScope(self, name)
+        first, _, remainder = name.partition("::")
+        if first in self._named_models:
+            return self._named_models[first].resolve(remainder)
+        for model in self.models:
+            if model.is_merged:
+                frame = model._find_frame(name)
+                if frame is not None:
+                    return frame
+        return None
 
-    def canonical(self) -> str:
-        """The link that stands for the model, which it names, or the first; empty for none."""
-        if self.is_merged and self.above is not None:
-            return self.above.canonical()
+    def canonical_link(self) -> str:
+        """Return the link that stands for the model: the one it names, or its first one.
+
+        Empty for none.
+        """
+        if self.is_merged and self.parent is not None:
+            return self.parent.canonical_link()
         return self.element.get("canonical_link") or self._first_link()
 
     def _first_link(self) -> str:
-        if (link := self.element.find("link")) is not None:
+        link = self.element.find("link")
+        if link is not None:
             return str(link.get("name"))
         for model in self.models:
-            if first := model._first_link():
-                return first if model.is_merged else f"{model.own}::{first}"
+            first_link = model._first_link()
+            if first_link:
+                return first_link if model.is_merged else f"{model.local_name}::{first_link}"
         return ""
 
     def pose_of(self, name: str) -> Float:
-        """Where a frame is, (4, 4); empty is the scope's own."""
-        if name in WORLD:
+        """Return the pose of a frame in the world, (4, 4) [m].
+
+        Args:
+            name: as it is used in this scope; empty for the scope's own frame.
+
+        Raises:
+            SceneError: there is no such frame, or it is relative to itself.
+        """
+        if name in WORLD_NAMES:
             return np.eye(4)
-        scope, name = self.resolve(name)
-        if scope is not self:
-            return scope.pose_of(name)
+        frame = self.resolve(name)
+        if frame.scope is not self:
+            return frame.scope.pose_of(frame.name)
+        name = frame.name
         if name not in self._poses:
-            if name in self._open:
-                by = f"is relative to itself, by {self._open}"
+            if name in self._pending:
+                by = f"is relative to itself, by {self._pending}"
                 raise SceneError(f"frame {name!r} {self._where} {by}")
-            self._open.append(name)
-            self._poses[name] = self._find_pose(name)
-            self._open.pop()
+            self._pending.append(name)
+            self._poses[name] = self._compute_pose(name)
+            self._pending.pop()
         return self._poses[name]
 
-    def _find_pose(self, name: str) -> Float:
+    def _compute_pose(self, name: str) -> Float:
         if name:
             frame = self._frames[name]
             is_joint = frame.tag == "joint"
-            to = text_of(frame, "child") if is_joint else frame.get("attached_to", "")
-            return self.place(frame, to)
-        assert self.above is not None
-        is_placed = self._placing.find("pose") is not None
-        place = self.above.place(self._placing if is_placed else self.element)
-        anchor = text_of(self._placing, "placement_frame")
+            base = text_of(frame, "child") if is_joint else frame.get("attached_to", "")
+            return self.pose_of_element(frame, base)
+        assert self.parent is not None
+        is_placed = self._placement.find("pose") is not None
+        pose = self.parent.pose_of_element(self._placement if is_placed else self.element)
+        anchor = text_of(self._placement, "placement_frame")
         anchor = anchor or self.element.get("placement_frame", "")
-        if anchor:  # which is to be where the pose says
-            alone = Scope(self._find_models, self.element, self._placing, self.file, self.above)
-            alone._poses[""] = np.eye(4)
-            place = place @ np.linalg.inv(alone.pose_of(anchor))
-        return place
+        if anchor:  # the frame that is to be where the pose says
+            # The anchor's pose in the model's frame: that of a model at the origin.
+            model_at_origin = Scope(
+                self._find_models, self.element, self._placement, self.file, self.parent
+            )
+            model_at_origin._poses[""] = np.eye(4)
+            pose = pose @ np.linalg.inv(model_at_origin.pose_of(anchor))
+        return pose
 
     @property
     def _where(self) -> str:
         return f"of {self.name or 'the world'} in {self.file}"
 
-    def place(self, element: Element, default: str = "") -> Float:
-        """Where an element with a ``<pose>`` is, (4, 4), relative to `default` or as it says."""
+    def pose_of_element(self, element: Element, base: str = "") -> Float:
+        """Return the pose of an element with a ``<pose>`` in the world, (4, 4) [m].
+
+        Args:
+            element: the element.
+            base: the frame that its pose is relative to, unless it names another one.
+        """
         pose = element.find("pose")
-        relative = default if pose is None else pose.get("relative_to", "") or default
-        return self.pose_of(relative) @ read_pose(pose, self.file)
+        if pose is not None:
+            base = pose.get("relative_to", "") or base
+        return self.pose_of(base) @ read_pose(pose, self.file)
 
 
 def is_true(text: str) -> bool:
+    """Whether a text is SDF's for true: 1 or true."""
     return text.strip().lower() in ("1", "true")
 
 
 def text_of(element: Element, path: str) -> str:
+    """Return the stripped text of an element below another one; empty for none.
+
+    Args:
+        element: the upper one.
+        path: leads to the lower one, as in ElementTree.
+    """
     return (element.findtext(path) or "").strip()
 
 
 def numbers_of(text: str, count: int, where: str) -> list[float]:
+    """Return the numbers in a text.
+
+    Args:
+        text: numbers between spaces.
+        count: how many there have to be.
+        where: the place in the file, for errors.
+
+    Raises:
+        SceneError: there are not so many finite numbers.
+    """
     try:
         numbers = [float(word) for word in text.split()]
     except ValueError:
@@ -185,31 +268,43 @@ def numbers_of(text: str, count: int, where: str) -> list[float]:
     return numbers
 
 
-def read_pose(pose: Element | None, file: Path) -> Float:
-    """A ``<pose>``, (4, 4): x, y, z, and roll, pitch, yaw or a quaternion x, y, z, w."""
-    place = np.eye(4)
-    text = "" if pose is None else (pose.text or "").strip()
-    if pose is None or not text:
-        return place
-    is_quat = pose.get("rotation_format", "euler_rpy") == "quat_xyzw"
-    numbers = numbers_of(text, 7 if is_quat else 6, f"<pose> of {file}")
-    place[:3, 3] = numbers[:3]
-    if is_quat:
+def read_pose(element: Element | None, file: Path) -> Float:
+    """Read a ``<pose>``: x, y, z, and roll, pitch, yaw or a quaternion x, y, z, w.
+
+    Args:
+        element: the ``<pose>``; None for none.
+        file: its file, for errors.
+
+    Returns:
+        The pose, (4, 4) [m]; the identity for none.
+
+    Raises:
+        SceneError: it has no such numbers.
+    """
+    pose = np.eye(4)
+    text = "" if element is None else (element.text or "").strip()
+    if element is None or not text:
+        return pose
+    is_quaternion = element.get("rotation_format", "euler_rpy") == "quat_xyzw"
+    numbers = numbers_of(text, 7 if is_quaternion else 6, f"<pose> of {file}")
+    pose[:3, 3] = numbers[:3]
+    if is_quaternion:
         x, y, z, w = numbers[3:]
-        turn = np.empty(9)
-        quat = np.array([w, x, y, z]) / (math.hypot(w, x, y, z) or 1.0)
-        mujoco.mju_quat2Mat(turn, quat)
-        place[:3, :3] = turn.reshape(3, 3)
-        return place
-    angles = np.radians(numbers[3:]) if is_true(pose.get("degrees", "")) else numbers[3:]
+        rotation = np.empty(9)
+        quaternion = np.array([w, x, y, z]) / (math.hypot(w, x, y, z) or 1.0)
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        pose[:3, :3] = rotation.reshape(3, 3)
+        return pose
+    angles = np.radians(numbers[3:]) if is_true(element.get("degrees", "")) else numbers[3:]
+    # cosines and sines of roll, pitch and yaw
     cr, cp, cy = np.cos(angles).tolist()
     sr, sp, sy = np.sin(angles).tolist()
-    place[:3, :3] = [
+    pose[:3, :3] = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr],
     ]
-    return place
+    return pose
 
 
 FindModels = Callable[[Scope], list[Scope]]

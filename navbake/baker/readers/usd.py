@@ -1,12 +1,12 @@
-"""Reads a USD stage as pieces: prims that are drawn or collide, and bodies with their joints.
+"""Reads a USD stage: prims that are drawn or collide, and bodies with their joints.
 
 pxr comes with the extra [usd]. MuJoCo's own plugin for USD is not used: it leaves out units, the up
 axis, instancers, visibility and purpose.
 
 A prim is drawn unless it, or one above it, is invisible, a guide, or a proxy beside render prims.
-It collides by the collision API, its own or of a prim above it, drawn or not. What does neither is
-left out. Coordinates are rounded to `DECIMALS`: USD's are 32-bit floats, of which 3.7 m are
-3.7000000477 and 370 cm aren't.
+It collides by the collision API, its own or of a prim above it, drawn or not. A prim that does
+neither is left out. Coordinates are rounded to `DECIMALS`: USD's are 32-bit floats, of which 3.7 m
+are 3.7000000477 and 370 cm aren't.
 
 Source: Pixar, Universal Scene Description, schemas UsdGeom and UsdPhysics.
 """
@@ -17,7 +17,7 @@ import re
 from functools import cache
 from itertools import permutations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,53 +37,115 @@ from navbake.errors import ConfigError, SceneError
 from navbake.formats.source import import_extra
 from navbake.known_names import list_first
 from navbake.lazy import lazy
-from navbake.types import Float
+from navbake.types import Bool, Float
 
-Gf = lazy("pxr.Gf")
-Tf = lazy("pxr.Tf")
-Usd = lazy("pxr.Usd")
-UsdGeom = lazy("pxr.UsdGeom")
-UsdPhysics = lazy("pxr.UsdPhysics")
-UsdUtils = lazy("pxr.UsdUtils")
+if TYPE_CHECKING:
+    from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
+else:
+    Gf = lazy("pxr.Gf")
+    Tf = lazy("pxr.Tf")
+    Usd = lazy("pxr.Usd")
+    UsdGeom = lazy("pxr.UsdGeom")
+    UsdPhysics = lazy("pxr.UsdPhysics")
+    UsdUtils = lazy("pxr.UsdUtils")
 
-DECIMALS = 6  # of lengths [m]; of turns three more
+DECIMALS = 6  # that lengths are rounded to [m]
+ROTATION_DECIMALS = 9  # that rotations are rounded to [rad, or without unit]
 # The frames of solids whose axis is x, y or z, as columns: their third one is the axis
-FRAMES = {"X": np.eye(3)[:, [1, 2, 0]], "Y": np.eye(3)[:, [2, 0, 1]], "Z": np.eye(3)}
-ORDERS = np.array(list(permutations(range(3))))
-SKEW = 1e-6  # of a turn that is none
-SOLIDS = "Cube", "Sphere", "Cylinder", "Capsule", "Cone", "Plane"  # types of prims
-JOINT_KINDS = {"PhysicsRevoluteJoint": "hinge", "PhysicsPrismaticJoint": "slide"}
-JOINT_KINDS |= {"PhysicsSphericalJoint": "ball", "PhysicsFixedJoint": "fixed"}
+AXIS_FRAMES = {"X": np.eye(3)[:, [1, 2, 0]], "Y": np.eye(3)[:, [2, 0, 1]], "Z": np.eye(3)}
+AXIS_ORDERS = np.array(list(permutations(range(3))))
+MAX_SKEW = 1e-6  # by which the axes of a rotation may be off a right angle, as cosines
+SOLID_TYPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone", "Plane")
+JOINT_KINDS = {
+    "PhysicsRevoluteJoint": "hinge",
+    "PhysicsPrismaticJoint": "slide",
+    "PhysicsSphericalJoint": "ball",
+    "PhysicsFixedJoint": "fixed",
+}
 
 
-class _State(NamedTuple):
-    """What a prim takes over from those above it."""
+class _PrimState(NamedTuple):
+    """What a prim inherits from those above it, and passes on.
 
-    matrix: Any  # Gf.Matrix4d, to the stage's world
+    Attributes:
+        matrix: from the prim's frame to the stage's.
+        visible: whether no prim is invisible.
+        purpose: USD's: default, render, proxy or guide.
+        body: the rigid body that it is part of; empty for none.
+        component: the model that it is part of; empty for none.
+        collides: whether the collision API is on.
+        approximation: the shape that stands for a mesh in collisions.
+    """
+
+    matrix: Gf.Matrix4d
     visible: bool = True
     purpose: str = "default"
-    body: str = ""  # the rigid body that it is part of
-    component: str = ""  # the model that it is part of
+    body: str = ""
+    component: str = ""
     collides: bool = False
     approximation: str = "none"
 
 
-_Read = tuple[str, tuple[float, ...], Float, Mesh | None]  # as in `_Found`
+class _PrimShape(NamedTuple):
+    """The shape of a prim, in its own frame and unit.
+
+    Attributes:
+        kind: as in `ParsedGeom`; or cone.
+        size: as in `ParsedGeom`; empty for a mesh.
+        frame: of a solid, as columns, (3, 3).
+        mesh: None for a solid.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    frame: Float
+    mesh: Mesh | None
 
 
-class _Found(NamedTuple):
-    """A prim's geometry before it is placed."""
+class _PrimGeometry(NamedTuple):
+    """A prim's geometry, before it is placed in the world.
+
+    Attributes:
+        name: of the geom.
+        body: the name of its body.
+        shape: in the prim's frame.
+        matrix: from the prim's frame to the stage's.
+        mode: as what a mesh counts, see `ParsedGeom`.
+        collides: whether it can collide.
+        purpose: USD's, of a prim that is drawn; else empty.
+    """
 
     name: str
     body: str
-    kind: str  # as in `ParsedGeom`; or cone
-    size: tuple[float, ...]  # in the prim's own frame and unit, as `ParsedGeom.size`
-    frame: Float  # (3, 3), of a solid in the prim's frame
-    mesh: Mesh | None
-    matrix: Any  # the prim's
+    shape: _PrimShape
+    matrix: Gf.Matrix4d
     mode: str
     collides: bool
-    purpose: str  # of what is drawn, else empty
+    purpose: str
+
+
+class _MeshKey(NamedTuple):
+    """By what meshes that are read once are found again.
+
+    Attributes:
+        path: of the prim, in its prototype where it is an instance.
+        is_box: whether its box stands for it.
+    """
+
+    path: Sdf.Path
+    is_box: bool
+
+
+class _JointEnd(NamedTuple):
+    """One of the two frames that a joint holds together, world frame.
+
+    Attributes:
+        position: (3,) [m].
+        rotation: (3, 3).
+    """
+
+    position: Float
+    rotation: Float
 
 
 def read_stage(path: Path, settings: SceneSettings) -> ParsedScene:
@@ -92,85 +154,103 @@ def read_stage(path: Path, settings: SceneSettings) -> ParsedScene:
     Lengths and the up axis are the stage's own, unless `scene.unit` or `scene.up` say otherwise.
     Names are paths of prims. References that can't be resolved are warned of.
 
+    Args:
+        path: the file.
+        settings: `scene.unit` and `scene.up`.
+
+    Returns:
+        The parsed scene.
+
     Raises:
         MissingDependencyError: usd-core is not installed.
         SceneError: the stage is broken, or one of its prims is.
     """
     import_extra("pxr.Usd", "usd", f"{path}, a USD scene,")
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # else pxr writes to stderr
+    diagnostics = UsdUtils.CoalescingDiagnosticDelegate()  # else pxr writes to stderr
     try:
         stage = Usd.Stage.Open(str(path))
-        return _Reader(stage, path, settings).read()
+        return _StageReader(stage, path, settings).read()
     except Tf.ErrorException as error:
-        said = re.findall(r" : '(.*?)'\s*(?=\n\tError|\n*$)", str(error), re.DOTALL)
-        reason = " ".join((said or [str(error)])[0].split())[:300]
+        messages = re.findall(r" : '(.*?)'\s*(?=\n\tError|\n*$)", str(error), re.DOTALL)
+        reason = " ".join((messages or [str(error)])[0].split())[:300]
         raise SceneError(f"cannot read the USD stage {path}: {reason}") from error
     finally:
-        quiet.TakeUncoalescedDiagnostics()
+        diagnostics.TakeUncoalescedDiagnostics()
 
 
-class _Reader:
-    def __init__(self, stage: Any, path: Path, settings: SceneSettings) -> None:
+class _StageReader:
+    """Reads the prims of a stage, and places them in the world."""
+
+    def __init__(self, stage: Usd.Stage, path: Path, settings: SceneSettings) -> None:
         self._stage = stage
         self._path = path
         self._time = Usd.TimeCode.EarliestTime()
-        self._unit, self._to_world = _frame_of(stage, path, settings)
-        self._result = ParsedScene(decimals=DECIMALS)
-        self._found: list[_Found] = []
-        self._rigid: dict[str, Any] = {}  # bodies' matrices, by path
-        self._kinematic: set[str] = set()
-        self._joints: list[Any] = []
-        self._meshes: dict[Any, Mesh | None] = {}
-        self._open: list[Any] = []  # point instancers whose prototypes are read
-        self._left_out: dict[str, list[str]] = {}
+        self._unit, self._to_world = _find_stage_frame(stage, path, settings)
+        self._parsed_scene = ParsedScene(decimals=DECIMALS)
+        self._geometry: list[_PrimGeometry] = []
+        self._rigid_bodies: dict[str, Gf.Matrix4d] = {}  # their matrices, by path
+        self._kinematic_bodies: set[str] = set()
+        self._joints: list[Usd.Prim] = []
+        self._meshes: dict[_MeshKey, Mesh | None] = {}
+        self._open_instancers: list[Sdf.Path] = []  # whose prototypes are being read
+        self._left_out: dict[str, list[str]] = {}  # names of prims, by the reason
 
     def read(self) -> ParsedScene:
+        """Read all prims, then make bodies of the rigid ones and geoms of the geometry."""
         for error in self._stage.GetCompositionErrors():
-            where = re.findall(r"<([^>]*)>", str(error.rootSite))
+            prims = re.findall(r"<([^>]*)>", str(error.rootSite))
             text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))[:300]
-            prim = where[-1] if where else "/"
-            self._result.warnings.append(f"prim {prim} of {self._path}: {text}")
-        self._walk(self._stage.GetPseudoRoot(), _State(Gf.Matrix4d(1.0)))
-        self._tie_bodies()
-        self._place()
+            prim = prims[-1] if prims else "/"
+            self._parsed_scene.warnings.append(f"prim {prim} of {self._path}: {text}")
+        self._read_prims_below(self._stage.GetPseudoRoot(), _PrimState(Gf.Matrix4d(1.0)))
+        self._make_bodies()
+        self._place_geometry()
         for reason, names in self._left_out.items():
-            text = f"prim {list_first(names)} of {self._path} left out: {reason}"
-            self._result.warnings.append(text)
-        return self._result
+            self._parsed_scene.warnings.append(
+                f"prim {list_first(names)} of {self._path} left out: {reason}"
+            )
+        return self._parsed_scene
 
     # ------------------------------------------------------------ prims
 
-    def _walk(self, root: Any, state: _State, prefix: str = "") -> None:
-        """Find the geometry of a prim and those below it, with names less a prefix."""
-        below = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
-        left = [(root, state)]
-        while left:
-            prim, above = left.pop()
+    def _read_prims_below(self, root: Usd.Prim, state: _PrimState, prefix: str = "") -> None:
+        """Read a prim and those below it, in their order, with names less a prefix."""
+        with_instances = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+        pending = [(root, state)]
+        while pending:
+            prim, parent_state = pending.pop()
             name = str(prim.GetPath()).removeprefix(prefix)
             with reading(f"prim {prim.GetPath()} of {self._path}"):
-                state = self._state_of(prim, name, above)
-                is_open = self._read_prim(prim, name, state)
-            if is_open:
-                left += [(child, state) for child in reversed(prim.GetFilteredChildren(below))]
+                prim_state = self._find_state(prim, name, parent_state)
+                reads_children = self._read_prim(prim, name, prim_state)
+            if reads_children:
+                children = reversed(prim.GetFilteredChildren(with_instances))
+                pending += [(child, prim_state) for child in children]
 
-    def _read_prim(self, prim: Any, name: str, state: _State) -> bool:
-        """Read one prim; whether those below it are to be read."""
+    def _read_prim(self, prim: Usd.Prim, name: str, state: _PrimState) -> bool:
+        """Read one prim; returns whether those below it are to be read."""
         kind = str(prim.GetTypeName())
         if kind == "PointInstancer":
             self._read_instancer(prim, name, state)
             return False  # the prototypes below it aren't drawn by themselves
-        if kind in (*SOLIDS, "Mesh"):
-            self._take(prim, name, kind, state)
+        if kind in (*SOLID_TYPES, "Mesh"):
+            self._read_geometry(prim, name, kind, state)
         elif kind.startswith("Physics") and kind.endswith("Joint"):
             self._joints.append(prim)
         elif kind.startswith(("Cylinder", "Capsule")) and prim.IsA(UsdGeom.Gprim):
-            self._take(prim, name, kind.partition("_")[0], state)
+            self._read_geometry(prim, name, kind.partition("_")[0], state)  # as Cylinder_1
         elif kind and prim.IsA(UsdGeom.Gprim):
             self._leave_out(f"{kind} is no surface that navbake reads", name)
         return True
 
-    def _state_of(self, prim: Any, name: str, above: _State) -> _State:
-        matrix, visible, purpose, body, component, collides, approximation = above
+    def _find_state(self, prim: Usd.Prim, name: str, parent_state: _PrimState) -> _PrimState:
+        matrix = parent_state.matrix
+        visible = parent_state.visible
+        purpose = parent_state.purpose
+        body = parent_state.body
+        component = parent_state.component
+        collides = parent_state.collides
+        approximation = parent_state.approximation
         names = prim.GetAuthoredPropertyNames()  # one call, where most prims have few
         if "visibility" in names:
             visible = visible and self._get(prim, "visibility") != "invisible"
@@ -178,87 +258,121 @@ class _Reader:
             purpose = str(self._get(prim, "purpose"))
         if "xformOpOrder" in names:
             xform = UsdGeom.Xformable(prim)
-            own = xform.GetLocalTransformation(self._time)
-            matrix = own if xform.GetResetXformStack() else own * matrix
+            local_matrix = xform.GetLocalTransformation(self._time)
+            is_reset = xform.GetResetXformStack()
+            matrix = local_matrix if is_reset else local_matrix * matrix
         if not component and name.count("/") > 1 and prim.GetMetadata("kind") == "component":
             component = name
         if prim.GetAppliedSchemas():
             if prim.HasAPI(UsdPhysics.RigidBodyAPI):
-                rigid = UsdPhysics.RigidBodyAPI(prim)
-                if rigid.GetRigidBodyEnabledAttr().Get(self._time):
-                    _rigid(self._world_of(matrix))  # which fails here, by the prim's name
+                rigid_body = UsdPhysics.RigidBodyAPI(prim)
+                if rigid_body.GetRigidBodyEnabledAttr().Get(self._time):
+                    # A matrix without a rotation fails here, where the error names the prim.
+                    _rigid_pose(self._matrix_to_world(matrix))
                     body = name
-                    self._rigid[name] = matrix
-                    if rigid.GetKinematicEnabledAttr().Get(self._time):
-                        self._kinematic.add(name)
+                    self._rigid_bodies[name] = matrix
+                    if rigid_body.GetKinematicEnabledAttr().Get(self._time):
+                        self._kinematic_bodies.add(name)
             if prim.HasAPI(UsdPhysics.CollisionAPI):
                 enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
                 collides = bool(enabled.Get(self._time))
             if prim.HasAPI(UsdPhysics.MeshCollisionAPI):
                 approximation = str(UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get())
-        return _State(matrix, visible, purpose, body, component, collides, approximation)
-
-    def _take(self, prim: Any, name: str, kind: str, state: _State) -> None:
-        drawn = state.purpose if state.visible and state.purpose != "guide" else ""
-        if not drawn and not state.collides:
-            self._leave_out("it is invisible" if not state.visible else "it is a guide", name)
-            return
-        is_hull = state.collides and state.approximation in ("convexHull", "boundingCube")
-        mode = "hull" if is_hull else "surface"
-        read = (
-            self._read_mesh(prim, state) if kind == "Mesh" else self._read_solid(prim, kind, state)
+        return _PrimState(
+            matrix=matrix,
+            visible=visible,
+            purpose=purpose,
+            body=body,
+            component=component,
+            collides=collides,
+            approximation=approximation,
         )
-        if read is not None:
-            body = state.body or state.component or name
-            more = state.matrix, mode, state.collides, drawn
-            self._found.append(_Found(name, body, *read, *more))
 
     def _leave_out(self, reason: str, name: str) -> None:
         self._left_out.setdefault(reason, []).append(name)
 
-    def _get(self, prim: Any, name: str) -> Any:
+    def _get(self, prim: Usd.Prim, name: str) -> object:
         return prim.GetAttribute(name).Get(self._time)
 
-    def _axis_of(self, prim: Any, name: str) -> str:
+    def _get_number(self, prim: Usd.Prim, name: str) -> float:
+        return float(prim.GetAttribute(name).Get(self._time))
+
+    def _get_axis(self, prim: Usd.Prim, name: str) -> str:
         axis = str(self._get(prim, name))
-        if axis not in FRAMES:
+        if axis not in AXIS_FRAMES:
             where = f"{name} of {prim.GetPath()} in {self._path}"
             raise SceneError(f"expected X, Y or Z as {where}, got {axis[:40]!r}")
         return axis
 
-    def _read_solid(self, prim: Any, kind: str, state: _State) -> _Read:
+    # ------------------------------------------------------------ geometry
+
+    def _read_geometry(self, prim: Usd.Prim, name: str, kind: str, state: _PrimState) -> None:
+        is_drawn = state.visible and state.purpose != "guide"
+        if not is_drawn and not state.collides:
+            self._leave_out("it is invisible" if not state.visible else "it is a guide", name)
+            return
+        is_hull = state.collides and state.approximation in ("convexHull", "boundingCube")
+        if kind == "Mesh":
+            shape = self._read_mesh(prim, state)
+        else:
+            shape = self._read_solid(prim, kind, state)
+        if shape is not None:
+            self._geometry.append(
+                _PrimGeometry(
+                    name=name,
+                    body=state.body or state.component or name,
+                    shape=shape,
+                    matrix=state.matrix,
+                    mode="hull" if is_hull else "surface",
+                    collides=state.collides,
+                    purpose=state.purpose if is_drawn else "",
+                )
+            )
+
+    def _read_solid(self, prim: Usd.Prim, kind: str, state: _PrimState) -> _PrimShape:
         """A solid; of two radii, the larger one; a plane is endless where it collides."""
         if kind == "Cube":
-            return "box", (float(self._get(prim, "size")) / 2,) * 3, np.eye(3), None
+            half = self._get_number(prim, "size") / 2
+            return _PrimShape("box", (half, half, half), np.eye(3), None)
         if kind == "Sphere":
-            return "ellipsoid", (float(self._get(prim, "radius")),) * 3, np.eye(3), None
-        axis = self._axis_of(prim, "axis")
+            radius = self._get_number(prim, "radius")
+            return _PrimShape("ellipsoid", (radius, radius, radius), np.eye(3), None)
+        axis = self._get_axis(prim, "axis")
+        frame = AXIS_FRAMES[axis]
         if kind == "Plane":
-            width = float(self._get(prim, "width")) / 2
-            length = float(self._get(prim, "length")) / 2
-            sides = (width, length) if axis == "Z" else (length, width)
-            return "plane", (0.0, 0.0) if state.collides else sides, FRAMES[axis], None
-        radii = [prim.GetAttribute(key) for key in ("radius", "radiusBottom", "radiusTop")]
-        radius = max(float(each.Get(self._time)) for each in radii if each)
-        return kind.lower(), (radius, float(self._get(prim, "height")) / 2), FRAMES[axis], None
+            half_width = self._get_number(prim, "width") / 2
+            half_length = self._get_number(prim, "length") / 2
+            half_sides = (half_width, half_length) if axis == "Z" else (half_length, half_width)
+            size = (0.0, 0.0) if state.collides else half_sides
+            return _PrimShape("plane", size, frame, None)
+        radii = []
+        for name in ("radius", "radiusBottom", "radiusTop"):
+            attribute = prim.GetAttribute(name)
+            if attribute:
+                radii.append(float(attribute.Get(self._time)))
+        size = (max(radii), self._get_number(prim, "height") / 2)
+        return _PrimShape(kind.lower(), size, frame, None)
 
-    def _read_mesh(self, prim: Any, state: _State) -> _Read | None:
-        shared = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        key = shared.GetPath(), state.collides and state.approximation == "boundingCube"
+    def _read_mesh(self, prim: Usd.Prim, state: _PrimState) -> _PrimShape | None:
+        """A mesh; None for an empty one."""
+        shared_prim = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
+        is_box = state.collides and state.approximation == "boundingCube"
+        key = _MeshKey(shared_prim.GetPath(), is_box)
         if key not in self._meshes:
-            self._meshes[key] = self._triangles_of(prim, is_box=key[1])
+            self._meshes[key] = self._read_triangles(prim, is_box=is_box)
         mesh = self._meshes[key]
-        return None if mesh is None else ("mesh", (), np.eye(3), mesh)
+        return None if mesh is None else _PrimShape("mesh", (), np.eye(3), mesh)
 
-    def _triangles_of(self, prim: Any, is_box: bool) -> Mesh | None:
+    def _read_triangles(self, prim: Usd.Prim, *, is_box: bool) -> Mesh | None:
         """A mesh in its own frame, counter-clockwise; None for an empty one."""
-        keys = "points", "faceVertexCounts", "faceVertexIndices"
-        points, counts, indices = (self._get(prim, key) for key in keys)
-        if not points or not counts:
+        points = prim.GetAttribute("points").Get(self._time)
+        face_counts = prim.GetAttribute("faceVertexCounts").Get(self._time)
+        face_indices = prim.GetAttribute("faceVertexIndices").Get(self._time)
+        if not points or not face_counts:
             return None
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
-        counts = np.array(counts)
-        indices = np.array(indices if indices is not None else [], int)
+        counts = np.array(face_counts)
+        indices = np.array(face_indices if face_indices is not None else [], int)
         where = f"mesh {prim.GetPath()} of {self._path}"
         if counts.min() < 0 or counts.sum() != len(indices):
             corners = f"{counts.sum()} corners, but faceVertexIndices {len(indices)}"
@@ -268,241 +382,349 @@ class _Reader:
             got = f"got {indices.min()} to {indices.max()}"
             raise SceneError(f"{where} is broken: {expected}, {got}")
         if is_box:
-            box = tessellate("box", (0.5, 0.5, 0.5))
+            unit_box = tessellate("box", (0.5, 0.5, 0.5))
             low = vertices.min(axis=0)
             high = vertices.max(axis=0)
-            return Mesh(low + (box.vertices + 0.5) * (high - low), box.faces)
-        holes = np.array(self._get(prim, "holeIndices") or [], dtype=np.int64)
-        faces = triangulate(vertices, counts, indices, holes)
+            return Mesh(low + (unit_box.vertices + 0.5) * (high - low), unit_box.faces)
+        holes = prim.GetAttribute("holeIndices").Get(self._time) or []
+        faces = triangulate(vertices, counts, indices, np.array(holes, dtype=np.int64))
         if self._get(prim, "orientation") == "leftHanded":
             faces = faces[:, ::-1]
         return Mesh(vertices, faces)
 
-    def _read_instancer(self, prim: Any, name: str, state: _State) -> None:
-        """The prototypes of a point instancer at its points, named ``instancer/number/…``."""
+    # ------------------------------------------------------------ point instancers
+
+    def _read_instancer(self, prim: Usd.Prim, name: str, state: _PrimState) -> None:
+        """Read the prototypes of a point instancer at its points, named ``instancer/number/…``."""
         instancer = UsdGeom.PointInstancer(prim)
-        prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
-        numbers = instancer.GetProtoIndicesAttr().Get(self._time)
-        if not numbers or not prototypes:
+        prototype_paths = instancer.GetPrototypesRel().GetForwardedTargets()
+        prototype_of_point = instancer.GetProtoIndicesAttr().Get(self._time)
+        if not prototype_of_point or not prototype_paths:
             return
-        roots = [self._stage.GetPrimAtPath(path) for path in prototypes]
-        for number, root in zip(prototypes, roots, strict=True):
-            if not root:
-                raise SceneError(f"prototype {number} of {name} in {self._path} is missing")
-        if not 0 <= min(numbers) <= max(numbers) < len(roots):
+        prototypes = []
+        for path in prototype_paths:
+            prototype = self._stage.GetPrimAtPath(path)
+            if not prototype:
+                raise SceneError(f"prototype {path} of {name} in {self._path} is missing")
+            prototypes.append(prototype)
+        first = min(prototype_of_point)
+        last = max(prototype_of_point)
+        if not 0 <= first <= last < len(prototypes):
             raise SceneError(
-                f"expected protoIndices of {name} in {self._path} from 0 to {len(roots) - 1}, got "
-                f"{min(numbers)} to {max(numbers)}"
+                f"expected protoIndices of {name} in {self._path} from 0 to "
+                f"{len(prototypes) - 1}, got {first} to {last}"
             )
-        # a prototype's own transform comes with its geometry
-        places = instancer.ComputeInstanceTransformsAtTime(
+        # A prototype's own transform comes with its geometry.
+        point_matrices = instancer.ComputeInstanceTransformsAtTime(
             self._time, self._time, UsdGeom.PointInstancer.ExcludeProtoXform,
             UsdGeom.PointInstancer.IgnoreMask,
         )  # fmt: skip
-        mask = list(instancer.ComputeMaskAtTime(self._time)) or [True] * len(numbers)
-        if not len(places) == len(mask) == len(numbers):
+        num_points = len(prototype_of_point)
+        is_shown = list(instancer.ComputeMaskAtTime(self._time)) or [True] * num_points
+        if not len(point_matrices) == len(is_shown) == num_points:
             raise SceneError(
                 f"expected as many positions as protoIndices of {name} in {self._path}, got "
-                f"{len(places)} and {len(numbers)}"
+                f"{len(point_matrices)} and {num_points}"
             )
-        if prim.GetPath() in self._open:
+        if prim.GetPath() in self._open_instancers:
             raise SceneError(f"point instancer {prim.GetPath()} of {self._path} contains itself")
-        self._open.append(prim.GetPath())
-        samples = dict[int, list[_Found]]()
-        for number, (proto, place, shown) in enumerate(zip(numbers, places, mask, strict=True)):
-            if not shown:
+        self._open_instancers.append(prim.GetPath())
+        # Each prototype is read once, at the origin.
+        geometry_of_prototype = dict[int, list[_PrimGeometry]]()
+        for number in range(num_points):
+            if not is_shown[number]:
                 continue
-            if proto not in samples:  # found once, at the origin
-                samples[proto] = self._find_sample(roots[proto], state)
-            matrix = place * state.matrix
-            own = f"{name}/{number}"
-            check_count(len(self._found) + len(samples[proto]), self._path)
-            for one in samples[proto]:
-                place = one.matrix * matrix
-                body = state.body or own
-                self._found.append(one._replace(name=own + one.name, body=body, matrix=place))
-        self._open.pop()
+            prototype_index = prototype_of_point[number]
+            if prototype_index not in geometry_of_prototype:
+                geometry_of_prototype[prototype_index] = self._read_prototype(
+                    prototypes[prototype_index], state
+                )
+            instance_name = f"{name}/{number}"
+            instance_matrix = point_matrices[number] * state.matrix
+            prototype_geometry = geometry_of_prototype[prototype_index]
+            check_count(len(self._geometry) + len(prototype_geometry), self._path)
+            for geometry in prototype_geometry:
+                self._geometry.append(
+                    geometry._replace(
+                        name=instance_name + geometry.name,
+                        body=state.body or instance_name,
+                        matrix=geometry.matrix * instance_matrix,
+                    )
+                )
+        self._open_instancers.pop()
 
-    def _find_sample(self, root: Any, state: _State) -> list[_Found]:
-        """The geometry of a prototype, which is of one piece, by names below it."""
-        kept = (self._found, dict(self._rigid), list(self._joints))
-        self._found = []
-        self._walk(root, state._replace(matrix=Gf.Matrix4d(1.0)), str(root.GetPath()))
-        sample = self._found
-        self._found, self._rigid, self._joints = kept
-        return sample
+    def _read_prototype(self, root: Usd.Prim, state: _PrimState) -> list[_PrimGeometry]:
+        """The geometry of a prototype, by names below it; it is one body, without joints."""
+        outer_geometry = self._geometry
+        outer_bodies = dict(self._rigid_bodies)
+        outer_joints = list(self._joints)
+        self._geometry = []
+        at_origin = state._replace(matrix=Gf.Matrix4d(1.0))
+        self._read_prims_below(root, at_origin, prefix=str(root.GetPath()))
+        prototype_geometry = self._geometry
+        self._geometry = outer_geometry
+        self._rigid_bodies = outer_bodies
+        self._joints = outer_joints
+        return prototype_geometry
 
     # ------------------------------------------------------------ bodies and joints
 
-    def _tie_bodies(self) -> None:
+    def _make_bodies(self) -> None:
         """Make bodies of rigid prims: each hangs on another by one joint, or is free, or stays."""
-        ties = JointTree({name: _rigid(self._world_of(m)) for name, m in self._rigid.items()})
+        poses = {
+            name: _rigid_pose(self._matrix_to_world(matrix))
+            for name, matrix in self._rigid_bodies.items()
+        }
+        joint_tree = JointTree(poses)
         frames = UsdGeom.XformCache(self._time)
         for prim in self._joints:
-            joint = UsdPhysics.Joint(prim)
-            name = str(prim.GetPath())
-            kind = JOINT_KINDS.get(str(prim.GetTypeName()), "")
-            if not joint.GetJointEnabledAttr().Get(self._time):
-                continue
-            relations = joint.GetBody0Rel(), joint.GetBody1Rel()
-            parent, child = (self._body_of(end.GetForwardedTargets()) for end in relations)
-            # the second body hangs on the first one, unless it stays or hangs elsewhere
-            is_turned = not child or (ties.has(child) and bool(parent) and not ties.has(parent))
-            if is_turned:
-                parent, child = child, parent
-            if not kind or not child:
-                unknown = f"{prim.GetTypeName()} is no joint that navbake reads"
-                self._leave_out("it ties no rigid body" if kind else unknown, name)
-                continue
-            with reading(f"joint {name} of {self._path}"):
-                made = self._read_joint(joint, prim, kind, frames, is_turned)
-            if not ties.tie(parent, child, made):
-                self._leave_out("its bodies hang on other joints already", name)
-        self._result.bodies = ties.make_bodies(self._kinematic)
+            self._attach(joint_tree, prim, frames)
+        self._parsed_scene.bodies = joint_tree.make_bodies(fixed=self._kinematic_bodies)
 
-    def _body_of(self, targets: list[Any]) -> str:
+    def _attach(self, joint_tree: JointTree, prim: Usd.Prim, frames: UsdGeom.XformCache) -> None:
+        """Attach one body of a joint's prim to the other one."""
+        joint = UsdPhysics.Joint(prim)
+        name = str(prim.GetPath())
+        kind = JOINT_KINDS.get(str(prim.GetTypeName()), "")
+        if not joint.GetJointEnabledAttr().Get(self._time):
+            return
+        parent = self._find_body(joint.GetBody0Rel().GetForwardedTargets())
+        child = self._find_body(joint.GetBody1Rel().GetForwardedTargets())
+        # The second body hangs on the first one, unless it stays or hangs elsewhere.
+        may_be_parent = bool(parent) and not joint_tree.is_attached(parent)
+        is_swapped = not child or (joint_tree.is_attached(child) and may_be_parent)
+        if is_swapped:
+            parent, child = child, parent
+        if not kind:
+            self._leave_out(f"{prim.GetTypeName()} is no joint that navbake reads", name)
+            return
+        if not child:
+            self._leave_out("it ties no rigid body", name)
+            return
+        with reading(f"joint {name} of {self._path}"):
+            parsed_joint = self._read_joint(prim, kind, frames, is_swapped)
+        if not joint_tree.attach(parent, child, parsed_joint):
+            self._leave_out("its bodies hang on other joints already", name)
+
+    def _find_body(self, targets: list[Sdf.Path]) -> str:
         """The rigid body that the end of a joint belongs to; empty for what never moves."""
         prim = self._stage.GetPrimAtPath(targets[0]) if targets else None
-        while prim and str(prim.GetPath()) not in self._rigid:
+        while prim and str(prim.GetPath()) not in self._rigid_bodies:
             prim = prim.GetParent()
         name = str(prim.GetPath()) if prim else ""
-        return "" if name in self._kinematic else name
+        return "" if name in self._kinematic_bodies else name
 
     def _read_joint(
-        self, joint: Any, prim: Any, kind: str, frames: Any, is_turned: bool
+        self, prim: Usd.Prim, kind: str, frames: UsdGeom.XformCache, is_swapped: bool
     ) -> ParsedJoint | None:
+        """A joint in the world frame; None for a fixed one.
+
+        Args:
+            prim: of the joint.
+            kind: hinge, slide, ball or fixed.
+            frames: of the stage's prims.
+            is_swapped: whether the first body hangs on the second one.
+        """
         if kind == "fixed":
             return None
-        ends = []
-        for number, relation in enumerate((joint.GetBody0Rel(), joint.GetBody1Rel())):
-            targets = relation.GetForwardedTargets()
-            body = self._stage.GetPrimAtPath(targets[0]) if targets else None
-            matrix = frames.GetLocalToWorldTransform(body) if body else Gf.Matrix4d(1.0)
-            world = self._world_of(matrix)
-            place = np.array(self._get(prim, f"physics:localPos{number}"), dtype=np.float64)
-            turn = np.array(Gf.Matrix3d(self._get(prim, f"physics:localRot{number}"))).T
-            ends.append((world[:3, :3] @ place + world[:3, 3], _rigid(world)[:3, :3] @ turn))
-        (start, before), (anchor, after) = ends
-        number = 0 if kind == "ball" else "XYZ".index(self._axis_of(prim, "physics:axis"))
-        axis = after[:, number]
+        joint = UsdPhysics.Joint(prim)
+        start = self._find_joint_end(prim, 0, joint.GetBody0Rel(), frames)
+        end = self._find_joint_end(prim, 1, joint.GetBody1Rel(), frames)
+        axis_number = 0 if kind == "ball" else "XYZ".index(self._get_axis(prim, "physics:axis"))
+        axis = end.rotation[:, axis_number]
         position = 0.0
-        limits = None
         if kind == "slide":
-            position = float(axis @ (anchor - start))
+            position = float(axis @ (end.position - start.position))
         elif kind == "hinge":
-            across = before.T @ after
-            one = (number + 1) % 3
-            two = (number + 2) % 3
-            position = float(np.arctan2(across[two, one], across[one, one]))
-        if kind != "ball":
-            ends_at = [float(self._get(prim, f"physics:{key}Limit")) for key in ("lower", "upper")]
-            low, high = np.radians(ends_at) if kind == "hinge" else np.array(ends_at) * self._unit
-            if np.isfinite([low, high]).all() and low < high:
-                limits = (_round(low, 3), _round(high, 3))
-        way = -1.0 if is_turned else 1.0
+            relative_rotation = start.rotation.T @ end.rotation
+            first = (axis_number + 1) % 3
+            second = (axis_number + 2) % 3
+            position = float(
+                np.arctan2(relative_rotation[second, first], relative_rotation[first, first])
+            )
+        direction = -1.0 if is_swapped else 1.0
         return ParsedJoint(
-            str(prim.GetPath()), kind, np.round(anchor, DECIMALS),
-            np.round(way * axis, DECIMALS + 3) + 0.0, limits, _round(position),
-        )  # fmt: skip
+            name=str(prim.GetPath()),
+            kind=kind,
+            anchor=np.round(end.position, DECIMALS),
+            axis=np.round(direction * axis, ROTATION_DECIMALS) + 0.0,
+            limits=None if kind == "ball" else self._read_limits(prim, kind),
+            position=_round(position, DECIMALS),
+        )
+
+    def _read_limits(self, prim: Usd.Prim, kind: str) -> tuple[float, float] | None:
+        """Lowest and highest position of a joint [m or rad]; None for none."""
+        stated_limits = [
+            self._get_number(prim, "physics:lowerLimit"),
+            self._get_number(prim, "physics:upperLimit"),
+        ]
+        is_hinge = kind == "hinge"
+        low, high = np.radians(stated_limits) if is_hinge else np.array(stated_limits) * self._unit
+        if not np.isfinite([low, high]).all() or not low < high:
+            return None
+        return _round(low, ROTATION_DECIMALS), _round(high, ROTATION_DECIMALS)
+
+    def _find_joint_end(
+        self, prim: Usd.Prim, number: int, body: Usd.Relationship, frames: UsdGeom.XformCache
+    ) -> _JointEnd:
+        """The frame of a joint at one of its bodies, 0 or 1, in the world."""
+        targets = body.GetForwardedTargets()
+        body_prim = self._stage.GetPrimAtPath(targets[0]) if targets else None
+        matrix = frames.GetLocalToWorldTransform(body_prim) if body_prim else Gf.Matrix4d(1.0)
+        to_world = self._matrix_to_world(matrix)
+        position = np.array(self._get(prim, f"physics:localPos{number}"), dtype=np.float64)
+        rotation = np.array(Gf.Matrix3d(self._get(prim, f"physics:localRot{number}"))).T
+        return _JointEnd(
+            position=to_world[:3, :3] @ position + to_world[:3, 3],
+            rotation=_rigid_pose(to_world)[:3, :3] @ rotation,
+        )
 
     # ------------------------------------------------------------ places
 
-    def _world_of(self, matrix: Any) -> Float:
+    def _matrix_to_world(self, matrix: Gf.Matrix4d) -> Float:
         """A prim's matrix as it places points in the world, (4, 4) [m]."""
         return np.asarray(self._to_world @ np.array(matrix).T)
 
-    def _place(self) -> None:
-        """Make pieces of what was found: their poses, and solids that are no longer any."""
-        has_render = any(one.purpose == "render" for one in self._found)
-        if has_render:
-            for one in self._found:
-                if one.purpose == "proxy" and not one.collides:
-                    self._leave_out("it is a proxy beside render prims", one.name)
-            self._found = [one for one in self._found if one.purpose != "proxy" or one.collides]
-        if not self._found:
+    def _place_geometry(self) -> None:
+        """Make geoms of the prims' geometry, in the world frame.
+
+        A solid that its matrix skews, or scales unevenly, may become a mesh.
+        """
+        has_render_prims = any(geometry.purpose == "render" for geometry in self._geometry)
+        if has_render_prims:
+            self._drop_proxies()
+        if not self._geometry:
             return
-        world = self._to_world @ np.array([one.matrix for one in self._found]).transpose(0, 2, 1)
-        world[:, :3, :3] = world[:, :3, :3] @ np.stack([one.frame for one in self._found])
-        scales = np.linalg.norm(world[:, :3, :3], axis=1)
-        turns = world[:, :3, :3] / np.where(scales > 0, scales, 1.0)[:, None]
-        skews = np.abs(turns.transpose(0, 2, 1) @ turns - np.eye(3)).max(axis=(1, 2)) > SKEW
-        kinds = [one.kind if one.mesh is None else "" for one in self._found]
-        turns, scales = _straighten(np.array(kinds), np.round(turns, DECIMALS + 3), scales)
-        poses = np.tile(np.eye(4), (len(world), 1, 1))
-        poses[:, :3, :3] = turns
-        poses[:, :3, 3] = np.round(world[:, :3, 3], DECIMALS) + 0.0
-        solid = cache(tessellate)
-        rows = zip(self._found, world, poses, scales.tolist(), skews.tolist(), strict=True)
-        for one, matrix, pose, scale, is_skew in rows:
-            size = None if one.mesh is not None else _scaled(one.kind, one.size, scale, is_skew)
-            kind = one.kind
-            mesh = one.mesh
+        matrices = np.array([geometry.matrix for geometry in self._geometry])
+        to_world = self._to_world @ matrices.transpose(0, 2, 1)
+        frames = np.stack([geometry.shape.frame for geometry in self._geometry])
+        to_world[:, :3, :3] = to_world[:, :3, :3] @ frames
+        scales = np.linalg.norm(to_world[:, :3, :3], axis=1)
+        rotations = to_world[:, :3, :3] / np.where(scales > 0, scales, 1.0)[:, None]
+        gram = rotations.transpose(0, 2, 1) @ rotations
+        is_skewed = np.abs(gram - np.eye(3)).max(axis=(1, 2)) > MAX_SKEW
+        kinds = np.array(
+            [
+                geometry.shape.kind if geometry.shape.mesh is None else ""
+                for geometry in self._geometry
+            ]
+        )
+        rotations, scales = _straighten(kinds, np.round(rotations, ROTATION_DECIMALS), scales)
+        poses = np.tile(np.eye(4), (len(to_world), 1, 1))
+        poses[:, :3, :3] = rotations
+        poses[:, :3, 3] = np.round(to_world[:, :3, 3], DECIMALS) + 0.0
+        make_solid_mesh = cache(tessellate)
+        scale_rows = scales.tolist()
+        skew_flags = is_skewed.tolist()
+        for row, geometry in enumerate(self._geometry):
+            shape = geometry.shape
+            mesh = shape.mesh
+            size = None
+            if mesh is None:
+                size = _scale_size(shape.kind, shape.size, scale_rows[row], skew_flags[row])
+            kind = shape.kind
+            pose = poses[row]
             if size is None:
                 kind = "mesh"
-                pose = matrix
-                mesh = mesh or solid(one.kind, one.size)
+                pose = to_world[row]
+                mesh = mesh or make_solid_mesh(shape.kind, shape.size)
             elif kind == "ellipsoid" and size[0] == size[1] == size[2]:
                 kind = "sphere"
                 size = size[:1]
-            drawn = bool(one.purpose) and not (has_render and one.purpose == "proxy")
-            shape = (kind, size or (), pose, mesh, None)
-            rights = (one.mode, one.collides, drawn)
-            self._result.pieces.append(ParsedGeom(one.name, one.body, *shape, *rights))
+            is_proxy = has_render_prims and geometry.purpose == "proxy"
+            self._parsed_scene.geoms.append(
+                ParsedGeom(
+                    name=geometry.name,
+                    body=geometry.body,
+                    kind=kind,
+                    size=size or (),
+                    pose=pose,
+                    mesh=mesh,
+                    mode=geometry.mode,
+                    collides=geometry.collides,
+                    drawn=bool(geometry.purpose) and not is_proxy,
+                )
+            )
+
+    def _drop_proxies(self) -> None:
+        """Leave out proxies that don't collide, as render prims are drawn in their place."""
+        geometry_but_proxies = []
+        for geometry in self._geometry:
+            if geometry.purpose == "proxy" and not geometry.collides:
+                self._leave_out("it is a proxy beside render prims", geometry.name)
+            else:
+                geometry_but_proxies.append(geometry)
+        self._geometry = geometry_but_proxies
 
 
-def _straighten(kinds: NDArray[np.str_], turns: Float, scales: Float) -> tuple[Float, Float]:
-    """Choose of the frames in which solids are the same that nearest to the world's.
+def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tuple[Float, Float]:
+    """Choose the frame nearest to the world's, of those in which a solid is the same.
 
-    So a box is the same whether the stage is y or z up. Takes and returns frames as columns,
-    (n, 3, 3), and scales along them, (n, 3).
+    So a box is the same whether the stage is y or z up.
+
+    Args:
+        kinds: of solids, (n,); empty for meshes.
+        rotations: frames as columns, (n, 3, 3).
+        scales: along the axes of the frames, (n, 3).
+
+    Returns:
+        The chosen frames, and the scales along their axes.
     """
-    order = np.tile(np.arange(3), (len(turns), 1))
+    order = np.tile(np.arange(3), (len(rotations), 1))
     boxes = np.flatnonzero((kinds == "box") | (kinds == "ellipsoid"))
-    match = np.abs(turns[boxes][:, np.arange(3)[None], ORDERS]).sum(axis=2)
-    order[boxes] = ORDERS[match.argmax(axis=1)]
-    turns = np.take_along_axis(turns, order[:, None, :], axis=2)
+    # how well each order of the axes matches the world's
+    match = np.abs(rotations[boxes][:, np.arange(3)[None], AXIS_ORDERS]).sum(axis=2)
+    order[boxes] = AXIS_ORDERS[match.argmax(axis=1)]
+    rotations = np.take_along_axis(rotations, order[:, None, :], axis=2)
     scales = np.take_along_axis(scales, order, axis=1)
-    is_even = kinds != "plane"  # the same in a mirror
+    is_symmetric: Bool = kinds != "plane"  # the same in a mirror
     for axis in range(3):
-        turns[is_even & (turns[:, axis, axis] < 0), :, axis] *= -1
-    is_upright = np.isin(kinds, ("cylinder", "capsule")) & (turns[:, 2, 2] == 1.0)
-    turns[is_upright] = np.eye(3)
-    turns[np.linalg.det(turns) < 0, :, 0] *= -1
-    return turns + 0.0, scales
+        rotations[is_symmetric & (rotations[:, axis, axis] < 0), :, axis] *= -1
+    is_upright = np.isin(kinds, ("cylinder", "capsule")) & (rotations[:, 2, 2] == 1.0)
+    rotations[is_upright] = np.eye(3)
+    rotations[np.linalg.det(rotations) < 0, :, 0] *= -1
+    return rotations + 0.0, scales
 
 
-def _scaled(
-    kind: str, size: tuple[float, ...], scale: list[float], is_skew: bool
+def _scale_size(
+    kind: str, size: tuple[float, ...], scales: list[float], is_skewed: bool
 ) -> tuple[float, ...] | None:
     """The size of a solid that is scaled along its axes [m]; None where it is no such solid now."""
-    x, y, z = (_round(value) for value in scale)
-    is_uneven = kind == "capsule" and not x == y == z
-    if is_skew or kind == "cone" or is_uneven or (kind == "cylinder" and x != y):
+    x, y, z = (_round(scale, DECIMALS) for scale in scales)
+    if is_skewed or kind == "cone":
         return None
-    factors = (scale[0], scale[2]) if kind in ("cylinder", "capsule") else scale
-    return tuple(_round(a * b) for a, b in zip(size, factors, strict=False))
+    if kind == "capsule" and not x == y == z:
+        return None
+    if kind == "cylinder" and x != y:
+        return None
+    factors = (scales[0], scales[2]) if kind in ("cylinder", "capsule") else scales
+    return tuple(
+        _round(length * factor, DECIMALS) for length, factor in zip(size, factors, strict=False)
+    )
 
 
-def _rigid(world: Float) -> Float:
-    """The pose of a frame without its scale, (4, 4)."""
-    turn, _, other = np.linalg.svd(world[:3, :3])
+def _rigid_pose(matrix: Float) -> Float:
+    """The pose of a frame without its scale, (4, 4): its nearest rotation."""
+    left_vectors, _, right_vectors = np.linalg.svd(matrix[:3, :3])
+    rotation = left_vectors @ right_vectors
+    rotation = rotation * np.sign(np.linalg.det(rotation))
     pose = np.eye(4)
-    pose[:3, :3] = np.round(turn @ other * np.sign(np.linalg.det(turn @ other)), DECIMALS + 3) + 0.0
-    pose[:3, 3] = np.round(world[:3, 3], DECIMALS) + 0.0
+    pose[:3, :3] = np.round(rotation, ROTATION_DECIMALS) + 0.0
+    pose[:3, 3] = np.round(matrix[:3, 3], DECIMALS) + 0.0
     return pose
 
 
-def _round(value: float, more: int = 0) -> float:
-    return round(float(value), DECIMALS + more) + 0.0
+def _round(value: float, decimals: int) -> float:
+    return round(float(value), decimals) + 0.0  # no -0.0
 
 
-def _frame_of(stage: Any, path: Path, settings: SceneSettings) -> tuple[float, Float]:
+def _find_stage_frame(stage: Usd.Stage, path: Path, settings: SceneSettings) -> tuple[float, Float]:
     """The metres of a stage's unit, and the matrix from its frame to the world, (4, 4)."""
     if settings.up == "level":
         raise ConfigError(f"`scene.up: level` is for mesh files, {path} says what is up itself")
     up = settings.up if settings.up != "auto" else str(UsdGeom.GetStageUpAxis(stage)).lower()
-    is_set = "unit" in settings.model_fields_set
-    unit = settings.unit if is_set else float(UsdGeom.GetStageMetersPerUnit(stage))
+    is_unit_set = "unit" in settings.model_fields_set
+    unit = settings.unit if is_unit_set else float(UsdGeom.GetStageMetersPerUnit(stage))
     if not 0 < unit < np.inf:
         raise SceneError(f"expected metersPerUnit > 0 in {path}, got {unit:g}")
     matrix = np.eye(4)

@@ -1,4 +1,4 @@
-"""Which geoms of a model count, by the settings, and why; and their geometry, gathered into shapes.
+"""Which geoms of a model count, by the settings, and why; and their geometry as shapes.
 
 Does not import mujoco.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -30,130 +30,196 @@ from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int, Int32
 
-LARGEST = 1e100  # of places and sizes, whose squares have to be numbers, too [m]
+if TYPE_CHECKING:
+    import mujoco
+
+MAX_LENGTH = 1e100  # of positions and sizes, whose squares have to be finite, too [m]
 SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
-DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
+NUM_DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
+# MuJoCo's default of `rgba`
+DEFAULT_COLOR = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 
 class GeomSelection(NamedTuple):
-    """What becomes of one geom."""
+    """Whether a geom counts, and as what.
 
-    counted: bool  # whether it takes part in the bake
+    Attributes:
+        counted: whether it takes part in the bake.
+        reason: why it does or does not.
+        mesh_mode: as what a mesh counts: ``hull``, ``surface`` (or ``auto``, which is the same), or
+            ``shell``, which encloses nothing.
+    """
+
+    counted: bool
     reason: str
-    mesh: str  # as what, if it is a mesh: hull, surface (or auto), or shell, which encloses nothing
+    mesh_mode: str
+
+
+class CountRule(NamedTuple):
+    """Whether a geom counts, and why."""
+
+    counted: bool
+    reason: str
+
+
+# ---------------------------------------------------------------- which geoms count
 
 
 def select_geoms(
-    model: Any,
+    model: mujoco.MjModel,
     settings: SceneSettings,
     hides_room: Callable[[int], bool],
-    movable: Bool,
+    left_out_bodies: Bool,
     ground: int | None = None,
-    said: Mapping[int, str] | None = None,
+    file_mesh_modes: Mapping[int, str] | None = None,
 ) -> tuple[list[GeomSelection], list[str]]:
-    """Decide for each geom whether it counts, and meshes as what.
+    """Decide for each geom whether it counts, and for meshes, as what.
 
-    Excluded geoms never count. `collision` counts geoms that can collide (contype or conaffinity
-    not 0). `auto` does the same, but counts all geoms if none of those left can collide. `visual`
-    counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers draw), but for
-    those that can collide on a body, not the world, with drawn geoms of another group that can't.
-    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless that hides
-    room for an agent; or as `said`, by geom id, where the scene's file says it. `ground` always
-    counts. Bodies that are marked as `movable`, shape (nbody,), are left out.
+    Excluded geoms never count. `scene.geoms: collision` counts geoms that can collide (contype or
+    conaffinity not 0). `auto` does the same, but counts all geoms if none that isn't excluded can
+    collide. `visual` counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers
+    draw), except geoms that can collide on a body, not the world, with drawn geoms of another group
+    that can't. `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless
+    that hides room for an agent. Where the scene's file says how a mesh collides, `auto` follows
+    the file. The geom of `scene.ground` always counts.
 
-    Returns a choice for each geom, by its id, and what the user should know.
+    Args:
+        model: the model.
+        settings: `scene.geoms`, `scene.meshes` and `scene.exclude`.
+        hides_room: whether the hull of a mesh geom hides room, by geom id.
+        left_out_bodies: by body id, whether the body is left out as it can move, (nbody,).
+        ground: the geom of `scene.ground`; None for none.
+        file_mesh_modes: the mesh modes that the scene's file states, by geom id.
+
+    Returns:
+        A selection for each geom by its id, and warnings.
     """
     names = all_names(model).geoms
-    excluded, notes = _find_excluded(model, settings, movable, names)
+    exclusions, warnings = _find_exclusions(model, settings, left_out_bodies, names)
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    any_collides = any(can and not out for can, out in zip(collides, excluded, strict=True))
-    counts = _rule(model, settings.geoms, collides, any_collides)
-    rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
+    any_collides = any(
+        can_collide and not exclusion
+        for can_collide, exclusion in zip(collides, exclusions, strict=True)
+    )
+    rules = _apply_geoms_setting(model, settings.geoms, collides, any_collides)
+    for geom, exclusion in enumerate(exclusions):
+        if exclusion:
+            rules[geom] = CountRule(False, exclusion)
     if ground is not None:
-        rules[ground] = (True, "added by `scene.ground`")
-    by_pattern = settings.meshes
-    if isinstance(by_pattern, str):
-        modes: list[str] = [by_pattern] * len(names)
-    else:
-        pairs = by_pattern.items()
-        modes = [next((mode for p, mode in pairs if _matches(p, name)), "auto") for name in names]
-        of_meshes = np.flatnonzero(np.isin(model.geom_type, (constants.MESH, constants.SDF)))
-        known = [text for geom in of_meshes for text in names[geom]]
-        notes += _unused("scene.meshes", by_pattern, known, "no mesh")
-    for geom, mode in (said or {}).items():
-        modes[geom] = mode if modes[geom] == "auto" else modes[geom]
-    opened = []
-    # MuJoCo collides meshes by their hull, but not signed distance fields
+        rules[ground] = CountRule(True, "added by `scene.ground`")
+    mesh_modes, mode_warnings = _find_mesh_modes(model, settings, names)
+    warnings += mode_warnings
+    for geom, mode in (file_mesh_modes or {}).items():
+        if mesh_modes[geom] == "auto":
+            mesh_modes[geom] = mode
+    opened_hulls = []
+    # MuJoCo collides meshes by their hull, but not signed distance fields.
     for geom in np.flatnonzero(collides & (model.geom_type == constants.MESH)).tolist():
-        if modes[geom] == "auto" and rules[geom][0]:
-            modes[geom] = "surface" if hides_room(geom) else "hull"
-            opened += [names[geom].geom] if modes[geom] == "surface" else []
-    selections = [GeomSelection(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
-    if opened:
-        more = f", and {len(opened) - 1} more" if opened[1:] else ""
-        because = "because its convex hull hides room to stand in; MuJoCo collides the hull"
-        which = "set `scene.meshes` to surface or hull to say which"
-        notes.append(f"mesh geom {opened[0]!r}{more} counts by its triangles, {because}: {which}")
-    return selections, notes
+        if mesh_modes[geom] == "auto" and rules[geom].counted:
+            if hides_room(geom):
+                mesh_modes[geom] = "surface"
+                opened_hulls.append(names[geom].geom)
+            else:
+                mesh_modes[geom] = "hull"
+    if opened_hulls:
+        more = f", and {len(opened_hulls) - 1} more" if len(opened_hulls) > 1 else ""
+        warnings.append(
+            f"mesh geom {opened_hulls[0]!r}{more} counts by its triangles, because its convex hull "
+            "hides room to stand in; MuJoCo collides the hull: set `scene.meshes` to surface or "
+            "hull to say which"
+        )
+    selections = [
+        GeomSelection(rule.counted, rule.reason, mode)
+        for rule, mode in zip(rules, mesh_modes, strict=True)
+    ]
+    return selections, warnings
 
 
-def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tuple[bool, str]]:
+def _find_mesh_modes(
+    model: mujoco.MjModel, settings: SceneSettings, names: list[GeomNames]
+) -> tuple[list[str], list[str]]:
+    """The mode of `scene.meshes` for each geom, and warnings of patterns that match no mesh."""
+    if isinstance(settings.meshes, str):
+        mode_of_all: str = settings.meshes
+        return [mode_of_all] * len(names), []
+    mode_of_pattern = settings.meshes
+    modes: list[str] = []
+    for geom_names in names:
+        matching = [mode for p, mode in mode_of_pattern.items() if _matches(p, geom_names)]
+        modes.append(matching[0] if matching else "auto")
+    mesh_geoms = np.flatnonzero(np.isin(model.geom_type, (constants.MESH, constants.SDF)))
+    mesh_names = [name for geom in mesh_geoms for name in names[geom]]
+    return modes, _warn_unused("scene.meshes", mode_of_pattern, mesh_names, "no mesh")
+
+
+def _apply_geoms_setting(
+    model: mujoco.MjModel, geoms: str, collides: Bool, any_collides: bool
+) -> list[CountRule]:
     """For each geom, whether it counts by `scene.geoms`, and why."""
     if geoms == "all":
-        return [(True, "all geoms count")] * model.ngeom
+        return [CountRule(True, "all geoms count")] * model.ngeom
     if geoms == "auto" and not any_collides:
-        return [(True, "no geom can collide, so all count")] * model.ngeom
+        return [CountRule(True, "no geom can collide, so all count")] * model.ngeom
     if geoms != "visual":
-        no = (False, "can't collide (contype and conaffinity are 0)")
-        yes = (True, "can collide")
-        return [yes if can else no for can in collides]
-    # a geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it)
+        counts = CountRule(True, "can collide")
+        counts_not = CountRule(False, "can't collide (contype and conaffinity are 0)")
+        return [counts if can_collide else counts_not for can_collide in collides]
+    # A geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it).
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
-    is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
+    is_default = (model.geom_rgba == DEFAULT_COLOR).all(axis=1)
     by_material = (model.geom_matid >= 0) & is_default
     alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
     groups = model.geom_group.tolist()
     bodies = model.geom_bodyid.tolist()
-    drawn = (alpha > 0) & (model.geom_group < DRAWN_GROUPS)
-    visuals: dict[int, set[int]] = {}
-    for visual in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
-        visuals.setdefault(bodies[visual], set()).add(groups[visual])
-    rule = []
+    drawn = (alpha > 0) & (model.geom_group < NUM_DRAWN_GROUPS)
+    visual_groups: dict[int, set[int]] = {}  # of drawn geoms that can't collide, by body
+    for visual_geom in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
+        visual_groups.setdefault(bodies[visual_geom], set()).add(groups[visual_geom])
+    rules = []
     for geom, (group, body) in enumerate(zip(groups, bodies, strict=True)):
-        if group >= DRAWN_GROUPS:
-            rule.append((False, f"not drawn (group {group})"))
+        if group >= NUM_DRAWN_GROUPS:
+            rules.append(CountRule(False, f"not drawn (group {group})"))
         elif not drawn[geom]:
-            rule.append((False, "not drawn (alpha 0)"))
-        elif collides[geom] and visuals.get(body, set()) - {group}:
-            rule.append((False, "stands in for its body's visual geoms"))
+            rules.append(CountRule(False, "not drawn (alpha 0)"))
+        elif collides[geom] and visual_groups.get(body, set()) - {group}:
+            rules.append(CountRule(False, "stands in for its body's visual geoms"))
         else:
-            rule.append((True, "is drawn"))
-    return rule
+            rules.append(CountRule(True, "is drawn"))
+    return rules
 
 
-def _find_excluded(
-    model: Any, settings: SceneSettings, movable: Bool, names: list[GeomNames]
+def _find_exclusions(
+    model: mujoco.MjModel, settings: SceneSettings, left_out_bodies: Bool, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
-    """Why each geom is excluded, with its body or one above, or empty; and unmatched patterns."""
+    """Why each geom is excluded, empty where it isn't; and warnings of unmatched patterns.
+
+    A geom is excluded by a pattern of its own name, or with its body or a body above it.
+    """
     exclude = settings.exclude
     parents = model.body_parentid.tolist()
-    of_bodies = [""] * model.nbody
-    bodies = all_names(model).bodies
+    body_reasons = [""] * model.nbody
+    body_names = all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
-        pattern = _first_match(exclude.bodies, bodies[body])
+        pattern = _first_match(exclude.bodies, body_names[body])
         if pattern:
-            of_bodies[body] = f"excluded: body {bodies[body]!r} matches {pattern!r}"
-        elif of_bodies[parents[body]]:
-            of_bodies[body] = of_bodies[parents[body]]
-        elif movable[body]:
-            of_bodies[body] = f"excluded: body {bodies[body]!r} can move"
-    reasons = [of_bodies[body] for body in model.geom_bodyid.tolist()]
-    for geom, name in enumerate(names) if exclude.geoms else ():
-        pattern = _first_match(exclude.geoms, name.geom)
-        reasons[geom] = f"excluded: matches {pattern!r}" if pattern else reasons[geom]
-    notes = _unused("scene.exclude.bodies", exclude.bodies, bodies[1:])
-    return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
+            body_reasons[body] = f"excluded: body {body_names[body]!r} matches {pattern!r}"
+        elif body_reasons[parents[body]]:
+            body_reasons[body] = body_reasons[parents[body]]
+        elif left_out_bodies[body]:
+            body_reasons[body] = f"excluded: body {body_names[body]!r} can move"
+    reasons = [body_reasons[body] for body in model.geom_bodyid.tolist()]
+    geom_names = [geom.geom for geom in names]
+    if exclude.geoms:
+        for geom, name in enumerate(geom_names):
+            pattern = _first_match(exclude.geoms, name)
+            if pattern:
+                reasons[geom] = f"excluded: matches {pattern!r}"
+    warnings = [
+        *_warn_unused("scene.exclude.bodies", exclude.bodies, body_names[1:]),
+        *_warn_unused("scene.exclude.geoms", exclude.geoms, geom_names),
+    ]
+    return reasons, warnings
 
 
 def _matches(pattern: str, names: Iterable[str]) -> bool:
@@ -164,171 +230,239 @@ def _first_match(patterns: Iterable[str], name: str) -> str | None:
     return next((pattern for pattern in patterns if fnmatchcase(name, pattern)), None)
 
 
-def _unused(
-    setting: str, patterns: Iterable[str], names: list[str], found: str = "nothing"
+def _warn_unused(
+    setting: str, patterns: Iterable[str], names: list[str], matches: str = "nothing"
 ) -> list[str]:
     unmatched = [pattern for pattern in patterns if not _matches(pattern, names)]
-    return [warn_unmatched(setting, pattern, names, found) for pattern in unmatched]
+    return [warn_unmatched(setting, pattern, names, matches) for pattern in unmatched]
 
 
 # ---------------------------------------------------------------- geometry
 
 
-def _one_part(vertices: Float, faces: Int32 | None, closed: int, kind: str) -> GeomTriangles:
-    """Triangles that are all of one part, by corners of shape (m, 3, 3) if there are no faces."""
-    if faces is None:
-        vertices = vertices.reshape(-1, 3)
-        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-    num = len(faces)
-    part = np.zeros(num, np.int32)
-    codes = np.full(num, closed, np.uint8)
-    return GeomTriangles(vertices, faces, part, codes, kind)
+def _single_part(vertices: Float, faces: Int32, closed: int, kind: str) -> GeomTriangles:
+    """Triangles that are all of one part."""
+    num_faces = len(faces)
+    part = np.zeros(num_faces, np.int32)
+    closed_codes = np.full(num_faces, closed, np.uint8)
+    return GeomTriangles(vertices, faces, part, closed_codes, kind)
 
 
 class MeshTriangles:
-    """The triangles of a model's meshes by mode, each found once."""
+    """The triangles of a model's meshes, computed once for each mesh and mode.
 
-    def __init__(self, model: Any) -> None:
+    Args:
+        model: the model.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
-        self._found: dict[tuple[int, str], GeomTriangles] = {}
+        self._triangles: dict[tuple[int, str], GeomTriangles] = {}
 
     def count(self, mesh: int, mode: str) -> GeomTriangles:
-        """Count a mesh as a mode says, in its own frame; see `count_mesh`."""
-        if (mesh, mode) not in self._found:
+        """Return the triangles that a mesh counts as, in its own frame; see `count_mesh`.
+
+        Args:
+            mesh: the mesh's id.
+            mode: ``hull``, ``surface``, ``auto`` or ``shell``.
+
+        Raises:
+            SceneError: the mesh is broken.
+        """
+        if (mesh, mode) not in self._triangles:
             vertices, faces, hull = _mesh_arrays(self._model, mesh)
-            self._found[mesh, mode] = count_mesh(vertices, faces, mode, hull)
-        return self._found[mesh, mode]
+            self._triangles[mesh, mode] = count_mesh(vertices, faces, mode, hull)
+        return self._triangles[mesh, mode]
 
 
 def count_mesh(
     vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
 ) -> GeomTriangles:
-    """Count a mesh as its hull (found if None), as a shell, or as its triangles if it is flat."""
+    """Return the triangles that a mesh counts as.
+
+    A flat mesh has no hull, and counts by its triangles.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
+        mode: ``hull``; ``shell``, which encloses nothing; else its parts, closed ones of which
+            enclose their inside.
+        hull: the faces of its hull; computed if None.
+
+    Returns:
+        The triangles, in the mesh's frame.
+    """
     if mode == "hull":
         hull = hull_faces(vertices) if hull is None else hull
         if hull is not None:
-            # vertices inside of the hull are no part of it
-            used, index = np.unique(hull, return_inverse=True)
+            # Vertices inside of the hull are no part of it.
+            used_vertices, index = np.unique(hull, return_inverse=True)
             faces = index.reshape(hull.shape).astype(np.int32)
-            return _one_part(vertices[used], faces, constants.CONVEX_SOLID, "hull")
+            return _single_part(vertices[used_vertices], faces, constants.CONVEX_SOLID, "hull")
     faces = faces.astype(np.int32, copy=False)
     if mode == "shell":
-        return _one_part(vertices, faces, constants.OPEN_SURFACE, "shell")
+        return _single_part(vertices, faces, constants.OPEN_SURFACE, "shell")
     split = split_mesh(vertices, faces)
     return GeomTriangles(vertices, split.faces, split.part, split.closed, split.kind)
 
 
 def collect_shapes(
-    model: Any,
-    data: Any,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
     selections: Sequence[GeomSelection] | Mapping[int, GeomSelection],
     exact_meshes: Mapping[int, NamedMesh],
     only: Iterable[int] | None = None,
     meshes: MeshTriangles | None = None,
 ) -> tuple[Shapes, dict[int, str], list[str]]:
-    """Gather the geometry of the geoms that count, of all or of some ids, ascending.
+    """Collect the geometry of the geoms that count, in the world frame.
 
-    `exact_meshes` are exact meshes by geom id, world frame, in place of the model's. Returns also
-    the `GeomReport.shape` of each, and notes for the user.
+    Args:
+        model: the model.
+        data: its pose.
+        selections: by geom id, whether and as what the geom counts.
+        exact_meshes: meshes by geom id, world frame, in place of the model's.
+        only: ids of the geoms to collect, ascending; all if None.
+        meshes: the triangles of the model's meshes, where they are computed already.
+
+    Returns:
+        The shapes; by geom id, the `GeomReport.shape` of each; and warnings.
+
+    Raises:
+        SceneError: a geom is broken, or its pose or size is not finite.
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
     names = all_names(model).geoms
     kinds = dict[int, str]()
-    notes = dict[str, str]()
+    warnings = dict[str, str]()  # by mesh name
     solids = list[int]()
     planes = list[int]()
     triangles = dict[int, GeomTriangles]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
-    every = range(len(selections)) if only is None else only
-    ids = np.array([geom for geom in every if selections[geom].counted], dtype=np.int64)
+    geoms = range(len(selections)) if only is None else only
+    ids = np.array([geom for geom in geoms if selections[geom].counted], dtype=np.int64)
     numbers = np.hstack([data.geom_xpos[ids], data.geom_xmat[ids], model.geom_size[ids]])
-    # lists, which are read geom by geom in less time than arrays
-    is_placed = (np.abs(numbers) <= LARGEST).all(axis=1)  # NaN isn't
-    columns = ids, model.geom_type[ids], model.geom_dataid[ids], is_placed
-    for geom, kind, shape, placed in zip(*(array.tolist() for array in columns), strict=True):
-        name, mesh, _ = names[geom]
-        mode = ""
-        if not placed:
-            what = f"a pose or size that is no number, or beyond {LARGEST:g} m"
+    is_finite = (np.abs(numbers) <= MAX_LENGTH).all(axis=1)  # NaN isn't
+    # Lists are read geom by geom in less time than arrays.
+    geom_rows = zip(
+        ids.tolist(),
+        model.geom_type[ids].tolist(),
+        model.geom_dataid[ids].tolist(),
+        is_finite.tolist(),
+        strict=True,
+    )
+    for geom, geom_type, data_id, has_finite_numbers in geom_rows:
+        name = names[geom].geom
+        if not has_finite_numbers:
+            what = f"a pose or size that is no number, or beyond {MAX_LENGTH:g} m"
             raise SceneError(f"geom {name!r} has {what}")
-        if kind in SOLIDS:
+        if geom_type in SOLIDS:
             solids.append(geom)
             kinds[geom] = "solid"
             continue
-        if kind == constants.PLANE:
-            half = model.geom_size[geom, :2]
-            if (half <= 0).all():
+        if geom_type == constants.PLANE:
+            half_sides = model.geom_size[geom, :2]
+            if (half_sides <= 0).all():
                 planes.append(geom)
                 kinds[geom] = "half-space"
                 continue
-            endless[geom] = (half <= 0).any()
-            what = "strip" if endless[geom] else "rectangle"
-            sides = tessellate("plane", np.where(half > 0, half, ENDLESS_HALF_SIZE).tolist())
-            found = _one_part(*sides, constants.OPEN_SURFACE, what)
-        elif kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
-            raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
-        elif kind == constants.HFIELD:
-            found = _one_part(_height_field(model, shape), None, constants.SOLID, "solid")
+            endless[geom] = (half_sides <= 0).any()
+            geom_triangles = _plane_triangles(half_sides, is_strip=bool(endless[geom]))
+        elif geom_type not in (constants.HFIELD, constants.MESH, constants.SDF) or data_id < 0:
+            raise SceneError(f"geom {name!r} is broken: it has no shape (type {geom_type})")
+        elif geom_type == constants.HFIELD:
+            geom_triangles = _height_field_triangles(model, data_id)
         else:
-            mode = selections[geom].mesh
-            exact = exact_meshes.get(geom)
-            counted = exact and count_mesh(exact.vertices, exact.faces, mode)
-            found = counted or meshes.count(shape, mode)
-            if mode == "hull" and found.kind != "hull":
-                flat = f"mesh {mesh!r} of geom {name!r} is flat, so it has no convex hull"
-                notes.setdefault(mesh, f"{flat}: it counts by its triangles")
-        kinds[geom] = found.kind
+            mode = selections[geom].mesh_mode
+            if geom in exact_meshes:
+                exact_mesh = exact_meshes[geom]
+                geom_triangles = count_mesh(exact_mesh.vertices, exact_mesh.faces, mode)
+            else:
+                geom_triangles = meshes.count(data_id, mode)
+            if mode == "hull" and geom_triangles.kind != "hull":
+                mesh_name = names[geom].mesh
+                flat = f"mesh {mesh_name!r} of geom {name!r} is flat, so it has no convex hull"
+                warnings.setdefault(mesh_name, f"{flat}: it counts by its triangles")
+        kinds[geom] = geom_triangles.kind
         if geom not in exact_meshes:
-            vertices = found.vertices @ data.geom_xmat[geom].reshape(3, 3).T
+            vertices = geom_triangles.vertices @ data.geom_xmat[geom].reshape(3, 3).T
             vertices += data.geom_xpos[geom]
-            found = found._replace(vertices=vertices)
-        triangles[geom] = found
-    index = np.array(solids, dtype=np.int32)
-    plane = np.array(planes, dtype=np.int32)
-    of_solids = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
-    own = *of_solids, model.geom_size[index]
-    gathered = Shapes(
-        solids=Solids(index, *own, solid_bounds(*own)),
-        planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
+            geom_triangles = geom_triangles._replace(vertices=vertices)
+        triangles[geom] = geom_triangles
+    plane_ids = np.array(planes, dtype=np.int32)
+    shapes = Shapes(
+        solids=_collect_solids(model, data, np.array(solids, dtype=np.int32)),
+        planes=Planes(plane_ids, data.geom_xpos[plane_ids], data.geom_xmat[plane_ids]),
         meshes=gather_meshes(triangles),
         endless=endless,
     )
-    return gathered, kinds, list(notes.values())
+    return shapes, kinds, list(warnings.values())
 
 
-def _height_field(model: Any, hfield: int) -> Float:
-    shape = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
+def _collect_solids(model: mujoco.MjModel, data: mujoco.MjData, ids: Int32) -> Solids:
+    types = model.geom_type[ids]
+    positions = data.geom_xpos[ids]
+    rotations = data.geom_xmat[ids]
+    sizes = model.geom_size[ids]
+    bounds = solid_bounds(types, positions, rotations, sizes)
+    return Solids(ids, types, positions, rotations, sizes, bounds)
+
+
+def _plane_triangles(half_sides: Float, *, is_strip: bool) -> GeomTriangles:
+    """A plane that has an end; a strip is endless to two sides."""
+    half_sizes = np.where(half_sides > 0, half_sides, ENDLESS_HALF_SIZE)
+    mesh = tessellate("plane", half_sizes.tolist())
+    kind = "strip" if is_strip else "rectangle"
+    return _single_part(mesh.vertices, mesh.faces, constants.OPEN_SURFACE, kind)
+
+
+def _height_field_triangles(model: mujoco.MjModel, hfield: int) -> GeomTriangles:
+    """A height field as a solid, in its geom's frame."""
+    num_rows = int(model.hfield_nrow[hfield])
+    num_cols = int(model.hfield_ncol[hfield])
     first = int(model.hfield_adr[hfield])
     size = model.hfield_size[hfield]
-    heights = model.hfield_data[first : first + shape[0] * shape[1]].reshape(shape)
-    if not (np.isfinite(heights).all() and (np.abs(size) <= LARGEST).all()):
+    heights = model.hfield_data[first : first + num_rows * num_cols].reshape(num_rows, num_cols)
+    if not (np.isfinite(heights).all() and (np.abs(size) <= MAX_LENGTH).all()):
         name = name_at(model, model.name_hfieldadr[hfield])
-        what = f"heights or a size that are no numbers, or beyond {LARGEST:g} m"
+        what = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
         raise SceneError(f"hfield {name!r} has {what}")
-    return height_field_triangles(heights.astype(np.float64), size)
+    corners = height_field_triangles(heights.astype(np.float64), size)
+    vertices = corners.reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    return _single_part(vertices, faces, constants.SOLID, "solid")
 
 
-def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int32, Int32 | None]:
+def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Float, Int32, Int32 | None]:
     """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame."""
-    first = int(model.mesh_vertadr[mesh])
-    count = int(model.mesh_vertnum[mesh])
-    vertices = model.mesh_vert[first : first + count].astype(np.float64)
-    first = int(model.mesh_faceadr[mesh])
-    count = int(model.mesh_facenum[mesh])
-    faces = model.mesh_face[first : first + count]
-    hull = np.empty((0, 3), dtype=np.int32)
+    first_vertex = int(model.mesh_vertadr[mesh])
+    num_vertices = int(model.mesh_vertnum[mesh])
+    vertices = model.mesh_vert[first_vertex : first_vertex + num_vertices].astype(np.float64)
+    first_face = int(model.mesh_faceadr[mesh])
+    num_faces = int(model.mesh_facenum[mesh])
+    faces = model.mesh_face[first_face : first_face + num_faces]
     name = name_at(model, model.name_meshadr[mesh])
-    address = int(model.mesh_graphadr[mesh])
-    if address >= 0:  # of MuJoCo's `mesh_graph`: v, m, two lists of v, v + 3 m numbers, the faces
-        num_vertices, num_faces = (int(n) for n in model.mesh_graph[address : address + 2])
-        first = address + 2 + 3 * (num_vertices + num_faces)
-        corners = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
-        if len(corners) != 3 * num_faces:
-            raise SceneError(f"mesh {name!r} is broken: its hull's faces are missing")
-        hull = corners.reshape(-1, 3)
-    for index in (faces, hull):
-        if index.size and not 0 <= int(index.min()) <= int(index.max()) < len(vertices):
+    hull = _hull_of_mesh(model, mesh, name)
+    for indices in (faces, hull):
+        if indices.size and not 0 <= int(indices.min()) <= int(indices.max()) < len(vertices):
             raise SceneError(f"mesh {name!r} is broken: faces of missing vertices")
     if not np.isfinite(vertices).all():
         raise SceneError(f"mesh {name!r} has coordinates that are no numbers")
     return vertices, faces, hull if len(hull) else None
+
+
+def _hull_of_mesh(model: mujoco.MjModel, mesh: int, name: str) -> Int32:
+    """The faces of a mesh's hull as MuJoCo has them, (n, 3); none where it has none.
+
+    MuJoCo's `mesh_graph` of a mesh are the numbers of vertices v and of faces m, two lists of v
+    numbers, v + 3 m numbers, and the faces.
+    """
+    graph = int(model.mesh_graphadr[mesh])
+    if graph < 0:
+        return np.empty((0, 3), dtype=np.int32)
+    num_vertices = int(model.mesh_graph[graph])
+    num_faces = int(model.mesh_graph[graph + 1])
+    first = graph + 2 + 3 * (num_vertices + num_faces)
+    corners = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
+    if len(corners) != 3 * num_faces:
+        raise SceneError(f"mesh {name!r} is broken: its hull's faces are missing")
+    return corners.reshape(-1, 3)

@@ -1,10 +1,12 @@
 """Door candidates: bodies that a pattern names, or that look like a door's leaf."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,196 +23,271 @@ from navbake.baker.scene.names import (
 from navbake.config.settings import DoorSettings
 from navbake.types import Bool, Int
 
-QUARTER = np.pi / 2  # how far a hinge without limits opens [rad]
-# The size of a leaf that no pattern names, and the rounding that is allowed for [m]
+if TYPE_CHECKING:
+    import mujoco
+
+UNLIMITED_HINGE_RANGE = np.pi / 2  # how far a hinge without limits opens [rad]
+UNLIMITED_SLIDE_RANGE = 1.0  # how far a slide without limits opens [m]
+# The size of a leaf that no pattern names [m], and the rounding of sizes that is allowed for [m]
 MIN_HEIGHT = 1.5
 MIN_WIDTH = 0.4
 MAX_WIDTH = 2.5
 MAX_THICKNESS = 0.2
-ROUNDING = 1e-6
-# What a leaf without a joint stands between: no thicker than that, higher than it by this, and so
-# near to its ends [m]
-JAMB = 0.6
-HIGHER = 0.1
-BESIDE = 0.1
-MAX_LISTED = 3  # bodies that a warning names at most
+SIZE_ROUNDING = 1e-6
+# The jambs that a leaf without a joint stands between: the most that one is thick, the least that
+# it is higher than the leaf, and the farthest that it is from the leaf's end [m]
+MAX_JAMB_THICKNESS = 0.6
+MIN_JAMB_RISE = 0.1
+MAX_JAMB_GAP = 0.1
+MAX_LISTED = 3  # bodies that a warning names
 
 
 @dataclass(frozen=True, eq=False)
 class DoorCandidate:
-    """A body that may be a door."""
+    """A body that may be a door.
 
-    id: str  # its body's name, or ``body <id>``; with its number where two look the same
-    joint: str | None  # its joint's name, or ``joint <id>``; None where it can't move
-    geoms: Int  # ids of the counted geoms of the body and its descendants, shape (n,)
-    positions: dict[str, float]  # of the joint, by state but removed [rad or m]; empty for none
-    joint_id: int  # MuJoCo's, -1 for none
-    named: bool  # by a pattern or by the file; else it was found by its joint and shape
+    Attributes:
+        id: its body's name, or ``body <id>``; with its body id where two names look the same.
+        joint: its joint's name, or ``joint <id>``; None where it can't move.
+        geoms: ids of the geoms that count, of the body and its descendants, shape (n,).
+        positions: the joint's position in the states modelled, open and closed [rad or m]; empty
+            without a joint.
+        joint_id: MuJoCo's id of the joint; -1 for none.
+        is_named: whether a pattern or the scene's file names it; else it looks like a leaf.
+    """
+
+    id: str
+    joint: str | None
+    geoms: Int
+    positions: dict[str, float]
+    joint_id: int
+    is_named: bool
 
     def position(self, state: str) -> float | None:
-        """The joint's position in a state, as modelled where it hasn't that; None for no joint."""
+        """Return the joint's position in a state [rad or m].
+
+        That is the modelled one where the joint has no position for the state, and None without a
+        joint.
+        """
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """The part of `shapes` that belongs to this candidate."""
+        """Return the shapes that belong to this candidate."""
         return shapes.only(mark_candidate_geoms(len(shapes.endless), [self]))
 
 
 def find_door_candidates(
-    model: Any,
-    data: Any,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
     shapes: Shapes,
     counted: Bool,
     movable: Bool,
     is_structure_body: Bool,
-    named: Collection[str],
+    named_leaves: Collection[str],
     settings: DoorSettings,
 ) -> tuple[list[DoorCandidate], list[str]]:
-    """Find bodies that may be doors, by name or by shape, by body id; warn of unused patterns.
+    """Find the bodies that may be doors, by name or by shape, and warn of unused patterns.
 
-    A leaf that no pattern names hangs on what stands, by one hinge or slide, about or along any
-    axis: garage doors tilt, and rollers go up. One without a joint, as in IFC models, stands
-    between walls that are higher than it. The descendants of a candidate are part of it.
+    A leaf that no pattern names hangs on structure by one hinge or slide, about or along any axis:
+    garage doors tilt, and rollers go up. A leaf without a joint, as in IFC models, stands between
+    walls that are higher than it. The descendants of a candidate are part of it.
 
     Args:
-        model, data: the posed model.
-        shapes: all geometry that counts.
-        counted: by geom, whether it counts.
-        movable: by body, whether it can move.
-        is_structure_body: by body, whether it is part of what stands.
-        named: the names of bodies that the file says are doors.
-        settings: patterns, and whether leaves are looked for.
+        model: the model.
+        data: its pose.
+        shapes: the geometry of all geoms that count.
+        counted: by geom id, whether the geom counts.
+        movable: by body id, whether the body can move and carries no floor.
+        is_structure_body: by body id, whether the body is structure.
+        named_leaves: the names of bodies that the scene's file says are doors.
+        settings: patterns, and whether leaves are searched for by their shape.
+
+    Returns:
+        The candidates by body id, and the warnings.
     """
-    if not settings.patterns and not settings.find and not named:
+    if not settings.patterns and not settings.find and not named_leaves:
         return [], []
     names = all_names(model).bodies
-    ends = find_subtree_ends(model)
-    # the hinge or slide of each body that has no other joint
-    alone = np.isin(model.jnt_type, (HINGE, SLIDE)) & (model.body_jntnum[model.jnt_bodyid] == 1)
-    joints = {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(alone).tolist()}
-    # by body id, the patterns that match its name; none for the world
-    matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names]
-    matches[0] = []
-    is_named = [bool(matches[k]) or names[k] in named for k in range(model.nbody)]
+    subtree_ends = find_subtree_ends(model)
+    joint_of_body = _find_single_joints(model)
+    matches = [
+        [pattern for pattern in settings.patterns if fnmatchcase(name, pattern)] for name in names
+    ]
+    matches[0] = []  # the world is no door
+    is_named = [
+        bool(patterns) or name in named_leaves
+        for name, patterns in zip(names, matches, strict=True)
+    ]
     is_named[0] = False
-    searched = set[int]()
+    searched_bodies = set[int]()
     if settings.find:
-        hung = (k for k in joints if movable[k] and is_structure_body[model.body_parentid[k]])
-        # a leaf without a joint stands between other geoms
+        hung_bodies = [
+            body
+            for body in joint_of_body
+            if movable[body] and is_structure_body[model.body_parentid[body]]
+        ]
+        # A leaf without a joint stands between other geoms.
         num_bodies = model.nbody if counted.sum() > 1 else 1
-        jointless = (k for k in range(1, num_bodies) if k not in joints)
-        fixed = (k for k in jointless if not movable[k : ends[k]].any())
-        searched = {body for body in (*hung, *fixed) if not is_named[body]}
-    geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
+        fixed_bodies = [
+            body
+            for body in range(1, num_bodies)
+            if body not in joint_of_body and not movable[body : subtree_ends[body]].any()
+        ]
+        searched_bodies = {body for body in (*hung_bodies, *fixed_bodies) if not is_named[body]}
+    geoms: dict[int, Int] = {}  # by body id, with those of descendants
     for body in range(1, model.nbody):
-        if body in searched or is_named[body]:
-            under = geoms_of_bodies(model, body, int(ends[body]))
-            geoms[body] = under[counted[under]]
-    leaves = _find_leaves(shapes, model.ngeom, {body: geoms[body] for body in searched})
-    fixed_leaves = {body: leaf for body, leaf in leaves.items() if body not in joints}
+        if body in searched_bodies or is_named[body]:
+            subtree_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
+            geoms[body] = subtree_geoms[counted[subtree_geoms]]
+    leaf_geoms = _find_leaf_geoms(
+        shapes, model.ngeom, {body: geoms[body] for body in searched_bodies}
+    )
+    fixed_leaves = {body: geom for body, geom in leaf_geoms.items() if body not in joint_of_body}
     if fixed_leaves:
-        # what can move is no jamb
-        extents = measure_extents(shapes.only(is_structure_body[model.geom_bodyid]), model.ngeom)
-        for body, leaf in fixed_leaves.items():
-            if not _stands_between_jambs(leaf, geoms[body], extents):
-                del leaves[body]
-    # and the end of the bodies of the last candidate
-    found = list[int]()
-    end = 0
-    for body, own in geoms.items():
-        if body >= end and len(own) and (is_named[body] or body in leaves):
-            found.append(body)
-            end = int(ends[body])
-    count = Counter(names[body] for body in found)
+        # Only structure can be a jamb.
+        structure = shapes.only(is_structure_body[model.geom_bodyid])
+        extents = measure_extents(structure, model.ngeom)
+        for body, leaf_geom in fixed_leaves.items():
+            if not _stands_between_jambs(leaf_geom, geoms[body], extents):
+                del leaf_geoms[body]
+    bodies = list[int]()
+    end = 0  # of the subtree of the last candidate, which has no candidates inside
+    for body, body_geoms in geoms.items():
+        if body >= end and len(body_geoms) and (is_named[body] or body in leaf_geoms):
+            bodies.append(body)
+            end = int(subtree_ends[body])
+    name_counts = Counter(names[body] for body in bodies)
     candidates = []
-    for body in found:
-        # names that aren't UTF-8 may look the same
-        name = names[body] + (f" (body {body})" if count[names[body]] > 1 else "")
-        joint = joints.get(body, -1)
+    for body in bodies:
+        # Names that aren't UTF-8 may look the same.
+        suffix = f" (body {body})" if name_counts[names[body]] > 1 else ""
+        joint = joint_of_body.get(body, -1)
         candidates.append(
             DoorCandidate(
-                id=name,
+                id=names[body] + suffix,
                 joint=None if joint < 0 else joint_name(model, joint),
                 geoms=geoms[body],
-                positions={} if joint < 0 else _positions(model, data, joint),
+                positions={} if joint < 0 else _find_positions(model, data, joint),
                 joint_id=joint,
-                named=is_named[body],
+                is_named=is_named[body],
             )
         )
-    used = {pattern for body in found for pattern in matches[body]}
-    unused = [pattern for pattern in settings.patterns if pattern not in used]
-    return candidates, [_warn_unmatched(p, names, matches, geoms) for p in unused]
+    used_patterns = {pattern for body in bodies for pattern in matches[body]}
+    warnings = [
+        _warn_unused_pattern(pattern, names, matches, geoms)
+        for pattern in settings.patterns
+        if pattern not in used_patterns
+    ]
+    return candidates, warnings
 
 
-def _find_leaves(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> dict[int, int]:
-    """Bodies whose largest geom, in the modelled pose, is as tall, thin and wide as a door."""
-    mask = np.isin(np.arange(num_geoms), [k for own in geoms.values() for k in own])
+def _find_single_joints(model: mujoco.MjModel) -> dict[int, int]:
+    """The hinge or slide of each body that has no other joint, by body id."""
+    is_single = np.isin(model.jnt_type, (HINGE, SLIDE))
+    is_single &= model.body_jntnum[model.jnt_bodyid] == 1
+    return {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(is_single).tolist()}
+
+
+def _find_leaf_geoms(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> dict[int, int]:
+    """Find the bodies whose largest geom, as modelled, is as tall, thin and wide as a door.
+
+    Returns:
+        The largest geom of each such body, by body id.
+    """
+    all_geoms = [geom for body_geoms in geoms.values() for geom in body_geoms]
+    mask = np.isin(np.arange(num_geoms), all_geoms)
     extents = measure_extents(shapes.only(mask), num_geoms)
-    sides = {body: find_largest_side(extents, own) for body, own in geoms.items() if len(own)}
-    return {
-        body: leaf
-        for body, leaf in sides.items()
-        if extents.top[leaf] - extents.bottom[leaf] >= MIN_HEIGHT - ROUNDING
-        and MIN_WIDTH - ROUNDING <= extents.long_side[leaf] <= MAX_WIDTH + ROUNDING
-        and extents.short_side[leaf] <= MAX_THICKNESS + ROUNDING
-    }
+    leaf_geoms = {}
+    for body, body_geoms in geoms.items():
+        if not len(body_geoms):
+            continue
+        geom = find_largest_side(extents, body_geoms)
+        is_tall = extents.top[geom] - extents.bottom[geom] >= MIN_HEIGHT - SIZE_ROUNDING
+        is_wide = extents.long_side[geom] >= MIN_WIDTH - SIZE_ROUNDING
+        is_too_wide = extents.long_side[geom] > MAX_WIDTH + SIZE_ROUNDING
+        is_thin = extents.short_side[geom] <= MAX_THICKNESS + SIZE_ROUNDING
+        if is_tall and is_wide and is_thin and not is_too_wide:
+            leaf_geoms[body] = geom
+    return leaf_geoms
 
 
-def _stands_between_jambs(leaf: int, own: Int, extents: Extents) -> bool:
-    """Whether both ends of a leaf are at something like a wall, from its foot to above its top."""
-    jambs = (extents.short_side <= JAMB) & (extents.long_side > extents.short_side)
-    jambs &= extents.top >= extents.top[leaf] + HIGHER
-    jambs &= extents.bottom <= (extents.bottom[leaf] + extents.top[leaf]) / 2
-    jambs[own] = False
-    found = np.flatnonzero(jambs)
+def _stands_between_jambs(leaf_geom: int, body_geoms: Int, extents: Extents) -> bool:
+    """Whether both ends of a leaf are at a jamb, from the leaf's foot to above its top."""
+    is_jamb = (extents.short_side <= MAX_JAMB_THICKNESS) & (extents.long_side > extents.short_side)
+    is_jamb &= extents.top >= extents.top[leaf_geom] + MIN_JAMB_RISE
+    is_jamb &= extents.bottom <= (extents.bottom[leaf_geom] + extents.top[leaf_geom]) / 2
+    is_jamb[body_geoms] = False
+    jambs = np.flatnonzero(is_jamb)
+    long_axis = extents.long_axis[jambs]
+    short_axis = extents.short_axis[jambs]
+    reach = extents.long_side[leaf_geom] + 2 * MAX_JAMB_GAP
     for end in (-0.5, 0.5):
-        beyond = end * (extents.long_side[leaf] + 2 * BESIDE) * extents.long_axis[leaf]
-        off = extents.center[leaf] + beyond - extents.center[found]
-        across = (
-            np.abs((off * extents.short_axis[found]).sum(axis=1)) - extents.short_side[found] / 2
-        )
-        along = np.abs((off * extents.long_axis[found]).sum(axis=1)) - extents.long_side[found] / 2
-        if not (np.maximum(across, along) <= BESIDE).any():
+        end_offset = end * reach * extents.long_axis[leaf_geom]
+        to_end = extents.center[leaf_geom] + end_offset - extents.center[jambs]
+        across = np.abs((to_end * short_axis).sum(axis=1)) - extents.short_side[jambs] / 2
+        along = np.abs((to_end * long_axis).sum(axis=1)) - extents.long_side[jambs] / 2
+        if not (np.maximum(across, along) <= MAX_JAMB_GAP).any():
             return False
     return True
 
 
-def _positions(model: Any, data: Any, joint: int) -> dict[str, float]:
+def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> dict[str, float]:
     """A joint's positions by state: it opens to the end of its range that is farther from 0."""
-    low, high = (float(v) for v in model.jnt_range[joint])
+    low = float(model.jnt_range[joint, 0])
+    high = float(model.jnt_range[joint, 1])
     if not model.jnt_limited[joint]:
+        is_hinge = int(model.jnt_type[joint]) == HINGE
         low = 0.0
-        high = QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
-    closed = min(max(0.0, low), high)
-    opened = low if closed - low > high - closed else high
-    modelled = float(data.qpos[model.jnt_qposadr[joint]])
-    return {"modelled": modelled, "open": opened, "closed": closed}
+        high = UNLIMITED_HINGE_RANGE if is_hinge else UNLIMITED_SLIDE_RANGE
+    closed_position = min(max(0.0, low), high)
+    open_position = low if closed_position - low > high - closed_position else high
+    modelled_position = float(data.qpos[model.jnt_qposadr[joint]])
+    return {"modelled": modelled_position, "open": open_position, "closed": closed_position}
 
 
 def find_largest_side(extents: Extents, geoms: Int) -> int:
-    """The geom with the largest upright side; the first if none is finite."""
+    """Return the geom with the largest upright side; the first if none is finite.
+
+    Args:
+        extents: boxes round all geoms.
+        geoms: ids to choose from, shape (n,), n >= 1.
+    """
     area = (extents.long_side * (extents.top - extents.bottom))[geoms]
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 
 
-def mark_candidate_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
-    """Mark the geoms of some bodies, shape (num_geoms,)."""
+def mark_candidate_geoms(num_geoms: int, candidates: Sequence[DoorCandidate]) -> Bool:
+    """Mark the geoms of some door candidates, shape (num_geoms,).
+
+    Args:
+        num_geoms: of the model.
+        candidates: whose geoms are marked.
+    """
     mask = np.zeros(num_geoms, dtype=np.bool_)
-    for door in doors:
-        mask[door.geoms] = True
+    for candidate in candidates:
+        mask[candidate.geoms] = True
     return mask
 
 
-def _warn_unmatched(
+def _warn_unused_pattern(
     pattern: str, names: Sequence[str], matches: Sequence[list[str]], geoms: Mapping[int, Int]
 ) -> str:
-    """Warn of a pattern that names no candidate, and say which bodies it matches instead."""
-    matched = [body for body in geoms if pattern in matches[body]]
-    if not matched:
+    """Warn of a pattern that names no candidate, and say which bodies it matches instead.
+
+    Args:
+        pattern: the pattern.
+        names: of all bodies.
+        matches: by body id, the patterns that match its name.
+        geoms: by id of the searched bodies, their geoms that count.
+    """
+    matched_bodies = [body for body in geoms if pattern in matches[body]]
+    if not matched_bodies:
         return warn_unmatched("doors.patterns", pattern, names[1:], "no body")
-    parts = [body for body in matched if len(geoms[body])]
-    kind = "parts of other doors" if parts else "bodies without geoms that count"
-    listed = [names[body] for body in parts or matched]
+    parts_of_doors = [body for body in matched_bodies if len(geoms[body])]
+    kind = "parts of other doors" if parts_of_doors else "bodies without geoms that count"
+    listed = [names[body] for body in parts_of_doors or matched_bodies]
     text = f"only {kind}: {', '.join(listed[:MAX_LISTED])}{', …' if listed[MAX_LISTED:] else ''}"
-    others = [name for body, name in enumerate(names) if body and body not in matched]
-    return warn_unmatched("doors.patterns", pattern, others, text)
+    unmatched_names = [
+        name for body, name in enumerate(names) if body and body not in matched_bodies
+    ]
+    return warn_unmatched("doors.patterns", pattern, unmatched_names, text)

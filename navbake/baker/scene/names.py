@@ -1,7 +1,9 @@
 """Names of a model's geoms, bodies and joints, and the tree of its bodies."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -10,29 +12,61 @@ from navbake.baker.core.constants import MESH, SDF
 from navbake.known_names import find_near
 from navbake.types import Bool, Int
 
+if TYPE_CHECKING:
+    import mujoco
+
 
 class GeomNames(NamedTuple):
-    """The names of a geom in patterns and reports."""
+    """The names of a geom that patterns match and reports show.
 
-    geom: str  # ``geom <id>`` where it has none
-    mesh: str  # empty where it has none
-    body: str  # ``body <id>`` where it has none
+    Attributes:
+        geom: its own; ``geom <id>`` where it has none.
+        mesh: its mesh's; empty where it has none.
+        body: its body's; ``body <id>`` where that has none.
+    """
+
+    geom: str
+    mesh: str
+    body: str
 
 
-def name_at(model: Any, address: int) -> str:
-    """A name out of the model's store, such as ``name_at(model, model.name_bodyadr[3])``."""
+def name_at(model: mujoco.MjModel, address: int) -> str:
+    """Return the name at an address of the model's store of names; empty for none.
+
+    Args:
+        model: the model.
+        address: of the name's first byte, such as ``model.name_bodyadr[3]``.
+    """
     return names_at(model, [address])[0]
 
 
-def names_at(model: Any, addresses: Iterable[int]) -> list[str]:
-    """Some names out of the model's store; bytes that aren't UTF-8, as MuJoCo's, are replaced."""
+def names_at(model: mujoco.MjModel, addresses: Iterable[int]) -> list[str]:
+    """Return the names at some addresses of the model's store of names.
+
+    Args:
+        model: the model.
+        addresses: of the names' first bytes, such as ``model.name_bodyadr``.
+
+    Returns:
+        The names, empty for none; bytes that aren't UTF-8 are replaced.
+    """
     store: bytes = model.names  # a copy of all names
-    ends = ((first, store.find(b"\0", first)) for first in addresses)
-    return [store[first:end].decode("utf-8", errors="replace") for first, end in ends]
+    names = []
+    for first in addresses:
+        end = store.find(b"\0", first)
+        names.append(store[first:end].decode("utf-8", errors="replace"))
+    return names
 
 
 class ModelNames(NamedTuple):
-    """Names by id: of all geoms and bodies; and the own ones of geoms and sites, empty for none."""
+    """All names of a model, by id.
+
+    Attributes:
+        geoms: the names of each geom, its mesh and its body.
+        bodies: the names of bodies; ``body <id>`` for none.
+        own_geoms: the names of geoms as the model has them, empty for none.
+        sites: the names of sites as the model has them, empty for none.
+    """
 
     geoms: list[GeomNames]
     bodies: list[str]
@@ -40,64 +74,113 @@ class ModelNames(NamedTuple):
     sites: tuple[str, ...]
 
 
-# Every stage needs the names, which never change
-_names: WeakKeyDictionary[Any, ModelNames] = WeakKeyDictionary()
+# Every stage needs the names, which never change.
+_names_of_models: WeakKeyDictionary[mujoco.MjModel, ModelNames] = WeakKeyDictionary()
 
 
-def all_names(model: Any) -> ModelNames:
-    """The names of a model, which are read once."""
-    if (known := _names.get(model)) is not None:
-        return known
-    bodies = names_at(model, getattr(model, f"name_{'body'}adr").tolist())
-    geoms = names_at(model, getattr(model, f"name_{'geom'}adr").tolist())
-    meshes = names_at(model, getattr(model, f"name_{'mesh'}adr").tolist())
-    sites = names_at(model, getattr(model, f"name_{'site'}adr").tolist())
-    bodies = [name or f"body {body}" for body, name in enumerate(bodies)]
-    mesh_of = [*meshes, ""]  # the last one for what is no mesh
-    of_mesh = np.where(np.isin(model.geom_type, (MESH, SDF)), model.geom_dataid, -1).tolist()
-    columns = zip(geoms, of_mesh, model.geom_bodyid.tolist(), strict=True)
-    named = [
-        GeomNames(name or f"geom {geom}", mesh_of[shape], bodies[body])
-        for geom, (name, shape, body) in enumerate(columns)
+def all_names(model: mujoco.MjModel) -> ModelNames:
+    """Return the names of a model; they are read once for each model."""
+    names = _names_of_models.get(model)
+    if names is None:
+        names = _read_names(model)
+        _names_of_models[model] = names
+    return names
+
+
+def _read_names(model: mujoco.MjModel) -> ModelNames:
+    geom_names = names_at(model, model.name_geomadr.tolist())
+    mesh_names = names_at(model, model.name_meshadr.tolist())
+    site_names = names_at(model, model.name_siteadr.tolist())
+    body_names = [
+        name or f"body {body}"
+        for body, name in enumerate(names_at(model, model.name_bodyadr.tolist()))
     ]
-    _names[model] = ModelNames(named, bodies, tuple(geoms), tuple(sites))
-    return _names[model]
+    is_mesh = np.isin(model.geom_type, (MESH, SDF))
+    mesh_ids = np.where(is_mesh, model.geom_dataid, -1).tolist()
+    body_ids = model.geom_bodyid.tolist()
+    geoms = [
+        GeomNames(
+            geom=name or f"geom {geom}",
+            mesh=mesh_names[mesh_id] if mesh_id >= 0 else "",
+            body=body_names[body_id],
+        )
+        for geom, (name, mesh_id, body_id) in enumerate(
+            zip(geom_names, mesh_ids, body_ids, strict=True)
+        )
+    ]
+    return ModelNames(
+        geoms=geoms, bodies=body_names, own_geoms=tuple(geom_names), sites=tuple(site_names)
+    )
 
 
-def body_name(model: Any, body: int) -> str:
-    """A body's name; ``body <id>`` where it has none."""
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """Return a body's name; ``body <id>`` where it has none.
+
+    Args:
+        model: the model.
+        body: the body's id.
+    """
     return all_names(model).bodies[body]
 
 
-def joint_name(model: Any, joint: int) -> str:
-    """A joint's name; ``joint <id>`` where it has none."""
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """Return a joint's name; ``joint <id>`` where it has none.
+
+    Args:
+        model: the model.
+        joint: the joint's id.
+    """
     return name_at(model, model.name_jntadr[joint]) or f"joint {joint}"
 
 
-def warn_unmatched(setting: str, pattern: str, known: Iterable[str], found: str = "nothing") -> str:
-    """The warning that a pattern of a setting matches none of the known names, with near ones."""
-    near = find_near(pattern.strip("*"), sorted({name for name in known if name}), most=3)
-    hint = f"; near names are {', '.join(near)}" if near else ""
-    return f"`{setting}` pattern {pattern!r} matches {found}{hint}"
+def warn_unmatched(
+    setting: str, pattern: str, names: Iterable[str], matches: str = "nothing"
+) -> str:
+    """Return the warning that a pattern of a setting matches none of some names, with near ones.
+
+    Args:
+        setting: the setting's key, such as ``doors.patterns``.
+        pattern: the pattern.
+        names: the names that it may have been meant for; empty ones are passed over.
+        matches: what it matches in place of them, such as ``no body``.
+    """
+    near_names = find_near(pattern.strip("*"), sorted({name for name in names if name}), most=3)
+    hint = f"; near names are {', '.join(near_names)}" if near_names else ""
+    return f"`{setting}` pattern {pattern!r} matches {matches}{hint}"
 
 
-def find_subtree_ends(model: Any) -> Int:
-    """The end of each body's subtree, (nbody,): bodies are numbered depth first."""
-    end = list(range(1, model.nbody + 1))
-    parent = model.body_parentid.tolist()
+def find_subtree_ends(model: mujoco.MjModel) -> Int:
+    """Return the end of each body's subtree, (nbody,): bodies are numbered depth first.
+
+    The subtree of a body are the bodies from its id to before its end.
+    """
+    ends = list(range(1, model.nbody + 1))
+    parents = model.body_parentid.tolist()
     for body in range(model.nbody - 1, 0, -1):  # children come after their parents
-        end[parent[body]] = max(end[parent[body]], end[body])
-    return np.array(end, dtype=np.int64)
+        ends[parents[body]] = max(ends[parents[body]], ends[body])
+    return np.array(ends, dtype=np.int64)
 
 
-def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
-    """Ids of the geoms of the bodies from `first` to before `end`, ascending as the bodies are."""
+def geoms_of_bodies(model: mujoco.MjModel, first: int, end: int) -> Int:
+    """Return the ids of the geoms of the bodies from `first` to before `end`, ascending.
+
+    Args:
+        model: the model.
+        first: id of the first body.
+        end: id after the last body.
+    """
     low, high = np.searchsorted(model.geom_bodyid, [first, end])
     return np.arange(low, high, dtype=np.int64)
 
 
-def mark_body(model: Any, first: int, end: int) -> Bool:
-    """Mark the geoms of the bodies from `first` to before `end`, shape (ngeom,)."""
+def mark_geoms_of_bodies(model: mujoco.MjModel, first: int, end: int) -> Bool:
+    """Mark the geoms of the bodies from `first` to before `end`, shape (ngeom,).
+
+    Args:
+        model: the model.
+        first: id of the first body.
+        end: id after the last body.
+    """
     mask = np.zeros(model.ngeom, dtype=np.bool_)
     mask[geoms_of_bodies(model, first, end)] = True
     return mask

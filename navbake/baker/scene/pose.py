@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,41 +14,44 @@ from navbake.errors import ConfigError, SceneError
 from navbake.known_names import list_first
 from navbake.types import Int32
 
-# How far beyond its range a joint may go, for rounded angles [rad or m]
+# How far beyond its range a joint may go without a warning, for rounded angles [rad or m]
 RANGE_SLACK = 1e-4
-EXPECTED = {
+JOINT_VALUES = {
     FREE: "7 numbers (x, y, z [m], quaternion w, x, y, z)",
     BALL: "4 numbers (quaternion w, x, y, z)",
     SLIDE: "1 number [m]",
     HINGE: "1 number [rad]",
 }
+UNITS = {SLIDE: "m", HINGE: "rad"}
 
 
-def pose_model(model: Any, settings: SceneSettings) -> Any:
-    """The model's data, with all geoms placed by the keyframe and the joint values of settings."""
+def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
+    """Place all geoms of a model by the keyframe and the joint values of the settings.
 
-    def id_of(name: str, kind: str, setting: str, code: int, addresses: Int32) -> int:
-        """The id of a keyframe or joint; raises a ConfigError that lists those that there are."""
-        named = [known for known in names_at(model, addresses.tolist()) if known]
-        if name in named:
-            return int(mujoco.mj_name2id(model, code, name))
-        listed = list_first(named, 20) or "none with a name"
-        raise ConfigError(f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has {listed}")
+    Args:
+        model: the model.
+        settings: `scene.keyframe` and `scene.joints`, and the path, for errors.
 
+    Returns:
+        The posed data.
+
+    Raises:
+        ConfigError: the model has no such keyframe or joint, or a joint's value is wrong.
+        SceneError: MuJoCo cannot pose the model.
+    """
     data = mujoco.MjData(model)
-    kinds = mujoco.mjtObj
-    with _errors_of(f"pose {settings.path}"):
-        key = settings.keyframe
-        if isinstance(key, int) and key >= model.nkey:
+    with _raise_scene_errors(f"pose {settings.path}"):
+        keyframe = settings.keyframe
+        if isinstance(keyframe, int) and keyframe >= model.nkey:
             has = f"{settings.path} has {model.nkey} of them, counted from 0"
-            raise ConfigError(f"no keyframe {key} for `scene.keyframe`: {has}")
-        if isinstance(key, str):
-            key = id_of(key, "keyframe", "keyframe", kinds.mjOBJ_KEY, model.name_keyadr)
-        if key is not None:
-            mujoco.mj_resetDataKeyframe(model, data, key)
+            raise ConfigError(f"no keyframe {keyframe} for `scene.keyframe`: {has}")
+        if isinstance(keyframe, str):
+            keyframe = _find_keyframe(model, keyframe, settings)
+        if keyframe is not None:
+            mujoco.mj_resetDataKeyframe(model, data, keyframe)
         for name, value in settings.joints.items():
-            joint = id_of(name, "joint", "joints", kinds.mjOBJ_JOINT, model.name_jntadr)
-            expected = EXPECTED[int(model.jnt_type[joint])]
+            joint = _find_joint(model, name, settings)
+            expected = JOINT_VALUES[int(model.jnt_type[joint])]
             values = np.atleast_1d(np.asarray(value, dtype=np.float64))
             where = f"at `scene.joints.{name}`"
             if len(values) != int(expected[0]):
@@ -62,61 +64,119 @@ def pose_model(model: Any, settings: SceneSettings) -> Any:
     return data
 
 
+def _find_keyframe(model: mujoco.MjModel, name: str, settings: SceneSettings) -> int:
+    _check_name(model, name, "keyframe", "keyframe", model.name_keyadr, settings)
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, name))
+
+
+def _find_joint(model: mujoco.MjModel, name: str, settings: SceneSettings) -> int:
+    _check_name(model, name, "joint", "joints", model.name_jntadr, settings)
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name))
+
+
+def _check_name(
+    model: mujoco.MjModel,
+    name: str,
+    kind: str,
+    setting: str,
+    addresses: Int32,
+    settings: SceneSettings,
+) -> None:
+    """Raise a ConfigError that lists the model's keyframes or joints unless one has the name."""
+    names = [model_name for model_name in names_at(model, addresses.tolist()) if model_name]
+    if name not in names:
+        listed = list_first(names, 20) or "none with a name"
+        raise ConfigError(f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has {listed}")
+
+
 @contextmanager
-def _errors_of(what: str) -> Iterator[None]:
-    """Raise MuJoCo's errors as a SceneError that says what it can't do."""
+def _raise_scene_errors(action: str) -> Iterator[None]:
+    """Raise MuJoCo's errors as a SceneError: MuJoCo cannot do the action."""
     try:
         yield
     except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
         reason = " ".join(str(error).split())[:400]
-        raise SceneError(f"MuJoCo cannot {what}: {reason}") from error
+        raise SceneError(f"MuJoCo cannot {action}: {reason}") from error
 
 
-def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
-    """Warn of joints that the settings move out of their range."""
-    notes = []
+def warn_out_of_range(model: mujoco.MjModel, settings: SceneSettings) -> list[str]:
+    """Warn of joints that the settings move out of their range.
+
+    Args:
+        model: the model.
+        settings: `scene.joints`, whose names the model has.
+
+    Returns:
+        A warning for each such joint.
+    """
+    warnings = []
     for name, value in settings.joints.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        low, high = (float(v) for v in model.jnt_range[joint])
+        low = float(model.jnt_range[joint, 0])
+        high = float(model.jnt_range[joint, 1])
         position = float(np.ravel(value)[0])
-        unit = {SLIDE: "m", HINGE: "rad"}
         is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
         kind = int(model.jnt_type[joint])
-        if kind in unit and model.jnt_limited[joint] and not is_within:
-            ranges = f"ranges from {low:.6g} to {high:.6g} {unit[kind]}, got {position:.6g}"
-            posed = f"at `scene.joints.{name}`: it is posed there anyway"
-            notes.append(f"joint {name!r} {ranges} {posed}")
-    return notes
+        if kind in UNITS and model.jnt_limited[joint] and not is_within:
+            warnings.append(
+                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {UNITS[kind]}, got "
+                f"{position:.6g} at `scene.joints.{name}`: it is posed there anyway"
+            )
+    return warnings
 
 
-def data_of_qpos(model: Any, qpos: ArrayLike) -> Any:
-    """A model's data with all joints at positions of shape (nq,), and all geoms placed."""
-    wanted = f"expected {model.nq} joint positions (nq)"
+def data_of_qpos(model: mujoco.MjModel, qpos: ArrayLike) -> mujoco.MjData:
+    """Return a model's data with all geoms placed by joint positions.
+
+    Args:
+        model: the model.
+        qpos: the positions of all joints, shape (nq,) [m or rad].
+
+    Raises:
+        ConfigError: `qpos` has no such numbers.
+    """
+    expected = f"expected {model.nq} joint positions (nq)"
     try:
         positions = np.asarray(qpos, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{wanted}, got {qpos!r}") from error
+        raise ConfigError(f"{expected}, got {qpos!r}") from error
     if positions.shape != (model.nq,):
-        raise ConfigError(f"{wanted}, got {positions.shape}")
+        raise ConfigError(f"{expected}, got {positions.shape}")
     data = mujoco.MjData(model)
     data.qpos[:] = positions
     mujoco.mj_kinematics(model, data)
     return data
 
 
-def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> Any:
-    """A copy of a model's data with hinges and slides moved, by their ids [rad or m]."""
-    moved = mujoco.MjData(model)
-    moved.qpos[:] = data.qpos
-    moved.mocap_pos[:] = data.mocap_pos
-    moved.mocap_quat[:] = data.mocap_quat
+def data_with_joints(
+    model: mujoco.MjModel, data: mujoco.MjData, positions: Mapping[int, float]
+) -> mujoco.MjData:
+    """Return a copy of a model's data with some hinges and slides moved, and all geoms placed.
+
+    Args:
+        model: the model.
+        data: its data; it is not changed.
+        positions: the positions of hinges and slides, by joint id [rad or m].
+    """
+    copied_data = mujoco.MjData(model)
+    copied_data.qpos[:] = data.qpos
+    copied_data.mocap_pos[:] = data.mocap_pos
+    copied_data.mocap_quat[:] = data.mocap_quat
     for joint, position in positions.items():
-        moved.qpos[model.jnt_qposadr[joint]] = position
-    mujoco.mj_kinematics(model, moved)
-    return moved
+        copied_data.qpos[model.jnt_qposadr[joint]] = position
+    mujoco.mj_kinematics(model, copied_data)
+    return copied_data
 
 
-def place_geoms(model: Any, data: Any) -> None:
-    """Place all geoms of a data by its joint positions and mocap bodies."""
-    with _errors_of("take the pose"):
+def place_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Place all geoms of a data by its joint positions and mocap bodies.
+
+    Args:
+        model: the model.
+        data: its data, in which the geoms' poses are written.
+
+    Raises:
+        SceneError: MuJoCo cannot place them.
+    """
+    with _raise_scene_errors("take the pose"):
         mujoco.mj_kinematics(model, data)

@@ -1,13 +1,13 @@
-"""What of a scene stands, what can move, and what may be a door.
+"""The roles of geoms: structure, structure that moves, movables, and leaves of doors.
 
-What stands makes floors, walls and rooms; what can move is only ever in the way.
+Structure makes floors, walls and rooms; movables only block cells.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,10 @@ from navbake.baker.scene.names import all_names, find_subtree_ends, warn_unmatch
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Int
 
-# The role of a geom; a carrier is what moves and carries floors nevertheless, but is no wall
+if TYPE_CHECKING:
+    import mujoco
+
+# The role of a geom. Structure that moves carries floors, but is no wall.
 LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE, LEAF = range(5)
 # and its name in reports
 ROLES = ("", "structure", "structure that moves", "movable", "leaf")
@@ -31,18 +34,18 @@ WRAP_SITE = 3
 
 
 class SceneRoles(NamedTuple):
-    """How a scene is divided into structure, movables and leaves.
+    """The roles of a scene's geoms and bodies.
 
     Attributes:
-        roles: by geom id, LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or LEAF, shape
-            (ngeom,), uint8.
-        movable: by body id, whether it can move and carries no floor, shape (nbody,), bool.
-        is_structure_body: by body id, whether it is structure, shape (nbody,), bool.
-        mover_of_body: by body id, the topmost body that moves it; itself if none does.
+        roles: by geom id, one of LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE and LEAF,
+            shape (ngeom,), uint8.
+        movable: by body id, whether the body can move and carries no floor, shape (nbody,), bool.
+        is_structure_body: by body id, whether the body is structure, shape (nbody,), bool.
+        mover_of_body: by body id, the topmost body that moves the body; itself if none does.
         leaves: the bodies that may be doors, by body id.
-        cars: the bodies that are cars of lifts, by body id.
-        unused: warnings of patterns of doors that match nothing.
-        warnings: what the user should know besides, one line each.
+        cars: ids of the bodies that are cars of lifts.
+        pattern_warnings: warnings of patterns of doors that match nothing.
+        warnings: all other warnings, one line each.
     """
 
     roles: NDArray[np.uint8]
@@ -51,11 +54,11 @@ class SceneRoles(NamedTuple):
     mover_of_body: Int
     leaves: list[DoorCandidate]
     cars: list[int]
-    unused: list[str]
+    pattern_warnings: list[str]
     warnings: list[str]
 
 
-def find_movable_bodies(model: Any) -> Bool:
+def find_movable_bodies(model: mujoco.MjModel) -> Bool:
     """Mark the bodies that are not welded to the world, shape (nbody,).
 
     They, or bodies above them, have a joint, or are mocap bodies.
@@ -66,43 +69,48 @@ def find_movable_bodies(model: Any) -> Bool:
 
 
 def mark_structure(roles: NDArray[np.uint8]) -> Bool:
-    """Mark the geoms that make floors, by their roles."""
-    structure: Bool = (roles == STATIC_STRUCTURE) | (roles == MOVING_STRUCTURE)
-    return structure
+    """Mark the geoms that make floors, by their roles, shape (ngeom,)."""
+    is_structure: Bool = (roles == STATIC_STRUCTURE) | (roles == MOVING_STRUCTURE)
+    return is_structure
 
 
 def find_roles(
-    model: Any,
-    data: Any,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
     shapes: Shapes,
     counted: Bool,
     named_leaves: Collection[str],
     config: BakeConfig,
 ) -> SceneRoles:
-    """Divide the geoms that count into what stands, what can move, and leaves of doors.
+    """Find the role of each geom that counts: structure, movable, or a leaf of a door.
 
     Bodies that `floors.movable` names, and cars of lifts, carry floors, with all that hangs on
-    them. Where nothing stands, all bodies are taken as they stand.
+    them. Where no geom would be structure, all bodies are structure as they stand.
 
     Args:
-        model, data: the posed model.
-        shapes: all geometry that counts.
-        counted: by geom, whether it counts.
-        named_leaves: the names of bodies that the file says are doors.
+        model: the model.
+        data: its pose.
+        shapes: the geometry of all geoms that count.
+        counted: by geom id, whether the geom counts.
+        named_leaves: the names of bodies that the scene's file says are doors.
+        config: all settings.
+
+    Returns:
+        The roles of geoms and bodies, and warnings.
     """
     movable = find_movable_bodies(model)
-    ends = find_subtree_ends(model)
+    subtree_ends = find_subtree_ends(model)
     names = all_names(model).bodies
     warnings = list[str]()
     for pattern in config.floors.movable:
-        matching = [body for body in range(1, model.nbody) if fnmatchcase(names[body], pattern)]
-        for body in matching:
-            movable[body : ends[body]] = False
-        if not matching:
+        bodies = [body for body in range(1, model.nbody) if fnmatchcase(names[body], pattern)]
+        for body in bodies:
+            movable[body : subtree_ends[body]] = False
+        if not bodies:
             warnings.append(warn_unmatched("floors.movable", pattern, names[1:], "no body"))
     cars = find_cars(model, data, shapes, config.links, config.agent, config.grid.cell_size)
     for body in cars:
-        movable[body : ends[body]] = False
+        movable[body : subtree_ends[body]] = False
 
     def find_leaves(is_structure_body: Bool) -> tuple[list[DoorCandidate], list[str]]:
         return find_door_candidates(
@@ -112,12 +120,12 @@ def find_roles(
             counted=counted,
             movable=movable,
             is_structure_body=is_structure_body,
-            named=named_leaves,
+            named_leaves=named_leaves,
             settings=config.doors,
         )
 
     is_structure_body = ~movable
-    leaves, unused = find_leaves(is_structure_body)
+    leaves, pattern_warnings = find_leaves(is_structure_body)
     roles = assign_roles(model, counted, movable, is_structure_body, leaves)
     if not mark_structure(roles).any():
         warnings.append(
@@ -126,7 +134,7 @@ def find_roles(
             "stand"
         )
         is_structure_body = np.ones_like(movable)
-        leaves, unused = find_leaves(is_structure_body)
+        leaves, pattern_warnings = find_leaves(is_structure_body)
         roles = assign_roles(model, counted, movable, is_structure_body, leaves)
     if not mark_structure(roles).any():
         leaves = []
@@ -138,60 +146,72 @@ def find_roles(
         mover_of_body=_find_movers(model, movable),
         leaves=leaves,
         cars=cars,
-        unused=unused,
+        pattern_warnings=pattern_warnings,
         warnings=warnings,
     )
 
 
 def assign_roles(
-    model: Any,
+    model: mujoco.MjModel,
     counted: Bool,
     movable: Bool,
     is_structure_body: Bool,
     leaves: Sequence[DoorCandidate],
 ) -> NDArray[np.uint8]:
-    """The role of each geom, shape (ngeom,).
+    """Assign each geom its role, by its body's.
 
     Args:
-        counted: by geom, whether it counts.
-        movable, is_structure_body: see `SceneRoles`.
+        model: the model.
+        counted: by geom id, whether the geom counts.
+        movable: by body id, see `SceneRoles`.
+        is_structure_body: by body id, see `SceneRoles`.
         leaves: the bodies that may be doors.
+
+    Returns:
+        The role of each geom, shape (ngeom,), uint8.
     """
-    of_bodies = np.where(is_structure_body, STATIC_STRUCTURE, MOVABLE)
-    of_bodies[find_movable_bodies(model) & ~movable] = MOVING_STRUCTURE
-    roles: NDArray[np.uint8] = of_bodies[model.geom_bodyid].astype(np.uint8)
+    body_roles = np.where(is_structure_body, STATIC_STRUCTURE, MOVABLE)
+    body_roles[find_movable_bodies(model) & ~movable] = MOVING_STRUCTURE
+    roles: NDArray[np.uint8] = body_roles[model.geom_bodyid].astype(np.uint8)
     roles[mark_candidate_geoms(model.ngeom, leaves)] = LEAF
     roles[~counted] = LEFT_OUT
     return roles
 
 
-def _find_movers(model: Any, movable: Bool) -> Int:
-    """By body id, the topmost body that moves it; itself if none does."""
-    mover_of_body = np.arange(model.nbody)
+def _find_movers(model: mujoco.MjModel, movable: Bool) -> Int:
+    """By body id, the topmost body that moves the body; itself if none does."""
+    movers = np.arange(model.nbody)
     for body, parent in enumerate(model.body_parentid.tolist()):  # parents come first
         if movable[body] and movable[parent]:
-            mover_of_body[body] = mover_of_body[parent]
-    return mover_of_body
+            movers[body] = movers[parent]
+    return movers
 
 
-def find_actuated_bodies(model: Any) -> set[int]:
-    """The bodies that actuators move: by their joints, sites, tendons, or as they are."""
+def find_actuated_bodies(model: mujoco.MjModel) -> set[int]:
+    """Return the ids of the bodies that actuators move: by joints, sites, tendons, or directly."""
     bodies = set[int]()
     kinds = model.actuator_trntype.tolist()
-    for kind, number in zip(kinds, model.actuator_trnid[:, 0].tolist(), strict=True):
+    targets = model.actuator_trnid[:, 0].tolist()
+    for kind, target in zip(kinds, targets, strict=True):
         if kind in (JOINT, JOINT_IN_PARENT):
-            bodies.add(int(model.jnt_bodyid[number]))
+            bodies.add(int(model.jnt_bodyid[target]))
         elif kind in (SLIDER_CRANK, SITE):
-            bodies.add(int(model.site_bodyid[number]))
+            bodies.add(int(model.site_bodyid[target]))
         elif kind == BODY:
-            bodies.add(number)
+            bodies.add(target)
         elif kind == TENDON:
-            first = int(model.tendon_adr[number])
-            wraps = range(first, first + int(model.tendon_num[number]))
-            for wrap in wraps:
-                thing = int(model.wrap_objid[wrap])
-                if model.wrap_type[wrap] == WRAP_JOINT:
-                    bodies.add(int(model.jnt_bodyid[thing]))
-                elif model.wrap_type[wrap] == WRAP_SITE:
-                    bodies.add(int(model.site_bodyid[thing]))
+            bodies |= _find_bodies_of_tendon(model, target)
+    return bodies
+
+
+def _find_bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """The bodies of the joints and sites that a tendon runs over."""
+    bodies = set[int]()
+    first = int(model.tendon_adr[tendon])
+    for wrap in range(first, first + int(model.tendon_num[tendon])):
+        wrapped = int(model.wrap_objid[wrap])
+        if model.wrap_type[wrap] == WRAP_JOINT:
+            bodies.add(int(model.jnt_bodyid[wrapped]))
+        elif model.wrap_type[wrap] == WRAP_SITE:
+            bodies.add(int(model.site_bodyid[wrapped]))
     return bodies

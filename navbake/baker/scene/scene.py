@@ -1,11 +1,13 @@
-"""A scene as the bake sees it: which geoms count, as what, and where."""
+"""A scene as the bake sees it: which geoms count, as what, where, and in which role."""
+
+from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,76 +44,138 @@ from navbake.errors import SceneError
 from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES
 from navbake.navgrid.user_data import without_garbage_collection
 from navbake.threads import run_beside
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
-LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
-WORTH_THREAD = 1 << 17  # hashing so many bytes takes longer than starting a thread
-# A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m]
-HIGH_MESH = 100.0
-WIDE_MESH = 5000.0
-SMALL = 0.5
+if TYPE_CHECKING:
+    import mujoco
+
+LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed without a copy [bytes]
+# Hashing so much takes longer than starting a thread [bytes].
+MIN_THREAD_BYTES = 1 << 17
+# A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m].
+MAX_MESH_HEIGHT = 100.0
+MAX_MESH_WIDTH = 5000.0
+MIN_SCENE_WIDTH = 0.5
 
 
 @dataclass(frozen=True)
 class GeomReport:
-    """What became of one geom, for `navbake geoms`."""
+    """What became of one geom, as `navbake geoms` prints it.
 
-    id: int  # MuJoCo's
-    name: str  # which patterns match; ``geom <id>`` where it has none
-    body: str  # its body's name, or ``body <id>``
-    type: str  # MuJoCo's: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh, sdf
-    counted: bool  # whether it takes part in the bake
-    # as what, empty where it isn't counted: solid; half-space, strip (one side infinite) or
-    # rectangle; hull, shell, surface, closed surface (its inside is occupied) or partly closed,
-    # with the number of triangles that were turned to face out
+    Attributes:
+        id: MuJoCo's.
+        name: the name that patterns match; ``geom <id>`` where it has none.
+        body: its body's name, or ``body <id>``.
+        type: MuJoCo's: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh or sdf.
+        counted: whether it takes part in the bake.
+        shape: as what, empty where it isn't counted: solid; half-space, strip (one side infinite)
+            or rectangle; hull, shell, surface, closed surface (its inside is occupied) or partly
+            closed, with the number of triangles that were turned to face out.
+        reason: why it is counted or left out.
+        role: one of `roles.ROLES`; empty where it isn't counted.
+    """
+
+    id: int
+    name: str
+    body: str
+    type: str
+    counted: bool
     shape: str
-    reason: str  # why it is counted or left out
-    role: str = ""  # one of `divide.ROLES`; empty where it isn't counted
+    reason: str
+    role: str = ""
 
 
 @dataclass
 class Scene:
-    """A posed scene, ready for rays and overlaps."""
+    """A posed scene, whose geometry can be cast and tested for overlaps.
+
+    Attributes:
+        id: of the scene, as the settings or the file name say.
+        geoms: what became of each geom, by its id.
+        shapes: the geometry of the geoms that count, world frame.
+        bounds: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
+        digest: sha256 of the posed model: what its geoms are, where, and how they can move.
+        warnings: one line each.
+        hints: those of the warnings that say that axes or units look wrong.
+        model: the compiled model. Of a mesh file it has the names, the bodies and the ground, but a
+            tetrahedron in place of each mesh.
+        data: the model's data in the pose that is baked.
+        selections: whether and as what each geom counts, by its id.
+        exact_meshes: the meshes of a mesh file by geom id, world frame.
+        meshes: the triangles of the model's meshes, for geoms in other poses.
+        roles: by geom id, see `SceneRoles`.
+        movable: by body id, whether the body can move and carries no floor.
+        is_structure_body: by body id, whether the body is structure.
+        mover_of_body: by body id, the topmost body that moves the body; itself if none does.
+        actuated_bodies: ids of the topmost bodies that actuators move.
+        named_leaves: the names of bodies that the scene's file says are doors.
+        leaves: the bodies that may be doors, by body id.
+        cars: ids of the bodies that are cars of lifts.
+        pattern_warnings: warnings of patterns of doors that match nothing, one line each.
+    """
 
     id: str
-    geoms: list[GeomReport]  # by geom id
-    shapes: Shapes  # the counted geoms' geometry, world frame
-    bounds: Float | None  # corners of all finite geoms that stand, (2, 3) [m]; None without
-    digest: str  # sha256 of the posed model: what its geoms are, where, and what they can do
-    warnings: list[str]  # one line each
-    hints: list[str]  # those of them that say that axes or units look wrong
-    # The compiled mujoco.MjModel; of a mesh file it has the names, the bodies and the ground, but a
-    # tetrahedron in place of each part
-    model: Any
-    data: Any  # its mujoco.MjData in the pose that is baked
-    selections: list[GeomSelection]  # by geom id
-    exact_meshes: dict[int, NamedMesh]  # the meshes of a mesh scene by geom id, world frame
-    meshes: MeshTriangles  # what the model's meshes count by, for geoms in other poses
-    roles: NDArray[np.uint8]  # by geom id, see `divide`
-    movable: Bool  # by body id, whether it can move and carries no floor
-    is_structure_body: Bool  # by body id, whether it is structure
-    mover_of_body: Int  # by body id, the topmost body that moves it; itself if none does
-    actuated: frozenset[int]  # of these, those that actuators move
-    named_leaves: frozenset[str]  # the names of bodies that the file says are doors
-    leaves: list[DoorCandidate]  # bodies that may be doors, by body id
-    cars: list[int]  # bodies that are cars of lifts, by body id
-    unused: list[str]  # warnings of patterns of doors that match nothing, one line each
+    geoms: list[GeomReport]
+    shapes: Shapes
+    bounds: Float | None
+    digest: str
+    warnings: list[str]
+    hints: list[str]
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    selections: list[GeomSelection]
+    exact_meshes: dict[int, NamedMesh]
+    meshes: MeshTriangles
+    roles: NDArray[np.uint8]
+    movable: Bool
+    is_structure_body: Bool
+    mover_of_body: Int
+    actuated_bodies: frozenset[int]
+    named_leaves: frozenset[str]
+    leaves: list[DoorCandidate]
+    cars: list[int]
+    pattern_warnings: list[str]
 
     @property
     def mover_of(self) -> Int:
-        """By geom id, the topmost body that moves it; its own body if none does."""
-        mover_of_body: Int = self.mover_of_body[self.model.geom_bodyid]
-        return mover_of_body
+        """By geom id, the topmost body that moves the geom; its own body if none does."""
+        mover_of_geom: Int = self.mover_of_body[self.model.geom_bodyid]
+        return mover_of_geom
 
     @property
     def is_structure(self) -> Bool:
-        """By geom id, whether it makes floors."""
+        """By geom id, whether the geom makes floors."""
         return mark_structure(self.roles)
 
     @cached_property
     def structure(self) -> Shapes:
-        """The geometry of what stands."""
+        """The geometry of the structure."""
         return self.shapes.only(self.is_structure)
+
+    @property
+    def has_open_mesh(self) -> bool:
+        """Whether the scene is a mesh file with a mesh that is not closed."""
+        if not self.exact_meshes:
+            return False
+        return any(geom.shape.startswith(("surface", "partly closed")) for geom in self.geoms)
+
+
+class CountedGeoms(NamedTuple):
+    """The geoms that count, with their geometry and roles.
+
+    Attributes:
+        selections: whether and as what each geom counts, by its id.
+        shapes: the geometry of those that count, world frame.
+        shape_kinds: the `GeomReport.shape` of those, by geom id.
+        roles: of geoms and bodies.
+        warnings: one line each.
+    """
+
+    selections: list[GeomSelection]
+    shapes: Shapes
+    shape_kinds: dict[int, str]
+    roles: SceneRoles
+    warnings: list[str]
 
 
 @without_garbage_collection()
@@ -119,219 +183,331 @@ def load_scene(
     config: BakeConfig,
     *,
     limits: CompileLimits | None = None,
-    opened: SceneModel | None = None,
+    scene_model: SceneModel | None = None,
 ) -> Scene:
-    """Load a scene, pose it, choose the geoms that count, and divide them by what can move.
+    """Load a scene, pose it, select the geoms that count, and find their roles.
 
-    With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
+    Args:
+        config: all settings.
+        limits: limits for MuJoCo's compiler, which then runs in a child process.
+        scene_model: the compiled model; None to load the file that `config` names.
+
+    Returns:
+        The posed scene.
+
+    Raises:
+        ConfigError: a setting does not fit the scene.
+        SceneError: the scene cannot be read, or no geom counts.
     """
     settings = config.scene
-    opened = opened or load_scene_file(settings, limits)
-    model = opened.model
-    exact_meshes = opened.exact_meshes
-    ground = opened.ground
-    data = opened.data
-    with catch_warnings() as warned:
-        data = pose_model(model, settings) if data is None else data
-    digest = run_beside(lambda: start_digest(model, data, exact_meshes)())
+    if scene_model is None:
+        scene_model = load_scene_file(settings, limits)
+    model = scene_model.model
+    exact_meshes = scene_model.exact_meshes
+    with catch_warnings() as pose_warnings:
+        data = pose_model(model, settings) if scene_model.data is None else scene_model.data
+    wait_for_digest = run_beside(lambda: start_digest(model, data, exact_meshes)())
     meshes = MeshTriangles(model)
-    room = HullRoomTest(model, data, meshes, config.agent, config.floors)
-    said = {geom: part.mode for geom, part in exact_meshes.items()}
-
-    def choose(left_out: Bool) -> tuple[list[GeomSelection], Shapes, dict[int, str], list[str]]:
-        """Choose geoms without those of some bodies; their shapes, what these are, and notes."""
-        selections, notes = select_geoms(model, settings, room.hides_room, left_out, ground, said)
-        shapes, kinds, shape_notes = collect_shapes(
-            model, data, selections, exact_meshes, meshes=meshes
-        )
-        return selections, shapes, kinds, [*notes, *shape_notes]
-
-    def divide_chosen(selections: list[GeomSelection], shapes: Shapes) -> SceneRoles:
-        counted = np.array([choice.counted for choice in selections], dtype=np.bool_)
-        return find_roles(
-            model,
-            data,
-            shapes=shapes,
-            counted=counted,
-            named_leaves=opened.named_leaves,
-            config=config,
-        )
-
     try:
-        selections, shapes, kinds, notes = choose(np.zeros(model.nbody, dtype=np.bool_))
-        roles = divide_chosen(selections, shapes)
-        if settings.exclude.movable:
-            # but for what may be a door
-            left_out = roles.movable.copy()
-            left_out[model.geom_bodyid[roles.roles == LEAF]] = False
-            selections, shapes, kinds, notes = choose(left_out)
-            roles = divide_chosen(selections, shapes)
+        counted_geoms = _count_geoms(scene_model, data, meshes, config)
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error
-    own = [choice for geom, choice in enumerate(selections) if geom != ground]
-    if not own:
-        raise SceneError(f"{settings.path} has no geoms: nothing to bake")
-    if not any(choice.counted for choice in own):
-        reasons = "; ".join(sorted({choice.reason for choice in own})[:3])
-        none = f"none of the {len(own)} geoms of {settings.path} counts"
-        raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
-    warnings = [" ".join(warning.split()) for warning in [*opened.warnings, *warned]]
-    warnings += warn_out_of_range(model, settings)
-    hints = [text for text in warnings if exact_meshes and "`scene.up" in text]
-    bounds = shapes.only(mark_structure(roles.roles)).bounds
-    size = _warn_size(settings, exact_meshes, bounds)
-    hints += size
-    warnings += [*_warn_geometry(model, settings, exact_meshes), *size, *notes, *roles.warnings]
-    types = model.geom_type.tolist()
-    geoms = [
-        GeomReport(
-            id=geom,
-            name=names.geom,
-            body=names.body,
-            type=TYPE_NAMES.get(types[geom], "unknown"),
-            counted=choice.counted,
-            shape=kinds.get(geom, ""),
-            reason=choice.reason,
-            role=ROLES[roles.roles[geom]],
-        )
-        for geom, (names, choice) in enumerate(zip(all_names(model).geoms, selections, strict=True))
+    roles = counted_geoms.roles
+    _check_any_counts(counted_geoms.selections, scene_model.ground, settings)
+    bounds = counted_geoms.shapes.only(mark_structure(roles.roles)).bounds
+    model_warnings = [
+        " ".join(warning.split()) for warning in [*scene_model.warnings, *pose_warnings]
     ]
+    model_warnings += warn_out_of_range(model, settings)
+    size_warnings = _warn_size(settings, exact_meshes, bounds)
+    hints = [text for text in model_warnings if exact_meshes and "`scene.up" in text]
     return Scene(
         id=settings.id or stem_of(settings.path),
-        geoms=geoms,
-        shapes=shapes,
+        geoms=_report_geoms(model, counted_geoms),
+        shapes=counted_geoms.shapes,
         bounds=bounds,
-        digest=digest(),
-        warnings=warnings,
-        hints=hints,
+        digest=wait_for_digest(),
+        warnings=[
+            *model_warnings,
+            *_warn_unused_geometry(model),
+            *_warn_unused_settings(settings, exact_meshes),
+            *size_warnings,
+            *counted_geoms.warnings,
+            *roles.warnings,
+        ],
+        hints=[*hints, *size_warnings],
         model=model,
         data=data,
-        selections=selections,
+        selections=counted_geoms.selections,
         exact_meshes=exact_meshes,
         meshes=meshes,
         roles=roles.roles,
         movable=roles.movable,
         is_structure_body=roles.is_structure_body,
         mover_of_body=roles.mover_of_body,
-        actuated=frozenset(roles.mover_of_body[[*find_actuated_bodies(model)]].tolist()),
-        named_leaves=opened.named_leaves,
+        actuated_bodies=frozenset(roles.mover_of_body[[*find_actuated_bodies(model)]].tolist()),
+        named_leaves=scene_model.named_leaves,
         leaves=roles.leaves,
         cars=roles.cars,
-        unused=roles.unused,
+        pattern_warnings=roles.pattern_warnings,
     )
 
 
 def load_scene_file(settings: SceneSettings, limits: CompileLimits | None = None) -> SceneModel:
-    """The model of the file that the settings name."""
-    with catch_warnings() as warned:
+    """Load and compile the scene file that the settings name.
+
+    Args:
+        settings: the scene's path, and how to read it.
+        limits: limits for MuJoCo's compiler, which then runs in a child process.
+
+    Raises:
+        SceneError: the file is missing or broken.
+        ConfigError: a setting does not fit the file.
+    """
+    with catch_warnings() as warnings:
         if limits is None:
-            return load_model(settings, warned)
-        return load_isolated(settings, limits, warned)
+            return load_model(settings, warnings)
+        return load_isolated(settings, limits, warnings)
 
 
-def _warn_geometry(
-    model: Any, settings: SceneSettings, exact_meshes: dict[int, NamedMesh]
-) -> list[str]:
-    """Warn of geometry that can't be baked, and of settings that are for mesh files."""
-    notes = [
-        f"{kind} can't be baked and is left out: "
-        + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
-        for kind, starts in (("flex", model.name_flexadr), ("skin", model.name_skinadr))
-        if len(starts)
-    ]
-    given = {"up": settings.up not in ("auto", "z"), "unit": settings.unit != 1.0}
-    text = "is for mesh files and does nothing here"
-    unused = [f"`scene.{name}` {text}" for name, is_given in given.items() if is_given]
+def _count_geoms(
+    scene_model: SceneModel, data: mujoco.MjData, meshes: MeshTriangles, config: BakeConfig
+) -> CountedGeoms:
+    """Select the geoms that count, and find their roles.
+
+    With `scene.exclude.movable`, movables are left out, but for those that may be doors: so roles
+    are found first with all geoms, then again with those that are left.
+    """
+    hull_room = HullRoomTest(scene_model.model, data, meshes, config.agent, config.floors)
+    no_bodies = np.zeros(scene_model.model.nbody, dtype=np.bool_)
+    counted_geoms = _count_geoms_without(no_bodies, scene_model, hull_room, config)
+    if config.scene.exclude.movable:
+        roles = counted_geoms.roles
+        left_out_bodies = roles.movable.copy()
+        left_out_bodies[scene_model.model.geom_bodyid[roles.roles == LEAF]] = False
+        counted_geoms = _count_geoms_without(left_out_bodies, scene_model, hull_room, config)
+    return counted_geoms
+
+
+def _count_geoms_without(
+    left_out_bodies: Bool, scene_model: SceneModel, hull_room: HullRoomTest, config: BakeConfig
+) -> CountedGeoms:
+    """Select the geoms that count, without those of some bodies, and find their roles."""
+    model = hull_room.model
+    data = hull_room.data
+    exact_meshes = scene_model.exact_meshes
+    selections, selection_warnings = select_geoms(
+        model,
+        config.scene,
+        hides_room=hull_room.hides_room,
+        left_out_bodies=left_out_bodies,
+        ground=scene_model.ground,
+        file_mesh_modes={geom: mesh.mode for geom, mesh in exact_meshes.items()},
+    )
+    shapes, shape_kinds, shape_warnings = collect_shapes(
+        model, data, selections, exact_meshes, meshes=hull_room.meshes
+    )
+    roles = find_roles(
+        model,
+        data,
+        shapes=shapes,
+        counted=np.array([selection.counted for selection in selections], dtype=np.bool_),
+        named_leaves=scene_model.named_leaves,
+        config=config,
+    )
+    return CountedGeoms(
+        selections=selections,
+        shapes=shapes,
+        shape_kinds=shape_kinds,
+        roles=roles,
+        warnings=[*selection_warnings, *shape_warnings],
+    )
+
+
+def _check_any_counts(
+    selections: list[GeomSelection], ground: int | None, settings: SceneSettings
+) -> None:
+    """Raise a SceneError unless any geom of the scene itself, not its added ground, counts."""
+    scene_geoms = [selection for geom, selection in enumerate(selections) if geom != ground]
+    if not scene_geoms:
+        raise SceneError(f"{settings.path} has no geoms: nothing to bake")
+    if not any(selection.counted for selection in scene_geoms):
+        reasons = "; ".join(sorted({selection.reason for selection in scene_geoms})[:3])
+        none = f"none of the {len(scene_geoms)} geoms of {settings.path} counts"
+        raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
+
+
+def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[GeomReport]:
+    types = model.geom_type.tolist()
+    roles = counted_geoms.roles.roles
+    reports = []
+    for geom, names in enumerate(all_names(model).geoms):
+        selection = counted_geoms.selections[geom]
+        reports.append(
+            GeomReport(
+                id=geom,
+                name=names.geom,
+                body=names.body,
+                type=TYPE_NAMES.get(types[geom], "unknown"),
+                counted=selection.counted,
+                shape=counted_geoms.shape_kinds.get(geom, ""),
+                reason=selection.reason,
+                role=ROLES[roles[geom]],
+            )
+        )
+    return reports
+
+
+# ---------------------------------------------------------------- warnings
+
+
+def _warn_unused_geometry(model: mujoco.MjModel) -> list[str]:
+    """Warn of geometry that can't be baked: flexes and skins."""
+    warnings = []
+    for kind, addresses in (("flex", model.name_flexadr), ("skin", model.name_skinadr)):
+        if len(addresses):
+            names = [
+                name_at(model, address) or f"{kind} {number}"
+                for number, address in enumerate(addresses)
+            ]
+            warnings.append(f"{kind} can't be baked and is left out: {', '.join(names)}")
+    return warnings
+
+
+def _warn_unused_settings(settings: SceneSettings, exact_meshes: dict[int, NamedMesh]) -> list[str]:
+    """Warn of settings that are for mesh files, where the scene is none."""
     suffix = Path(settings.path).suffix.lower()
-    takes_frame = suffix in STAGE_SUFFIXES or (bool(exact_meshes) and suffix not in SDF_SUFFIXES)
-    return [*notes, *([] if takes_frame else unused)]
+    is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES
+    if is_mesh_file or suffix in STAGE_SUFFIXES:
+        return []
+    warnings = []
+    if settings.up not in ("auto", "z"):
+        warnings.append("`scene.up` is for mesh files and does nothing here")
+    if settings.unit != 1.0:
+        warnings.append("`scene.unit` is for mesh files and does nothing here")
+    return warnings
 
 
 def _warn_size(
-    settings: SceneSettings, exact_meshes: dict[int, NamedMesh], bounds: Any
+    settings: SceneSettings, exact_meshes: dict[int, NamedMesh], bounds: Float | None
 ) -> list[str]:
     """Warn of a scene whose size says that its unit is not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
     suffix = Path(settings.path).suffix.lower()
-    if suffix in SDF_SUFFIXES | STAGE_SUFFIXES:  # these state their unit
-        exact_meshes = {}
-    sides = np.diff(bounds_of_meshes(exact_meshes.values()) if exact_meshes else bounds, axis=0)[0]
+    # SDF and USD state their unit.
+    is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES | STAGE_SUFFIXES
+    box = bounds_of_meshes(exact_meshes.values()) if is_mesh_file else bounds
+    sides = np.diff(box, axis=0)[0]
     width = float(sides.max())
     height = float(sides[2])
-    if width < SMALL:
+    if width < MIN_SCENE_WIDTH:
         hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
-        if exact_meshes:
+        if is_mesh_file:
             unit = "the metres that one unit of it is, as 1000 for kilometres"
             hint = f"set `scene.unit` to {unit} (1 silences this)"
-        return [f"the {'mesh' if exact_meshes else 'scene'} is only {width:.6g} m large: {hint}"]
-    if exact_meshes and (height > HIGH_MESH or width > WIDE_MESH):
-        text = f"{height:.6g} m high" if height > HIGH_MESH else f"{width:.6g} m large"
+        kind = "mesh" if is_mesh_file else "scene"
+        return [f"the {kind} is only {width:.6g} m large: {hint}"]
+    if is_mesh_file and (height > MAX_MESH_HEIGHT or width > MAX_MESH_WIDTH):
+        size = f"{height:.6g} m high" if height > MAX_MESH_HEIGHT else f"{width:.6g} m large"
         hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
-        return [f"the mesh is {text}: {hint} (1 silences this)"]
+        return [f"the mesh is {size}: {hint} (1 silences this)"]
     return []
 
 
-DigestedNames = tuple[Any, NDArray[np.uint8], NDArray[np.uint8]]
-"""The sha256 of the geoms' names, with which a digest begins; the names of sites, and of joints."""
+# ---------------------------------------------------------------- digest
 
 
-def digest_names(model: Any) -> DigestedNames:
-    """The part of a scene's digest that depends on names, which never change."""
-    digest = hashlib.sha256()
+class DigestedNames(NamedTuple):
+    """The part of a scene's digest that depends on names, which never change.
+
+    Attributes:
+        geom_hash: the sha256 of the geoms' names, with which a digest begins.
+        sites: the names of sites, as bytes.
+        joints: the names of joints, as bytes.
+    """
+
+    geom_hash: hashlib._Hash
+    sites: NDArray[np.uint8]
+    joints: NDArray[np.uint8]
+
+
+def digest_names(model: mujoco.MjModel) -> DigestedNames:
+    """Compute the part of a scene's digest that depends on names, which never change."""
+    geom_hash = hashlib.sha256()
     for names in all_names(model).geoms:
-        digest.update("\0".join(names).encode() + b"\n")
-    sites = np.frombuffer(
-        "\x00".join(names_at(model, model.name_siteadr.tolist())).encode(), dtype=np.uint8
+        geom_hash.update("\0".join(names).encode() + b"\n")
+    return DigestedNames(
+        geom_hash=geom_hash,
+        sites=_join_names(model, model.name_siteadr),
+        joints=_join_names(model, model.name_jntadr),
     )
-    joints = np.frombuffer(
-        "\x00".join(names_at(model, model.name_jntadr.tolist())).encode(), dtype=np.uint8
-    )
-    return digest, sites, joints
+
+
+def _join_names(model: mujoco.MjModel, addresses: Int32) -> NDArray[np.uint8]:
+    names = names_at(model, addresses.tolist())
+    return np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
 
 
 def start_digest(
-    model: Any, data: Any, exact_meshes: dict[int, NamedMesh], names: DigestedNames | None = None
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    exact_meshes: dict[int, NamedMesh],
+    names: DigestedNames | None = None,
 ) -> Callable[[], str]:
-    """Start the sha256 of all of a posed model that a bake uses; the result waits for its hex.
+    """Start to compute the sha256 of all that a bake uses of a posed model.
 
     Small arrays are hashed together, as hashing releases Python's lock each time.
+
+    Args:
+        model: the model.
+        data: its pose.
+        exact_meshes: the meshes of a mesh file by geom id.
+        names: the part that depends on names; computed if None.
+
+    Returns:
+        A function that waits for the digest, and returns it as hexadecimal digits.
     """
-    begun, sites, joints = names or digest_names(model)
-    digest = begun.copy()
-    left = bytearray()
-    for number, array in enumerate(_digest_arrays(model, data, exact_meshes, sites, joints)):
-        left += f"{number} {array.dtype.str} {array.shape}\n".encode()
+    if names is None:
+        names = digest_names(model)
+    digest = names.geom_hash.copy()
+    pending = bytearray()
+    for number, array in enumerate(_digested_arrays(model, data, exact_meshes, names)):
+        pending += f"{number} {array.dtype.str} {array.shape}\n".encode()
         if array.nbytes > LARGE_ARRAY:
-            digest.update(left)
+            digest.update(pending)
             digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-            left = bytearray()
+            pending = bytearray()
         else:
-            left += array.tobytes()
+            pending += array.tobytes()
 
     def finish() -> str:
-        digest.update(left)
+        digest.update(pending)
         return str(digest.hexdigest())
 
-    return run_beside(finish) if len(left) > WORTH_THREAD else finish
+    return run_beside(finish) if len(pending) > MIN_THREAD_BYTES else finish
 
 
-def _digest_arrays(
-    model: Any, data: Any, exact_meshes: dict[int, NamedMesh], *names: NDArray[np.uint8]
-) -> Iterator[NDArray[Any]]:
+def _digested_arrays(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    exact_meshes: dict[int, NamedMesh],
+    names: DigestedNames,
+) -> Iterator[NDArray[np.generic]]:
+    """The arrays of a posed model that a bake uses; their order is part of the digest."""
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
     yield from (data.geom_xpos, data.geom_xmat)
     yield from (model.body_parentid, model.body_weldid, model.body_mocapid)
-    # before MuJoCo 4, its booleans were bytes
+    # Before MuJoCo 4, its booleans were bytes.
     is_limited = np.asarray(model.jnt_limited, dtype=np.bool_)
     yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
-    yield from names
+    yield from (names.sites, names.joints)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)

@@ -175,7 +175,7 @@ class Voxelizer:
                 extended = exclusions.model_copy(update={"bodies": bodies})
                 self._settings = config.scene.model_copy(update={"exclude": extended})
             config = config.model_copy(update={"scene": self._settings})
-            self.scene = load_scene(config, opened=opened)
+            self.scene = load_scene(config, scene_model=opened)
         self.shapes = self.scene.shapes
         self._labels: dict[str, Labels] = {}  # by `repr` of the segments
 

@@ -183,10 +183,9 @@ def test_recasts_dungeon_lies_on_its_side():
 def test_wrong_units_are_told_before_the_bake_and_named_in_its_error(tmp_path):
     path, told = tmp_path / "flat.ply", []
     trimesh.creation.box((0.08, 0.06, 0.025)).export(path)
+    config = parse_config({"scene": {"path": path}, "grid": {"cell_size": 0.01}})
     with pytest.raises(SceneError, match=r"only 0\.08 m large: set `scene\.unit`"):
-        run_bake(
-            parse_config({"scene": {"path": path}, "grid": {"cell_size": 0.01}}), tell=told.append
-        )
+        run_bake(config, warn_early=told.append)
     assert len(told) == 1 and "`scene.unit`" in told[0]
     trimesh.creation.box((1.0, 0.8, 0.6)).export(path)
     with pytest.raises(

@@ -219,7 +219,7 @@ def test_on_a_slope_without_end_only_what_is_near_is_baked():
         assert check(baker, settings, bodies={"chair": place}) == ""
 
 
-@pytest.mark.parametrize("where", ["build_grid", "_compare"])
+@pytest.mark.parametrize("where", ["build_grid", "_find_changed_cells"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
 def test_an_update_that_ends_early_leaves_the_grid(monkeypatch, where, error):
     baker = navbake.Baker(make(CHAIR))

@@ -122,7 +122,12 @@ def test_no_stage_of_what_stands_runs_again(monkeypatch):
     with monkeypatch.context() as patch:
         # each would raise
         patch.setattr("navbake.baker.live.update.open_stages", None)
-        for name in ("find_floors", "find_standing_cells", "classify_occupants", "find_rooms"):
+        for name in (
+            "find_scene_floors",
+            "find_standing_cells",
+            "classify_occupants",
+            "find_rooms",
+        ):
             patch.setattr(f"navbake.baker.bake.stages.{name}", None)
         for update in (
             {"bodies": {"chair": [2.0, 2.0, 0.4]}},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.scene import hull_room
-from navbake.baker.scene.hull_room import MOST_LINES, HullRoomTest
+from navbake.baker.scene.hull_room import MAX_LINES, HullRoomTest
 from navbake.config.settings import AgentSettings, FloorSettings
 
 
@@ -38,7 +38,7 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
 
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
     found = SimpleNamespace(bounds=bounds), {}, []
-    monkeypatch.setattr(hull_room, "collect_shapes", lambda *arguments: found)
+    monkeypatch.setattr(hull_room, "collect_shapes", lambda *arguments, **keywords: found)
     monkeypatch.setattr(hull_room, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
     model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
@@ -46,4 +46,4 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
     room = HullRoomTest(model, data, None, AgentSettings(), FloorSettings())
     with pytest.raises(InterruptedError):
         room.hides_room(0)
-    assert seen[0].width * seen[0].height <= 3 * MOST_LINES
+    assert seen[0].width * seen[0].height <= 3 * MAX_LINES

@@ -65,7 +65,7 @@ def crash(monkeypatch, code):
     hook = f"def load(*_):\n    {code}\nmodel.load_model = load\n"
     run = "model.compile_job(sys.argv[1])"
     child = f"import sys; sys.path[:] = {{path!r}}\n{begin}{hook}{run}"
-    monkeypatch.setattr(model, "CHILD", child)
+    monkeypatch.setattr(model, "CHILD_CODE", child)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a signal ends a process on POSIX")
@@ -151,7 +151,7 @@ def test_the_current_folder_is_not_searched_for_modules(room, monkeypatch):
 
 
 def test_a_child_that_cannot_start_is_not_the_scenes_fault(room, monkeypatch):
-    monkeypatch.setattr(model, "CHILD", "import sys; {path!r}; sys.exit(3)")
+    monkeypatch.setattr(model, "CHILD_CODE", "import sys; {path!r}; sys.exit(3)")
     with pytest.raises(NavbakeError, match=r"cannot start a process .* \(exit status 3\)"):
         load_isolated(SceneSettings(path=room), CompileLimits(), [])
 

@@ -42,7 +42,7 @@ def look_for(scene: Scene, **settings: Any) -> tuple[list[DoorCandidate], list[s
         counted=np.array([geom.counted for geom in scene.geoms]),
         movable=scene.movable,
         is_structure_body=scene.is_structure_body,
-        named=scene.named_leaves,
+        named_leaves=scene.named_leaves,
         settings=DoorSettings(**settings),
     )
 

@@ -1,0 +1,132 @@
+"""Layers, steps, doors and rooms as a grid file has them: cropped to each level's own rectangle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from navbake.baker.bake.baked import BakedStructure, GridDoor, StructureLayers
+from navbake.baker.bake.boxes import LevelBoxes
+from navbake.baker.core.windows import Window, crop_cells
+from navbake.baker.doors.doors import ClassifiedLeaf, find_door_cells, is_stuck, make_door
+from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.occupants.movable import MovableOccupants
+from navbake.baker.rooms.rooms import Rooms
+from navbake.config.settings import BakeConfig
+from navbake.navgrid.rooms import Door, Runs
+from navbake.types import Int, Json
+
+
+def crop_layers(
+    levels: Sequence[LevelFloor], rooms: Rooms, windows: Sequence[Window]
+) -> list[StructureLayers]:
+    """Crop the layers that structure makes to each level's own rectangle.
+
+    Args:
+        levels: on the lattice, lowest first.
+        rooms: on the lattice.
+        windows: the rectangle of each level: rows and columns of the lattice.
+
+    Returns:
+        The layers of each level.
+    """
+    layers = []
+    for level, room_index, window in zip(levels, rooms.index, windows, strict=True):
+        unseen = None
+        if level.unseen is not None:
+            unseen = level.unseen[window].astype(np.uint8)
+        layers.append(
+            StructureLayers(
+                floor=level.floor[window].astype(np.float32),
+                room_index=np.ascontiguousarray(room_index[window]),
+                unseen=unseen,
+            )
+        )
+    return layers
+
+
+def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
+    """Count the cells of steps between levels on each level's own rectangle.
+
+    Args:
+        steps: level a, cell a, level b, cell b, shape (n, 4), int64; cells of the lattice.
+        boxes: the rectangle of each level.
+        width: of the lattice [cells].
+
+    Returns:
+        The rows of `steps` with cells counted anew.
+    """
+    cropped_steps = steps.copy()
+    for number, window in enumerate(boxes.windows):
+        for level_column, cell_column in ((0, 1), (2, 3)):
+            is_on_level = cropped_steps[:, level_column] == number
+            cells = cropped_steps[is_on_level, cell_column]
+            # Each of them has a floor, so that none lies outside of the rectangle.
+            cropped_steps[is_on_level, cell_column] = crop_cells(cells, window, width)[0]
+    rows: list[list[int]] = cropped_steps.tolist()
+    return rows
+
+
+def make_grid_door(
+    leaf: ClassifiedLeaf,
+    baked_structure: BakedStructure,
+    occupants: MovableOccupants,
+    config: BakeConfig,
+) -> GridDoor:
+    """Make a door of the grid, with the cells that nothing else occupies, by level.
+
+    Args:
+        leaf: a leaf that is a door.
+        baked_structure: has the rectangle of each level.
+        occupants: the cells that anything but doors occupies.
+        config: all settings; `doors.state` is the state that the door is written in.
+
+    Returns:
+        The door, and its entry in the file.
+    """
+    cells = find_door_cells(leaf, occupants.blocked, occupants.blocked_squares)
+    door = make_door(
+        leaf,
+        cells,
+        windows=baked_structure.boxes.windows,
+        width=baked_structure.lattice.width,
+        wanted=config.doors.state,
+    )
+    return GridDoor(door, door_to_json(door), is_stuck(cells))
+
+
+def door_to_json(door: Door) -> Json:
+    """Return a door as it is written to a file; `navbake.navgrid.rooms.parse_doors` reads it."""
+    entry: Json = {
+        "id": door.id,
+        "joint": door.joint,
+        "rooms": list(door.rooms),
+        "state": door.state,
+        "cells": _runs_to_json(door.cells),
+    }
+    if door.solid:
+        entry["solid"] = _runs_to_json(door.solid)
+    return entry
+
+
+def _runs_to_json(by_state: Mapping[str, Mapping[int, Runs]]) -> Json:
+    """The runs of cells of each state, as a list of levels and their runs."""
+    entry: Json = {}
+    for state, by_level in by_state.items():
+        entry[state] = [[level, runs] for level, runs in by_level.items()]
+    return entry
+
+
+def rooms_to_json(rooms: Rooms, doors: Sequence[ClassifiedLeaf]) -> list[Json]:
+    """Return the table of rooms as it is written to a file, with the doors between rooms.
+
+    Args:
+        rooms: the table without doors.
+        doors: the leaves that are doors.
+
+    Returns:
+        An entry for each room.
+    """
+    closed_doors = {door.candidate.id: (door.rooms, door.closed_cells) for door in doors}
+    return [room.to_json() for room in rooms.with_neighbours(closed_doors).table]

@@ -1,0 +1,133 @@
+"""The floors of a whole scene, and the holes in the floor of a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navbake.baker.bake.baked import FloorLattice
+from navbake.baker.columns.columns import ColumnSource, ShapeSource
+from navbake.baker.core.arrays import HeightRange
+from navbake.baker.core.components import label_components_2d
+from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_holes, find_floors
+from navbake.baker.floors.outline import OccupancyTest
+from navbake.baker.occupancy.footprint import Footprint
+from navbake.baker.occupancy.occupancy import check_occupancy
+from navbake.baker.scene.scene import Scene
+from navbake.config.settings import SCAN_HOLES, BakeConfig
+from navbake.errors import SceneError
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Bool, Float, Int
+
+
+def find_scene_floors(
+    columns: ColumnSource,
+    tile_index: ShapeSource,
+    scene: Scene,
+    lattice: Lattice,
+    extended: FloorLattice,
+    config: BakeConfig,
+) -> Floors:
+    """Find the floors of the whole scene, and crop them to the lattice that is baked.
+
+    Args:
+        columns: of the structure, on the extended lattice.
+        tile_index: the structure's geometry, by tiles of the extended lattice.
+        scene: the posed scene.
+        lattice: the cells that are baked.
+        extended: the lattice of the whole scene, and the window of it that is baked.
+        config: all settings.
+
+    Returns:
+        The levels with their floors, cells counted on `lattice`.
+
+    Raises:
+        SceneError: there is no floor; the text says where the scene lies.
+    """
+    try:
+        floors = find_floors(
+            columns,
+            scene.structure,
+            agent=config.agent,
+            settings=config.floors,
+            level_settings=None if config.levels == "auto" else list(config.levels),
+            is_occupied=make_occupancy_test(columns, tile_index, config),
+        )
+        if extended.lattice != lattice:
+            floors = crop_floors(floors, extended.window)
+    except SceneError as error:
+        raise SceneError(
+            f"{config.scene.path}: {error}{_describe_extent(scene, config)}"
+        ) from error
+    return floors
+
+
+def make_occupancy_test(
+    columns: ColumnSource, tile_index: ShapeSource, config: BakeConfig
+) -> OccupancyTest:
+    """Return a function that tests cells for occupancy with an agent of radius 0.
+
+    A region ends where a wall stands, not an agent's radius before the wall.
+
+    Args:
+        columns: of the structure.
+        tile_index: the structure's geometry, by tiles of the same lattice.
+        config: all settings.
+
+    Returns:
+        A function of cells, their floors [m], and a range of heights over the floors [m], None
+        for the agent's; it returns a mask of the cells that are occupied.
+    """
+    point_agent = config.agent.model_copy(update={"radius": 0.0})
+    footprint = Footprint.of(point_agent, columns.lattice.cell_size)
+
+    def is_occupied(cells: Int, floors: Float, heights: HeightRange | None = None, /) -> Bool:
+        volume = footprint if heights is None else footprint.between(heights)
+        return check_occupancy(
+            columns.covering(cells), tile_index.near_cells(cells), volume, cells, floors
+        ).occupied
+
+    return is_occupied
+
+
+def measure_holes(
+    level: LevelFloor, columns: ColumnSource, tile_index: ShapeSource, config: BakeConfig
+) -> Float:
+    """Measure the holes in a level's floor that `floors.fill` closes, or would close.
+
+    Floor surrounds such holes, and they are no larger than those of a scan.
+
+    Args:
+        level: the level, whose holes may be closed already.
+        columns: of the structure.
+        tile_index: the structure's geometry, by tiles of the same lattice.
+        config: all settings.
+
+    Returns:
+        The area of each hole, (n,) [m²].
+    """
+    cell_area = columns.lattice.cell_size**2
+    if level.unseen is None:
+        is_occupied = make_occupancy_test(columns, tile_index, config)
+        level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
+    hole_of_cell, _ = label_components_2d(np.asarray(level.unseen))
+    cells_of_hole = np.bincount(hole_of_cell.ravel())[1:]
+    areas: Float = cells_of_hole.astype(np.float64) * cell_area
+    return areas
+
+
+def _describe_extent(scene: Scene, config: BakeConfig) -> str:
+    """Describe where a scene without floor lies: its axes, unit or bounds are often wrong."""
+    if scene.bounds is None:
+        return ""
+    hint = "; ".join(scene.hints)
+    if scene.exact_meshes and not hint:
+        up = config.scene.up
+        unit = config.scene.unit
+        hint = f"check which way is up (`scene.up` is {up}) and the unit (`scene.unit` is {unit:g})"
+    sides = zip("xyz", *scene.bounds.tolist(), strict=True)
+    spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
+    endless_geoms = scene.shapes.planes.geom
+    if len(endless_geoms):
+        spans += f" without {scene.geoms[endless_geoms[0]].name!r}, which is endless"
+        spans += ": `grid.margin` or `grid.bounds` shows more of it"
+    return f"; the scene spans, in m, {spans}{'; ' if hint else ''}{hint}"
