@@ -351,8 +351,8 @@ class _Plane(NamedTuple):
 def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
     """Find the largest flat surfaces that face along an axis, the largest first.
 
-    The plane with most area in one slot of the axis is fitted to the triangles near it, which are
-    then taken out; and so on.
+    The slot of the axis with the most area gives a plane, which is fitted to the triangles near it.
+    These are removed, and the next plane is searched among the others.
     """
     remaining = np.flatnonzero(np.abs(sample.normal @ axis) >= FACING)
     planes = list[_Plane]()

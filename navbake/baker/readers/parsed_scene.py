@@ -30,7 +30,7 @@ from navbake.known_names import unique_name
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int, Int32
 
-# A mesh in place of one that is kept exact beside the model; counter-clockwise from outside
+# Stands in the model for a mesh that is kept exact beside it; counter-clockwise from outside
 TETRAHEDRON = Mesh(
     vertices=np.eye(4, 3),
     faces=np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], dtype=np.int32),
@@ -61,7 +61,7 @@ class ParsedGeom(NamedTuple):
         kind: one of `GEOM_TYPES`.
         size: MuJoCo's [m]; of a mesh empty.
         pose: (4, 4), from its own frame to the world [m]; rigid unless it is a mesh.
-        mesh: its triangles, in its own frame, of a mesh.
+        mesh: the triangles of a mesh, in the geom's frame; None for a solid.
         heights: of a height field, 0 to 1, row 0 at the smallest y.
         mode: as what `scene.meshes: auto` counts a mesh: ``surface`` or ``hull``.
         collides: whether it can collide.

@@ -95,7 +95,7 @@ class HeightField(NamedTuple):
 
 
 class MeshKey(NamedTuple):
-    """By what meshes that are read once are found again.
+    """The key by which meshes that were read are cached.
 
     Attributes:
         file: of the mesh.
@@ -391,7 +391,7 @@ class _WorldReader:
     def _read_joint(
         self, scope: Scope, element: Element, name: str, where: str
     ) -> ParsedJoint | None:
-        """A joint in the world frame; None where it is fixed, or taken as that."""
+        """A joint in the world frame; None for a fixed one, and for one of unknown type."""
         kind = str(element.get("type"))
         pose = scope.pose_of(str(element.get("name")))
         axis = element.find("axis")

@@ -4,9 +4,9 @@ pxr comes with the extra [usd]. MuJoCo's own plugin for USD is not used: it leav
 axis, instancers, visibility and purpose.
 
 A prim is drawn unless it, or one above it, is invisible, a guide, or a proxy beside render prims.
-It collides by the collision API, its own or of a prim above it, drawn or not. A prim that does
-neither is left out. Coordinates are rounded to `DECIMALS`: USD's are 32-bit floats, of which 3.7 m
-are 3.7000000477 and 370 cm aren't.
+It collides where the collision API is applied to it, or to one above it, drawn or not. A prim that
+neither is drawn nor collides is left out. Coordinates are rounded to `DECIMALS`: USD's are 32-bit
+floats, in which 3.7 m are 3.7000000477 and 370 cm are exact.
 
 Source: Pixar, Universal Scene Description, schemas UsdGeom and UsdPhysics.
 """
@@ -125,7 +125,7 @@ class _PrimGeometry(NamedTuple):
 
 
 class _MeshKey(NamedTuple):
-    """By what meshes that are read once are found again.
+    """The key by which meshes that were read are cached.
 
     Attributes:
         path: of the prim, in its prototype where it is an instance.
@@ -658,7 +658,7 @@ class _StageReader:
 
 
 def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tuple[Float, Float]:
-    """Choose the frame nearest to the world's, of those in which a solid is the same.
+    """Choose, of the frames in which a solid is the same, the one nearest to the world's.
 
     So a box is the same whether the stage is y or z up.
 
@@ -690,12 +690,14 @@ def _scale_size(
     kind: str, size: tuple[float, ...], scales: list[float], is_skewed: bool
 ) -> tuple[float, ...] | None:
     """The size of a solid that is scaled along its axes [m]; None where it is no such solid now."""
-    x, y, z = (_round(scale, DECIMALS) for scale in scales)
+    x_scale = _round(scales[0], DECIMALS)
+    y_scale = _round(scales[1], DECIMALS)
+    z_scale = _round(scales[2], DECIMALS)
     if is_skewed or kind == "cone":
         return None
-    if kind == "capsule" and not x == y == z:
+    if kind == "capsule" and not x_scale == y_scale == z_scale:
         return None
-    if kind == "cylinder" and x != y:
+    if kind == "cylinder" and x_scale != y_scale:
         return None
     factors = (scales[0], scales[2]) if kind in ("cylinder", "capsule") else scales
     return tuple(

@@ -20,9 +20,9 @@ class GeomNames(NamedTuple):
     """The names of a geom that patterns match and reports show.
 
     Attributes:
-        geom: its own; ``geom <id>`` where it has none.
-        mesh: its mesh's; empty where it has none.
-        body: its body's; ``body <id>`` where that has none.
+        geom: the geom's name; ``geom <id>`` where it has none.
+        mesh: its mesh's name; empty without a mesh.
+        body: its body's name; ``body <id>`` where that has none.
     """
 
     geom: str
