@@ -52,27 +52,38 @@ MODES = ("trinary", "scale", "raw")
 PIXEL_RULES = ("humble", "main")
 IMAGES = ("pgm", "png")
 YAMLS = (".yaml", ".yml")
-# of map_saver; 0.25 takes 205 for free
+# thresholds of map_saver; 0.25 would take 205 for free
 OCCUPIED_THRESHOLD = 0.65
 FREE_THRESHOLD = 0.196
-DIGITS = 9  # of an origin, after the point: nanometres [m]
-# of mode trinary, as map_saver writes them
-GREY = 0
+DECIMALS = 9  # of an origin: nanometres [m]
+# greys of mode trinary, as map_saver writes them
+OCCUPIED_GREY = 0
 UNKNOWN_GREY = 205
 FREE_GREY = 254
 
 
 class MapYaml(NamedTuple):
-    """The content of a map's YAML."""
+    """The content of a map's YAML.
+
+    Attributes:
+        image: the path of the image.
+        resolution: the edge of a cell [m].
+        origin: the outer corner of the lower left cell, world x, y [m], and the map's yaw [rad].
+        mode: ``trinary``, ``scale`` or ``raw``.
+        negate: whether dark pixels are free.
+        occupied: the threshold above which a pixel's darkness is occupied, 0 to 1.
+        free: the threshold below which it is free, 0 to 1.
+        ground: world z of the floor [m], a key of navbake's.
+    """
 
     image: Path
-    resolution: float  # [m]
-    origin: tuple[float, float, float]  # x, y [m], yaw [rad]
+    resolution: float
+    origin: tuple[float, float, float]
     mode: str
     negate: bool
     occupied: float
     free: float
-    ground: float = 0.0  # world z of the floor [m]; navbake's own key
+    ground: float = 0.0
 
 
 def encode_nav2(
@@ -92,9 +103,10 @@ def encode_nav2(
     costs, too: 1 to 98 for weights above 1, and 99 for cells that only an inflation closed.
 
     Args:
-        path: ends in ``.yaml`` or ``.yml``; several levels have numbers after the stem:
-            ``map_0.yaml``, ``map_1.yaml``.
-        level: this level's map only, under the name itself.
+        grid: the grid.
+        path: the YAML, which ends in ``.yaml`` or ``.yml``; those of several levels have numbers
+            after the stem: ``map_0.yaml``, ``map_1.yaml``.
+        level: the number of the only level to write, None for all.
         radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         mode: ``trinary``, ``scale`` or ``raw``.
         image: ``pgm`` or ``png``; ``png`` in mode ``scale``, else ``pgm``, if None.
@@ -102,11 +114,15 @@ def encode_nav2(
             ``inflation_radius`` [m]; not in mode ``trinary``. The default radius is the grid's.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
 
+    Returns:
+        The content of each file by its path.
+
     Raises:
         FormatError: there is no such level, mode or image, or options exclude each other.
         QueryError: a radius, inflation or scaling out of its range.
     """
-    image = image or ("png" if mode == "scale" else "pgm")
+    if not image:
+        image = "png" if mode == "scale" else "pgm"
     check_choice(mode, MODES, "mode")
     check_choice(image, IMAGES, "image")
     if mode == "scale" and image == "pgm":
@@ -115,7 +131,8 @@ def encode_nav2(
         raise FormatError("mode trinary has no costs: expected mode scale or raw with an inflation")
     if scaling is not None and inflation is None:
         raise FormatError("scaling is how fast the costs of an inflation fall: expected one")
-    scaling = NAV2_SCALING if scaling is None else scaling
+    if scaling is None:
+        scaling = NAV2_SCALING
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}
@@ -123,39 +140,57 @@ def encode_nav2(
         if inflation is None:
             values = occupancy.compute_occupancy_values(grid, k)
         else:
-            robot = grid.agent_radius if radius is None else radius
-            values = occupancy.compute_costmap_values(grid, k, robot, inflation, scaling)
+            robot_radius = grid.agent_radius if radius is None else radius
+            values = occupancy.compute_costmap_values(grid, k, robot_radius, inflation, scaling)
         files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 
 
 def encode_map(
-    level: SceneGrid2D, values: occupancy.Values, path: Path, mode: str, image: str
+    level: SceneGrid2D, values: occupancy.OccupancyValues, path: Path, mode: str, image: str
 ) -> Files:
-    """The image of a level's values, and the YAML that names it."""
-    unknown = values == occupancy.UNKNOWN
+    """Encode the image of a level's values, and the YAML that names it.
+
+    Args:
+        level: the level.
+        values: the values of its cells, shape (height, width), int8.
+        path: the YAML; the image has the same name with another ending.
+        mode: ``trinary``, ``scale`` or ``raw``.
+        image: ``pgm`` or ``png``.
+
+    Returns:
+        The content of the image and of the YAML, each by its path.
+
+    Raises:
+        FormatError: the name of the image isn't UTF-8, so that a YAML can't hold it.
+    """
+    is_unknown = values == occupancy.UNKNOWN
     if mode == "raw":
-        pixels = np.where(unknown, 255, values)
+        pixels = np.where(is_unknown, 255, values)
     elif mode == "trinary":
-        pixels = np.where(values >= occupancy.INSCRIBED, GREY, FREE_GREY)
-        pixels = np.where(unknown, UNKNOWN_GREY, pixels)
+        pixels = np.where(values >= occupancy.INSCRIBED, OCCUPIED_GREY, FREE_GREY)
+        pixels = np.where(is_unknown, UNKNOWN_GREY, pixels)
     else:  # colours with opacity
-        grey = np.where(unknown, 127, np.rint((100 - values.astype(float)) * 2.55))
-        pixels = np.stack([grey, grey, grey, np.where(unknown, 0, 255)], axis=-1)
+        grey = np.where(is_unknown, 127, np.rint((100 - values.astype(float)) * 2.55))
+        opacity = np.where(is_unknown, 0, 255)
+        pixels = np.stack([grey, grey, grey, opacity], axis=-1)
     image_path = path.with_suffix(f".{image}")
     check_named(image_path)
     x_min, y_min, _, _ = level.lattice.bounds
-    # in mode scale, values between the thresholds are spread over 0 to 100; keep them distinct
-    occupied, free = (1.0, 0.0) if mode == "scale" else (OCCUPIED_THRESHOLD, FREE_THRESHOLD)
+    occupied_threshold = OCCUPIED_THRESHOLD
+    free_threshold = FREE_THRESHOLD
+    if mode == "scale":  # spreads values between the thresholds over 0 to 100: keep them distinct
+        occupied_threshold = 1.0
+        free_threshold = 0.0
     entries: Json = {
         "image": image_path.name,
         "mode": mode,
         "resolution": float(level.lattice.cell_size),
-        "origin": [rounded(x_min, DIGITS), rounded(y_min, DIGITS), 0.0],
+        "origin": [rounded(x_min, DECIMALS), rounded(y_min, DECIMALS), 0.0],
         "negate": 0,
-        "occupied_thresh": occupied,
-        "free_thresh": free,
-        "navbake": {"ground": rounded(level.ground, DIGITS)},  # ignored by nav2
+        "occupied_thresh": occupied_threshold,
+        "free_thresh": free_threshold,
+        "navbake": {"ground": rounded(level.ground, DECIMALS)},  # ignored by nav2
     }
     kind = {"pgm": "PPM", "png": "PNG"}[image]
     return {image_path: encode_image(pixels.astype(np.uint8), kind), path: encode_yaml(entries)}
@@ -178,45 +213,77 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
         rules: for pixels, those of nav2 from ``humble`` to Jazzy, or of its branch ``main``; see
             `navbake.formats.nav2`.
 
+    Returns:
+        The level.
+
     Raises:
         FormatError: the YAML or its image is missing, broken or too large, or there are no such
             rules.
+
+    Example:
+        >>> grid = navbake.from_nav2("map.yaml")
+        >>> path = navbake.PathFinder(grid).find_path((-4, 2, 0), (4, -3, 0))
     """
-    values, lattice, stated = read_map(path, rules)
-    content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
+    values, lattice, map_yaml = read_map(path, rules)
+    content = {
+        **map_yaml._asdict(),
+        "image": map_yaml.image.name,
+        "origin": list(map_yaml.origin),
+    }
     metadata = {"sceneId": readable_stem(path), "nav2": content}
-    level = occupancy.level_from_values(values, lattice, stated.ground, metadata)
+    level = occupancy.level_from_values(values, lattice, map_yaml.ground, metadata)
     check_grid(level, JsonPath(check_path(path)))
     return level
 
 
 def read_map(
     path: str | PathLike[str], rules: str = "humble"
-) -> tuple[occupancy.Values, Lattice, MapYaml]:
-    """Read a map's values on cells along the axes, the lattice of these, and its YAML.
+) -> tuple[occupancy.OccupancyValues, Lattice, MapYaml]:
+    """Read a map onto cells along the world's axes.
 
-    See `read_nav2` for the arguments and errors.
+    Args:
+        path: the YAML.
+        rules: for pixels, as of `read_nav2`.
+
+    Returns:
+        The values of the cells, their lattice, and the content of the YAML.
+
+    Raises:
+        FormatError: as of `read_nav2`.
     """
     check_choice(rules, PIXEL_RULES, "rules")
-    stated = read_map_yaml(path)
-    if not os.path.exists(stated.image):  # Path.exists raises for names that are too long
-        raise FormatError(f"the image that `image` in {path} names isn't there: {stated.image}")
+    map_yaml = read_map_yaml(path)
+    image = map_yaml.image
+    if not os.path.exists(image):  # Path.exists raises for names that are too long
+        message = f"the image that `image` in {path} names isn't there: {image}"
+        raise FormatError(message, path=str(path), key="image", value=str(image))
     try:
-        check_regular(stated.image)
+        check_regular(image)
     except OSError as error:
         message = f"cannot read the image that `image` in {path} names: {error.strerror}"
-        raise FormatError(f"{message} at {stated.image}") from error
-    values = read_pixel_values(read_pixels(stated.image), stated, rules)
-    return *occupancy.align_with_axes(values, stated.origin, stated.resolution), stated
+        raise FormatError(
+            f"{message} at {image}", path=str(path), key="image", value=str(image)
+        ) from error
+    values = read_pixel_values(read_pixels(image), map_yaml, rules)
+    values, lattice = occupancy.align_with_axes(values, map_yaml.origin, map_yaml.resolution)
+    return values, lattice, map_yaml
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:
-    """The image files that `read_nav2` reads for a YAML; raises as `read_map_yaml` does."""
+    """List the image files that `read_nav2` reads for a YAML.
+
+    Raises:
+        FormatError: as of `read_map_yaml`.
+    """
     return [read_map_yaml(path).image]
 
 
 def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
-    """Read a map's YAML; raises a FormatError if nav2's keys are missing."""
+    """Read a map's YAML.
+
+    Raises:
+        FormatError: the file can't be read, or nav2's keys are missing or broken.
+    """
     place = JsonPath(check_path(path))
     entries, _ = read_yaml(path, expected="the YAML of a map")
     if not isinstance(entries, dict):
@@ -224,14 +291,15 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
     image = entries.get("image", MISSING)
     if not isinstance(image, str) or not image:
         place["image"].refuse("the name of an image", image)
-    stated = {
-        key: float(check_number(entries.get(key, MISSING), place[key]))
-        for key in ("resolution", "occupied_thresh", "free_thresh")
-    }
-    if not LEAST_EDGE <= stated["resolution"] <= FARTHEST:
-        place["resolution"].refuse("a number > 0 [m]", stated["resolution"])
-    occupied = stated["occupied_thresh"]
-    free = stated["free_thresh"]
+
+    def read_float(key: str) -> float:
+        return float(check_number(entries.get(key, MISSING), place[key]))
+
+    resolution = read_float("resolution")
+    occupied = read_float("occupied_thresh")
+    free = read_float("free_thresh")
+    if not LEAST_EDGE <= resolution <= FARTHEST:
+        place["resolution"].refuse("a number > 0 [m]", resolution)
     if not 0 <= free < occupied <= 1:
         place["free_thresh"].fail(
             f"expected 0 <= free_thresh < occupied_thresh <= 1, got {free:g} and {occupied:g}"
@@ -245,55 +313,92 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
         negate = words.get(negate.lower(), negate)
     if not isinstance(negate, int):
         place["negate"].refuse("0 or 1", negate)
-    own = entries.get("navbake")
     origin = check_vector(entries.get("origin", MISSING), place["origin"])
-    ground = own.get("ground", 0.0) if isinstance(own, dict) else 0.0
+    navbake_entry = entries.get("navbake")
+    ground = navbake_entry.get("ground", 0.0) if isinstance(navbake_entry, dict) else 0.0
     ground = float(check_number(ground, place["navbake"]["ground"]))
     if not all(abs(value) <= FARTHEST for value in (*origin[:2], ground)):
         place["origin"].fail(f"expected a map within {FARTHEST:g} m of the origin")
-    place_of_image = Path(path).parent / image
-    resolution = stated["resolution"]
-    return MapYaml(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
+    return MapYaml(
+        image=Path(path).parent / image,
+        resolution=resolution,
+        origin=origin,
+        mode=mode,
+        negate=bool(negate),
+        occupied=occupied,
+        free=free,
+        ground=ground,
+    )
 
 
-def read_pixel_values(pixels: Pixels, stated: MapYaml, rules: str = "humble") -> occupancy.Values:
-    """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
+def read_pixel_values(
+    pixels: Pixels, map_yaml: MapYaml, rules: str = "humble"
+) -> occupancy.OccupancyValues:
+    """Convert the pixels of a map to occupancy values by nav2's rules.
+
+    Args:
+        pixels: the pixels of the image.
+        map_yaml: the content of the map's YAML.
+        rules: ``humble`` or ``main``; the module's docstring has both.
+
+    Returns:
+        The values, shape (height, width), int8, row 0 at the top.
+    """
     light = pixels.light
-    steps = 3 * pixels.white
+    max_light = 3 * pixels.white
     opacity = pixels.opacity
     is_main = rules == "main"
+    # nav2 computes in float or in double
     real: type[np.floating[Any]] = np.float32 if is_main else np.float64
     if is_main:
         light = pixels.luma
-        steps = 255
-    elif stated.mode == "trinary" and opacity is not None:
+        max_light = 255
+    elif map_yaml.mode == "trinary" and opacity is not None:
         light = light + opacity
-        steps = 4 * pixels.white
-    # a table of the few greys, or sums of channels
-    shade = np.arange(steps + 1, dtype=real) / real(steps)
-    occupied = shade if stated.negate else 1 - shade
-    most = real(stated.occupied)
-    least = real(stated.free)
-    if stated.mode == "raw":
-        known = np.rint(shade * 255)
-        table = np.where(known <= occupancy.OCCUPIED, known, occupancy.UNKNOWN)
+        max_light = 4 * pixels.white
+
+    # a table from the few different greys, or sums of channels, to values
+    shade = np.arange(max_light + 1, dtype=real) / real(max_light)
+    darkness = shade if map_yaml.negate else 1 - shade
+    occupied_threshold = real(map_yaml.occupied)
+    free_threshold = real(map_yaml.free)
+    if map_yaml.mode == "raw":
+        raw_values = np.rint(shade * 255)
+        table = np.where(raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN)
     else:
-        between: NDArray[Any] = np.full(steps + 1, float(occupancy.UNKNOWN))
-        if stated.mode == "scale":
-            shares = (occupied - least) / real(stated.occupied - stated.free) * 100
-            between = np.floor(shares + real(0.5)) if is_main else np.rint(shares)
-        is_free = occupied <= least if is_main else occupied < least
-        is_occupied = most <= occupied if is_main else most < occupied
+        between: NDArray[Any] = np.full(max_light + 1, float(occupancy.UNKNOWN))
+        if map_yaml.mode == "scale":
+            percent = (darkness - free_threshold) / real(map_yaml.occupied - map_yaml.free) * 100
+            between = np.floor(percent + real(0.5)) if is_main else np.rint(percent)
+        is_free = darkness <= free_threshold if is_main else darkness < free_threshold
+        is_occupied = occupied_threshold <= darkness if is_main else occupied_threshold < darkness
         table = np.where(
             is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, between)
         )
-    values: occupancy.Values = table.astype(np.int8)[light]
-    if opacity is not None and (stated.mode == "scale" or (is_main and stated.mode == "trinary")):
+    values: occupancy.OccupancyValues = table.astype(np.int8)[light]
+
+    hides_transparent = map_yaml.mode == "scale" or (is_main and map_yaml.mode == "trinary")
+    if opacity is not None and hides_transparent:
         values[opacity != 255] = occupancy.UNKNOWN
     return values
 
 
-def check_choice(value: str, known: tuple[str, ...], name: str) -> None:
-    """Raise a FormatError for a value that is none of those known."""
-    if value not in known:
-        raise FormatError(f"expected {' or '.join(known)} as {name}, got {value!r}")
+def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
+    """Raise a FormatError for the value of an option that is none of its choices.
+
+    Args:
+        value: the option's value.
+        choices: the possible values.
+        name: the option's name, for the error.
+
+    Raises:
+        FormatError: the value is none of them.
+    """
+    if value not in choices:
+        expected = " or ".join(choices)
+        raise FormatError(
+            f"expected {expected} as {name}, got {value!r}",
+            key=name,
+            value=value,
+            expected=expected,
+        )

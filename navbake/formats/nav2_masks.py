@@ -29,7 +29,7 @@ from navbake.formats.allowance import JsonPath, check_number, check_object
 from navbake.formats.convert import check_level, list_level_paths
 from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_map
 from navbake.formats.navgrid import check_grid
-from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_from_values
+from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, read_yaml
 from navbake.known_names import suggest
@@ -128,7 +128,7 @@ encode_speed = partial(encode_mask, has_limits=True)
 
 def _mark_areas(
     grid: NavGrid, agent: Agent | None, has_limits: bool, absolute: bool
-) -> tuple[list[Values], Scale]:
+) -> tuple[list[OccupancyValues], Scale]:
     """The values of all levels by the grid's areas."""
     table = np.zeros(len(grid.areas) + 1, dtype=np.int8)
     scale = Scale()
@@ -168,7 +168,7 @@ def _multiplier(speeds: Sequence[float]) -> float:
 
 def _mark_zones(
     grid: NavGrid, zone: Sequence[str] | None, zones: Any, has_limits: bool
-) -> list[Values]:
+) -> list[OccupancyValues]:
     """The values of all levels by rooms and polygons."""
     known = _find_zones(grid, zones, has_limits)
     chosen: list[tuple[Zone, int]] = []
@@ -190,7 +190,7 @@ def _mark_zones(
         chosen += [(own, value) for own in found]
     if not chosen:
         raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
-    marked: list[Values] = [np.full(v.shape, FREE, dtype=np.int8) for v in grid.levels]
+    marked: list[OccupancyValues] = [np.full(v.shape, FREE, dtype=np.int8) for v in grid.levels]
     for (_, k, cells), value in sorted(chosen, key=lambda pair: -pair[1]):
         is_room = isinstance(cells, int)
         marked[k][grid.levels[k].room_index == cells if is_room else cells] = value

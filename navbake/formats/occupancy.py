@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,27 +31,36 @@ FREE = 0
 INSCRIBED = 99
 OCCUPIED = 100
 # of a cell that isn't blocked
-LEAST_COST = 1
-MOST_COST = 252
-LETHAL = 253  # least cost of a blocked cell
-QUARTER = math.pi / 2
-SLACK = 0.1  # [cells] by which the farthest corner of a map may be off one turned by quarters
-LEAST_COVER = 0.01  # share of a cell that occupied ones have to cover to make it occupied
-PIECE = 1 << 18  # cells compared at once, to limit memory
+MIN_COST = 1
+MAX_COST = 252
+LETHAL_COST = 253  # least cost of a blocked cell
+QUARTER_TURN = math.pi / 2
+QUARTER_TOLERANCE = 0.1  # by which a map's farthest corner may be off a quarter turn [cells]
+MIN_COVER = 0.01  # share of a cell that occupied ones have to cover to make it occupied
+CELLS_AT_ONCE = 1 << 18  # compared at once, to limit memory
 
-Values = NDArray[np.int8]
+OccupancyValues: TypeAlias = NDArray[np.int8]
+"""Values of ``nav_msgs/OccupancyGrid``, shape (height, width), row 0 at the top."""
 
 
-def compute_occupancy_values(grid: NavGrid, number: int) -> Values:
-    """The values of a level's cells, shape (height, width), int8.
+def compute_occupancy_values(grid: NavGrid, number: int) -> OccupancyValues:
+    """Compute the values of a level's cells.
 
-    Unknown where a grid with floors has none; free at finite weights, with a cost for weights above
-    1; occupied at obstacles; and 99 in cells that only an inflation or a block closed.
+    A cell is unknown where a grid with floors has none; free at finite weights, with a cost for
+    weights above 1; occupied at obstacles; and 99 where only an inflation or an added obstacle
+    blocks it.
+
+    Args:
+        grid: the grid.
+        number: the level's number.
+
+    Returns:
+        The values, shape (height, width), int8.
     """
     level = grid.levels[number]
     with np.errstate(invalid="ignore"):
-        costs = np.where(level.weights > 1, np.clip(level.weights, LEAST_COST, MOST_COST), 0)
-    values = _publish(costs.astype(np.uint8))
+        costs = np.where(level.weights > 1, np.clip(level.weights, MIN_COST, MAX_COST), 0)
+    values = _publish_costs(costs.astype(np.uint8))
     values[~level.free] = INSCRIBED
     values[~level.free & (level.occupancy != 0)] = OCCUPIED
     if "floorHeight" in level.attributes:
@@ -60,40 +70,62 @@ def compute_occupancy_values(grid: NavGrid, number: int) -> Values:
 
 def compute_costmap_values(
     grid: NavGrid, number: int, radius: float, inflation: float, scaling: float = NAV2_SCALING
-) -> Values:
-    """The values of a level's costmap: its obstacles inflated by nav2's formula.
+) -> OccupancyValues:
+    """Compute the values of a level's costmap: its obstacles inflated by nav2's formula.
 
-    Cells blocked for a robot of this inscribed radius [m] for other reasons (a drop, another
-    level's obstacle) cost as much as those within the radius of an obstacle. `inflation` is nav2's
-    ``inflation_radius`` [m], at least the radius; `scaling` its ``cost_scaling_factor``.
+    Cells blocked for the robot for other reasons (a drop, another level's obstacle) cost as much
+    as those within the radius of an obstacle.
+
+    Args:
+        grid: the grid, not inflated.
+        number: the level's number.
+        radius: the robot's inscribed radius [m].
+        inflation: nav2's ``inflation_radius`` [m], at least the radius.
+        scaling: nav2's ``cost_scaling_factor`` [1/m].
+
+    Returns:
+        The values, shape (height, width), int8.
+
+    Raises:
+        QueryError: the inflation is below the radius, or a number is out of its range.
     """
     if not inflation >= radius:
+        expected = f"an inflation of at least the radius {radius:g} m"
         raise QueryError(
-            f"expected an inflation of at least the radius {radius:g} m, got {inflation:g}"
+            f"expected {expected}, got {inflation:g}",
+            key="inflation",
+            value=inflation,
+            expected=expected,
         )
     inflated = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
     values = compute_occupancy_values(inflated, number)
     costs = nav2_costs(grid.levels[number], radius, inflation, scaling)
     is_free = (values >= FREE) & (values < INSCRIBED)
-    values[is_free] = np.maximum(values, _publish(costs))[is_free]
+    values[is_free] = np.maximum(values, _publish_costs(costs))[is_free]
     return values
 
 
-def _publish(costs: NDArray[np.uint8]) -> Values:
-    """nav2's published values of costs from 0 to 252."""
+def _publish_costs(costs: NDArray[np.uint8]) -> OccupancyValues:
+    """Convert costs from 0 to 255 to the values that nav2 publishes for them."""
     table = 1 + 97 * (np.arange(256) - 1) // 251
     table[0] = FREE
-    table[LETHAL:] = INSCRIBED
+    table[LETHAL_COST:] = INSCRIBED
     return table.astype(np.int8)[costs]
 
 
 def level_from_values(
-    values: Values, lattice: Lattice, ground: float, metadata: Json
+    values: OccupancyValues, lattice: Lattice, ground: float, metadata: Json
 ) -> SceneGrid2D:
-    """Make a level of values on the cells of a lattice; `ground` is the floor's world z [m].
+    """Make a level of values on the cells of a lattice.
 
     100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 become the least cost that is
-    published as that value. All other cells have a flat floor, occupied ones too.
+    published as that value. All cells but unknown ones have a flat floor, occupied ones too.
+
+    Args:
+        values: the values, shape (height, width), int8.
+        lattice: the lattice of their cells.
+        ground: world z of the floor [m].
+        metadata: the level's metadata.
     """
     costs: Float = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
     costs[0] = 1
@@ -122,8 +154,16 @@ def level_from_rooms(
 ) -> SceneGrid2D:
     """Make a flat level of a map that has free cells and rooms.
 
-    `free` is where an agent can stand, shape (height, width); `rooms` has numbers from 1, 0 for
-    none, of the same shape; `names` are the rooms' by number; `ground` is the floor's world z [m].
+    Args:
+        free: where an agent can stand, shape (height, width), bool.
+        rooms: the number of each cell's room from 1, 0 for none, of the same shape, uint16.
+        names: the rooms' names by number; rooms without a name are not in it.
+        lattice: the lattice of the cells.
+        ground: world z of the floor [m].
+        scene_id: the name of the scene.
+
+    Returns:
+        The level, with a table of its rooms.
     """
     values = np.where(free, np.int8(FREE), np.int8(OCCUPIED))
     level = level_from_values(values, lattice, ground, {"sceneId": scene_id})
@@ -134,69 +174,106 @@ def level_from_rooms(
 
 
 def align_with_axes(
-    values: Values, origin: tuple[float, float, float], resolution: float
-) -> tuple[Values, Lattice]:
+    values: OccupancyValues, origin: tuple[float, float, float], resolution: float
+) -> tuple[OccupancyValues, Lattice]:
     """Resample a map with any yaw onto cells along the world's axes.
 
     A yaw of whole quarter turns, to a tenth of a cell over the map's diagonal, only permutes the
     cells. Otherwise a new cell has the value of the map at its centre, or -1 outside of the map;
-    but it is occupied if occupied cells of the map cover at least 1 % of it. `origin` is the outer
-    corner of the map's lower left cell, world x, y [m], and its yaw, counter-clockwise [rad]. Also
-    returns the lattice of the new cells.
+    but it is occupied if occupied cells of the map cover at least 1 % of it.
+
+    Args:
+        values: the map's values, shape (height, width), int8.
+        origin: the outer corner of the map's lower left cell, world x, y [m], and the map's yaw,
+            anticlockwise [rad].
+        resolution: the edge of a cell [m].
+
+    Returns:
+        The values of the new cells, and their lattice.
+
+    Raises:
+        FormatError: the new map has too many cells.
     """
     x, y, yaw = origin
     height, width = values.shape
-    quarters = round(yaw / QUARTER)
-    if abs(yaw - quarters * QUARTER) * math.hypot(width, height) <= SLACK:
-        left, below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
+    quarters = round(yaw / QUARTER_TURN)
+    if abs(yaw - quarters * QUARTER_TURN) * math.hypot(width, height) <= QUARTER_TOLERANCE:
+        # how far the turned map reaches left of its origin and below it [cells]
+        extent_left, extent_below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
         turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
-        return turned, lattice_from_corner(
-            turned, x - left * resolution, y - below * resolution, resolution
-        )
-    # in cells, from the map's own corner
+        x = x - extent_left * resolution
+        y = y - extent_below * resolution
+        return turned, lattice_from_corner(turned, x, y, resolution)
+
+    # from here on in cells, from the map's corner
     cos = math.cos(yaw)
     sin = math.sin(yaw)
-    xs = 0, width * cos, width * cos - height * sin, -height * sin
-    ys = 0, width * sin, width * sin + height * cos, height * cos
-    lattice = Lattice.cover((min(xs), min(ys), max(xs), max(ys)), 1.0)
+    corners_x = (0, width * cos, width * cos - height * sin, -height * sin)
+    corners_y = (0, width * sin, width * sin + height * cos, height * cos)
+    bounds = (min(corners_x), min(corners_y), max(corners_x), max(corners_y))
+    lattice = Lattice.cover(bounds, 1.0)
     if lattice.width * lattice.height > MAX_PIXELS:
         raise FormatError(f"the turned map has {lattice.width} × {lattice.height} cells, too many")
-    # the centre of cell [row, col] in the map, from the centre of its cell [0, 0]
+
+    # row and column in the map of a new cell's centre are the matrix times its row and column,
+    # and those of the new cell [0, 0]
     first_x = lattice.x_min + 0.5
     first_y = lattice.y_max - 0.5
     matrix = [[cos, sin], [-sin, cos]]
-    start = height - 0.5 + sin * first_x - cos * first_y, cos * first_x + sin * first_y - 0.5
+    first_row = height - 0.5 + sin * first_x - cos * first_y
+    first_col = cos * first_x + sin * first_y - 0.5
     turned = ndimage.affine_transform(
-        values, matrix, start, lattice.shape, order=0, mode="grid-constant", cval=UNKNOWN
+        values,
+        matrix,
+        (first_row, first_col),
+        lattice.shape,
+        order=0,
+        mode="grid-constant",
+        cval=UNKNOWN,
     )
+
     covered = np.zeros(lattice.shape)  # share of each cell, where it isn't occupied already
-    full_rows, full_cols = np.nonzero(values == OCCUPIED)
-    for begin in range(0, len(full_rows), PIECE):
-        part = slice(begin, begin + PIECE)
-        right = full_cols[part] + 0.5
-        up = height - full_rows[part] - 0.5
+    occupied_rows, occupied_cols = np.nonzero(values == OCCUPIED)
+    for begin in range(0, len(occupied_rows), CELLS_AT_ONCE):
+        chunk = slice(begin, begin + CELLS_AT_ONCE)
+        right = occupied_cols[chunk] + 0.5
+        up = height - occupied_rows[chunk] - 0.5
         centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
-        _add_cover(covered, turned, lattice, centers, cos, sin)
-    turned[covered >= LEAST_COVER] = OCCUPIED
+        _add_covered_shares(covered, turned, lattice, centers, cos, sin)
+    turned[covered >= MIN_COVER] = OCCUPIED
     x = x + lattice.x_min * resolution
     y = y + lattice.bounds[1] * resolution
     return turned, lattice_from_corner(turned, x, y, resolution)
 
 
-def lattice_from_corner(values: Values, x: float, y: float, cell_size: float) -> Lattice:
-    """The lattice of a map's cells from its lower left corner [m]."""
+def lattice_from_corner(values: OccupancyValues, x: float, y: float, cell_size: float) -> Lattice:
+    """Return the lattice of a map's cells.
+
+    Args:
+        values: the map, shape (height, width).
+        x: world x of the map's lower left corner [m].
+        y: world y of that corner [m].
+        cell_size: the edge of a cell [m].
+    """
     height, width = values.shape
     return Lattice(x, y + height * cell_size, cell_size, width, height)
 
 
-def _add_cover(
-    covered: Float, turned: Values, lattice: Lattice, centers: Float, cos: float, sin: float
+def _add_covered_shares(
+    covered: Float,
+    turned: OccupancyValues,
+    lattice: Lattice,
+    centers: Float,
+    cos: float,
+    sin: float,
 ) -> None:
-    """Add how much of the cells that aren't occupied the turned unit squares round centres cover.
+    """Add to `covered` the shares of cells that turned unit squares cover.
 
-    By separating axes, two squares overlap where their centres are nearer than half of their
-    extents together along each side's direction. The area is half the sum of the cross products of
-    the ends of all sides' parts in the other square (Green's theorem).
+    The squares are occupied cells of a map, turned about their centres, shape (n, 2) [cells]; only
+    cells that aren't occupied themselves count. By separating axes, two squares overlap where
+    their centres are nearer than half of their extents together along each side's direction. The
+    area is half the sum of the cross products of the ends of all sides' parts in the other square
+    (Green's theorem).
     """
     reach = (1.0 + abs(cos) + abs(sin)) / 2  # half extents along any of the four directions
     row, col = lattice.rows_cols(centers)
@@ -210,32 +287,35 @@ def _add_cover(
         meets = np.max(np.abs([dx, dy, u, v]), axis=0) < reach
         meets &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
         meets[meets] = turned[rows[meets], cols[meets]] != OCCUPIED
-        own = np.stack([dx, dy], axis=-1)[meets]  # of the cell, from the square
-        seen = np.stack([u, v], axis=-1)[meets]  # the same along the square's sides
-        # both about the square's centre: the cell's sides in its frame, its own in the cell's
-        area = _sides_inside(seen, cos, -sin, True) + _sides_inside(-own, cos, sin, False)
+        # the cell's centre from the square's, along the cell's sides and along the square's
+        offset = np.stack([dx, dy], axis=-1)[meets]
+        turned_offset = np.stack([u, v], axis=-1)[meets]
+        # both about the square's centre: the cell's sides in the square, and the reverse
+        area = _integrate_sides(turned_offset, cos, -sin, True)
+        area = area + _integrate_sides(-offset, cos, sin, False)
         np.add.at(covered, (rows[meets], cols[meets]), area)
 
 
-def _sides_inside(centers: Float, cos: float, sin: float, about_origin: bool) -> Float:
-    """Half the cross products of the parts of a turned square's sides in a unit square at 0, 0.
+def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool) -> Float:
+    """Return half the cross products of the parts of squares' sides in a unit square at 0, 0.
 
-    The turned squares have these centres, shape (n, 2); the products are about the origin or about
-    each centre. Sides are cut by Liang and Barsky's algorithm. Returns shape (n,).
+    The squares are unit squares, turned, with these centres, shape (n, 2); the products are about
+    the origin, or else about each centre. Sides are cut by Liang and Barsky's algorithm. The
+    result has shape (n,).
     """
     total = np.zeros(len(centers))
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     corners = corners @ [[cos, sin], [-sin, cos]]
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        begin = centers + start
-        way = end - start
-        shares = np.sort([(-0.5 - begin) / way, (0.5 - begin) / way], axis=0)
+        side_start = centers + start
+        side = end - start
+        shares = np.sort([(-0.5 - side_start) / side, (0.5 - side_start) / side], axis=0)
         enter = np.maximum(shares[0].max(axis=1), 0.0)[:, None]
         leave = np.minimum(shares[1].min(axis=1), 1.0)[:, None]
-        one = begin + enter * way
-        other = begin + np.maximum(leave, enter) * way
+        first_end = side_start + enter * side
+        second_end = side_start + np.maximum(leave, enter) * side
         if not about_origin:
-            one = one - centers
-            other = other - centers
-        total += (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+            first_end = first_end - centers
+            second_end = second_end - centers
+        total += (first_end[:, 0] * second_end[:, 1] - first_end[:, 1] * second_end[:, 0]) / 2
     return total
