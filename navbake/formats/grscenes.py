@@ -39,20 +39,29 @@ BYTES_PER_CELL = 32  # of memory: values, weights, layers
 def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> Files:
     """Encode an ``occupancy.npy`` of each level, float64; cells without a floor are undefined.
 
-    `path` ends in ``.npy``; `level` is as of `encode_nav2`. Raises a FormatError for a wrong one.
+    Args:
+        grid: the grid.
+        path: the file, which ends in ``.npy``; several levels have numbers after the stem.
+        level: the number of the only level to write, None for all.
+
+    Returns:
+        The content of each file by its path.
+
+    Raises:
+        FormatError: there is no such level, or the path has another ending.
     """
     files: Files = {}
-    for number, own_path in list_level_paths(grid, path, level, (".npy",)).items():
-        own = grid.levels[number]
-        values = np.zeros((own.height + 1, own.width + 1))
-        values[0, 1:] = own.lattice.center_x()
-        values[1:, 0] = own.lattice.center_y()
-        values[1:, 1:][~own.free] = OBSTACLE
-        if "floorHeight" in own.attributes:
-            values[1:, 1:][~own.free & np.isnan(own.floor_height)] = UNKNOWN
+    for number, level_path in list_level_paths(grid, path, level, (".npy",)).items():
+        scene = grid.levels[number]
+        values = np.zeros((scene.height + 1, scene.width + 1))
+        values[0, 1:] = scene.lattice.center_x()
+        values[1:, 0] = scene.lattice.center_y()
+        values[1:, 1:][~scene.free] = OBSTACLE
+        if "floorHeight" in scene.attributes:
+            values[1:, 1:][~scene.free & np.isnan(scene.floor_height)] = UNKNOWN
         file = io.BytesIO()
         np.save(file, values)
-        files[own_path] = file.getvalue()
+        files[level_path] = file.getvalue()
     return files
 
 
@@ -60,8 +69,19 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     """Read an ``occupancy.npy`` as a grid of one level, with a flat floor at z = 0.
 
     Where the steps of x and y differ, cells are squares of the smaller one, each with the value of
-    the sample that its middle lies in. So each sample has a cell, and no wall gets a gap. Raises a
-    FormatError if the file is no such map, or its coordinates are no even steps.
+    the sample that its middle lies in. So each sample has a cell, and no wall gets a gap.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The level.
+
+    Raises:
+        FormatError: the file is no such map, or its coordinates are no even steps.
+
+    Example:
+        >>> grid = navbake.from_grscenes("occupancy.npy")
     """
     place = JsonPath(check_path(path))
     array = read_npy(path)
@@ -74,41 +94,52 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     values = array[1:, 1:]
     if not np.isin(values, (UNKNOWN, FREE, OBSTACLE)).all():
         place.fail("expected 0 (free), 1 (obstacle) or -1 (undefined) as values, got others")
-    steps = [_step_of(array[0, 1:], "x", place), _step_of(array[1:, 0], "y", place)]
-    dx, dy = (step or other for step, other in zip(steps, steps[::-1], strict=True))
+    step_x = _find_step(array[0, 1:], "x", place)
+    step_y = _find_step(array[1:, 0], "y", place)
+    # a single column is as wide as a row is high, and the reverse
+    dx = step_x or step_y
+    dy = step_y or step_x
     if dx < 0:
         values = values[:, ::-1]
-        dx = -dx
     if dy > 0:
         values = values[::-1]
-    dy, height, width = abs(dy), *values.shape
-    x = float(array[0, 1:].min()) - dx / 2
-    top = float(array[1:, 0].max()) + dy / 2
-    cell = dx
-    shape = (height, width)
+    dx = abs(dx)
+    dy = abs(dy)
+    x_min = float(array[0, 1:].min()) - dx / 2
+    y_max = float(array[1:, 0].max()) + dy / 2
+
+    num_rows, num_cols = values.shape
+    cell_size = dx
+    shape = (num_rows, num_cols)
     if abs(dx - dy) * max(shape) > MAX_DRIFT * min(dx, dy):
-        cell = min(dx, dy)
-        shape = max(1, round(height * dy / cell)), max(1, round(width * dx / cell))
+        cell_size = min(dx, dy)
+        height = max(1, round(num_rows * dy / cell_size))
+        width = max(1, round(num_cols * dx / cell_size))
+        shape = (height, width)
     allowance = Allowance(array.nbytes, "max_cells")
     allowance.take_cells(shape, place)
     allowance.take_array(shape, BYTES_PER_CELL, place)
-    rows = np.minimum((np.arange(shape[0]) + 0.5) * cell / dy, height - 0.5).astype(np.int64)
-    cols = np.minimum((np.arange(shape[1]) + 0.5) * cell / dx, width - 0.5).astype(np.int64)
-    table = np.array([FREE, OCCUPIED, UNKNOWN], dtype=np.int8)
-    picked = table[values[rows[:, None], cols].astype(np.int64)]
-    lattice = Lattice(x, top, cell, shape[1], shape[0])
-    return level_from_values(picked, lattice, 0.0, {"sceneId": readable_stem(path)})
+    # the sample of each cell's middle
+    rows = (np.arange(shape[0]) + 0.5) * cell_size / dy
+    rows = np.minimum(rows, num_rows - 0.5).astype(np.int64)
+    cols = (np.arange(shape[1]) + 0.5) * cell_size / dx
+    cols = np.minimum(cols, num_cols - 0.5).astype(np.int64)
+    samples = values[rows[:, None], cols].astype(np.int64)
+    table = np.array([FREE, OCCUPIED, UNKNOWN], dtype=np.int8)  # for 0, 1 and -1
+    lattice = Lattice(x_min, y_max, cell_size, shape[1], shape[0])
+    return level_from_values(table[samples], lattice, 0.0, {"sceneId": readable_stem(path)})
 
 
-def _step_of(coordinates: Float, axis: str, place: JsonPath) -> float:
-    """The step between coordinates, negative if they fall; 0 for a single one."""
+def _find_step(coordinates: Float, axis: str, place: JsonPath) -> float:
+    """Return the step between coordinates [m], negative if they fall; 0 for a single coordinate."""
     if not (np.abs(coordinates) <= FARTHEST).all():  # NaN isn't, either
         place.fail(f"expected {axis} of samples within {FARTHEST:g} m of the origin, got others")
     if len(coordinates) == 1:
         return 0.0
-    found = coordinates.astype(np.float64)
-    step = float(found[-1] - found[0]) / (len(found) - 1)
-    even = found[0] + step * np.arange(len(found))
-    if abs(step) < LEAST_EDGE or np.abs(found - even).max() > MAX_UNEVENNESS * abs(step):
+    positions = coordinates.astype(np.float64)
+    step = float(positions[-1] - positions[0]) / (len(positions) - 1)
+    even_positions = positions[0] + step * np.arange(len(positions))
+    unevenness = np.abs(positions - even_positions).max()
+    if abs(step) < LEAST_EDGE or unevenness > MAX_UNEVENNESS * abs(step):
         place.fail(f"expected {axis} of samples in even steps, got others")
     return step

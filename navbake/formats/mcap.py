@@ -11,7 +11,7 @@ Source: the definitions of messages of ROS 2 Humble; ``mcap_ros2`` encodes them.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -58,10 +58,10 @@ MESSAGES = {
     "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
 }
 FRAME = {"frame_id": "map"}
-UPRIGHT = {"w": 1.0}  # a quaternion
+NO_ROTATION = {"w": 1.0}  # a quaternion
 LINE_LIST = 5  # type of a marker: a line between each two points
-LINE = 0.03  # width of a line [m]
-COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
+LINE_WIDTH = 0.03  # [m]
+LINE_COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 
 
 def encode_mcap(
@@ -70,21 +70,25 @@ def encode_mcap(
     """Encode a file of a message for each level, for each path, and for all links.
 
     Args:
-        path: ends in ``.mcap``.
-        level: the map of this level only, without links.
+        grid: the grid.
+        path: the file, which ends in ``.mcap``.
+        level: the number of the only level to write, without links; None for all.
         route: paths of `PathFinder.find_path`.
+
+    Returns:
+        The file's content by its path.
 
     Raises:
         FormatError: there is no such level.
         MissingDependencyError: mcap-ros2-support is not installed.
     """
-    writing: Any = import_extra("mcap_ros2.writer", "mcap", "MCAP")
-    chosen = select_levels(grid, path, level, (".mcap",))
-    if any(found is None for found in route):
+    mcap_writer = import_extra("mcap_ros2.writer", "mcap", "MCAP")
+    numbers = select_levels(grid, path, level, (".mcap",))
+    if any(planned is None for planned in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
     file = io.BytesIO()
     schemas = dict[str, Any]()
-    with writing.Writer(file) as writer:
+    with mcap_writer.Writer(file) as writer:
 
         def write(topic: str, kind: str, message: Json) -> None:
             if kind not in schemas:
@@ -92,61 +96,80 @@ def encode_mcap(
                 schemas[kind] = writer.register_msgdef(name, define_message(kind))
             writer.write_message(topic, schemas[kind], message, log_time=0, publish_time=0)
 
-        for number in chosen:
-            own = grid.levels[number]
-            x, y = own.lattice.bounds[:2]
-            origin = {"position": _point([x, y, own.ground]), "orientation": UPRIGHT}
-            info = {"resolution": own.lattice.cell_size, "origin": origin}
-            info |= {"width": own.width, "height": own.height}
-            values = (
-                compute_occupancy_values(grid, number)[::-1].ravel().tolist()
-            )  # row 0 at the bottom
-            topic = "/map" if len(chosen) == 1 else f"/map_{number}"
-            map_of_level = {"header": FRAME, "info": info, "data": values}
-            write(topic, "nav_msgs/OccupancyGrid", map_of_level)
-        for number, found in enumerate(route):
+        for number in numbers:
+            scene = grid.levels[number]
+            x_min, y_min, _, _ = scene.lattice.bounds
+            info = {
+                "resolution": scene.lattice.cell_size,
+                "origin": _make_pose([x_min, y_min, scene.ground]),
+                "width": scene.width,
+                "height": scene.height,
+            }
+            values = compute_occupancy_values(grid, number)[::-1]  # a message begins at the bottom
+            message = {"header": FRAME, "info": info, "data": values.ravel().tolist()}
+            topic = "/map" if len(numbers) == 1 else f"/map_{number}"
+            write(topic, "nav_msgs/OccupancyGrid", message)
+        for number, planned in enumerate(route):
             poses = [
-                {"header": FRAME, "pose": {"position": _point(place), "orientation": UPRIGHT}}
-                for place in found.positions
+                {"header": FRAME, "pose": _make_pose(position)} for position in planned.positions
             ]
             write(f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses})
-        markers = [*_markers(grid)] if len(chosen) == len(grid.levels) else []
-        if markers:
-            write("/links", "visualization_msgs/MarkerArray", {"markers": markers})
+        if len(numbers) == len(grid.levels):
+            markers = list(_make_markers(grid))
+            if markers:
+                write("/links", "visualization_msgs/MarkerArray", {"markers": markers})
     return {path: file.getvalue()}
 
 
-def _markers(grid: NavGrid) -> Iterator[Json]:
-    """Lines of the steps, in the namespace ``links``, then of each named link, in its own."""
+def _make_markers(grid: NavGrid) -> Iterator[Json]:
+    """Yield lines of the steps, in the namespace ``links``, then of each named link, in its own."""
+    # both ends of each step
     level, cell = grid.step_array.reshape(-1, 2).T
-    width = np.array([level.width for level in grid.levels])[level]
-    steps = grid.position_of((level, *np.divmod(cell, width)))
-    lines = [("links", [*steps])] if len(steps) else []
+    width = np.array([scene.width for scene in grid.levels])[level]
+    row, col = np.divmod(cell, width)
+    step_ends = grid.position_of((level, row, col))
+    lines: list[tuple[str, list[Sequence[float]]]] = []  # namespace, and both ends of each line
+    if len(step_ends):
+        lines.append(("links", list(step_ends)))
     for link in grid.links:
-        places = [stop.position for stop in link.stops]
-        lines.append((link.name, [*chain.from_iterable(pairwise(places))]))
-    for number, (name, ends) in enumerate(lines):
-        marker = {"header": FRAME, "ns": name, "id": number, "type": LINE_LIST}
-        marker |= {"pose": {"orientation": UPRIGHT}, "scale": {"x": LINE}, "color": COLOR}
-        yield marker | {"points": [_point(place) for place in ends]}
+        stops = [stop.position for stop in link.stops]
+        lines.append((link.name, list(chain.from_iterable(pairwise(stops)))))
+    for number, (namespace, points) in enumerate(lines):
+        yield {
+            "header": FRAME,
+            "ns": namespace,
+            "id": number,
+            "type": LINE_LIST,
+            "pose": {"orientation": NO_ROTATION},
+            "scale": {"x": LINE_WIDTH},
+            "color": LINE_COLOR,
+            "points": [_make_point(point) for point in points],
+        }
 
 
-def _point(place: Any) -> Json:
-    return dict(zip("xyz", map(float, place), strict=True))
+def _make_point(position: Iterable[float]) -> Json:
+    x, y, z = position
+    return {"x": float(x), "y": float(y), "z": float(z)}
+
+
+def _make_pose(position: Iterable[float]) -> Json:
+    return {"position": _make_point(position), "orientation": NO_ROTATION}
 
 
 def define_message(kind: str) -> str:
-    """The definition of a message of ROS 2, with those of its parts."""
-    parts: dict[str, str] = {}
+    """Return the definition of a message of ROS 2, followed by those of the types in it."""
+    definitions: dict[str, str] = {}
 
-    def add(name: str) -> None:
-        parts[name] = MESSAGES[name].replace("; ", "\n") + "\n"
+    def add_type(name: str) -> None:
+        definitions[name] = MESSAGES[name].replace("; ", "\n") + "\n"
         for field in MESSAGES[name].split("; "):
-            inner = field.split()[0].removesuffix("[]")
-            if inner in MESSAGES and inner not in parts:
-                add(inner)
+            field_type = field.split()[0].removesuffix("[]")
+            if field_type in MESSAGES and field_type not in definitions:
+                add_type(field_type)
 
-    add(kind)
-    first, *others = parts.items()
-    line = "=" * 80
-    return first[1] + "".join(f"{line}\nMSG: {name}\n{text}" for name, text in others)
+    add_type(kind)
+    separator = "=" * 80
+    text = definitions.pop(kind)
+    for name, definition in definitions.items():
+        text += f"{separator}\nMSG: {name}\n{definition}"
+    return text

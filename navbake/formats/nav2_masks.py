@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -41,21 +41,27 @@ from navbake.runtime.blocking import find_agent
 from navbake.types import Bool, Json
 
 LOG = logging.getLogger(__name__)
-# types of filters
+# types of filters, by nav2's numbers
 KEEPOUT = 0
 PERCENT = 1
 ABSOLUTE = 2
+MAX_VALUE = 100  # of a mask
 MAX_LISTED = 20  # names that an error lists
-SLACK = 1e-9  # share of a value by which a limit may be above its own
-ROUND = (1.0, 0.5, 0.1, 0.05, 0.01)  # multipliers that are tried first [m/s]
-
-Zone = tuple[tuple[str, ...], int, int | Bool]
-"""A part of a level: the names that it can be called by, the level, and which cells it has: the
-index of a room, or the mask of a polygon."""
+LIMIT_SLACK = 1e-9  # share by which a limit may be below a value's and still have this value
+ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # that are tried first [m/s]
 
 
-class Scale(NamedTuple):
-    """What the values of a mask stand for."""
+class Zone(NamedTuple):
+    """A part of a level that can be named: a room or a polygon."""
+
+    names: tuple[str, ...]  # that it can be called by
+    level: int
+    room_index: int | None  # of a room on its level; None for a polygon
+    mask: Bool | None  # cells of a polygon, shape (height, width); None for a room
+
+
+class FilterScale(NamedTuple):
+    """What the values of a mask stand for: the limit is ``base + multiplier * value``."""
 
     type: int = KEEPOUT
     base: float = 0.0
@@ -81,8 +87,12 @@ def encode_mask(
     of keepout masks, with a warning.
 
     Args:
-        path, level, image: as of `encode_nav2`; in mode ``raw``.
-        has_limits: for the speed filter, whose zones have limits.
+        grid: the grid.
+        path: the masks' YAML, as of `encode_nav2`; in mode ``raw``.
+        has_limits: True for the speed filter, whose zones have limits; False for the keepout
+            filter.
+        level: the number of the only level to write, None for all.
+        image: ``pgm`` or ``png``; ``pgm`` if None.
         zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
             ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where zones overlap.
             Of the keepout filter all polygons if None.
@@ -90,6 +100,10 @@ def encode_mask(
             keepout mask marks every cell that one touches, a speed mask those whose centre it has.
         agent: a name in the grid, or an agent, for masks of areas; its speed is 100 %.
         absolute: limits of areas in m/s, not in percent.
+
+    Returns:
+        The content of each file by its path: the masks' YAMLs and images, and the filters'
+        parameters.
 
     Raises:
         FormatError: a name is unknown, a limit invalid, or rounded down to 0, a polygon holds no
@@ -99,26 +113,36 @@ def encode_mask(
     image = image or "pgm"
     check_choice(image, IMAGES, "image")
     if zone is None and zones is None and grid.areas:
-        marked, scale = _mark_areas(grid, find_agent(grid, agent), has_limits, bool(absolute))
+        mask_agent = find_agent(grid, agent)
+        masks, scale = _mark_areas(grid, mask_agent, has_limits, bool(absolute))
     else:
         if agent is not None or absolute:
             raise FormatError("agent and absolute are for masks of the grid's areas, without zones")
-        marked = _mark_zones(grid, zone, zones, has_limits)
-        scale = Scale(PERCENT if has_limits else KEEPOUT)
+        masks = _mark_zones(grid, zone, zones, has_limits)
+        scale = FilterScale(PERCENT if has_limits else KEEPOUT)
     files: Files = {}
     for k, yaml_path in list_level_paths(grid, path, level, YAMLS).items():
-        files |= encode_map(grid.levels[k], marked[k], yaml_path, "raw", image)
+        files |= encode_map(grid.levels[k], masks[k], yaml_path, "raw", image)
         kind = "speed" if has_limits else "keepout"
-        topic = f"{kind}_filter_mask"
-        info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
-        info |= {"mask_topic": topic, "base": scale.base, "multiplier": scale.multiplier}
-        served = {"yaml_filename": yaml_path.name, "topic_name": topic, "frame_id": "map"}
+        mask_topic = f"{kind}_filter_mask"
+        filter_info = {
+            "type": scale.type,
+            "filter_info_topic": f"{kind}_filter_info",
+            "mask_topic": mask_topic,
+            "base": scale.base,
+            "multiplier": scale.multiplier,
+        }
+        map_server = {
+            "yaml_filename": yaml_path.name,
+            "topic_name": mask_topic,
+            "frame_id": "map",
+        }
         content = {
-            f"{kind}_costmap_filter_info_server": {"ros__parameters": info},
-            f"{kind}_filter_mask_server": {"ros__parameters": served},
+            f"{kind}_costmap_filter_info_server": {"ros__parameters": filter_info},
+            f"{kind}_filter_mask_server": {"ros__parameters": map_server},
         }
         text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-        files[_info_path(yaml_path)] = text.encode()
+        files[_find_parameters_path(yaml_path)] = text.encode()
     return files
 
 
@@ -128,105 +152,142 @@ encode_speed = partial(encode_mask, has_limits=True)
 
 def _mark_areas(
     grid: NavGrid, agent: Agent | None, has_limits: bool, absolute: bool
-) -> tuple[list[OccupancyValues], Scale]:
-    """The values of all levels by the grid's areas."""
-    table = np.zeros(len(grid.areas) + 1, dtype=np.int8)
-    scale = Scale()
+) -> tuple[list[OccupancyValues], FilterScale]:
+    """Return the mask of each level by the grid's areas, and what the values stand for."""
+    values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # by area, from 1
+    scale = FilterScale()
     if has_limits:
-        fastest = SPEED if agent is None else agent.speed
-        speeds = [area.speed for area in grid.areas if area.speed is not None]
-        scale = Scale(ABSOLUTE, 0.0, _multiplier(speeds)) if absolute else Scale(PERCENT)
-        unit = scale.multiplier if absolute else fastest / 100.0
-    for place, area in enumerate(grid.areas, 1):
+        agent_speed = SPEED if agent is None else agent.speed
+        scale = FilterScale(PERCENT)
+        unit = agent_speed / 100.0  # limit of a value of 1 [m/s]
+        if absolute:
+            unit = _find_multiplier([area.speed for area in grid.areas if area.speed is not None])
+            scale = FilterScale(ABSOLUTE, 0.0, unit)
+    for number, area in enumerate(grid.areas, 1):
         if not has_limits:
-            table[place] = OCCUPIED if area.bars(agent) else FREE
+            values[number] = OCCUPIED if area.bars(agent) else FREE
         elif area.speed is not None:
-            table[place] = min(math.floor(area.speed / unit * (1.0 + SLACK)), 100)
-            if not table[place]:
+            value = math.floor(area.speed / unit * (1.0 + LIMIT_SLACK))
+            values[number] = min(value, MAX_VALUE)
+            if not values[number]:
                 raise FormatError(
                     f"expected a speed of {unit:g} m/s or more, which a value of 1 stands for, got "
-                    f"{area.speed:g} m/s in area {area.name!r}"
+                    f"{area.speed:g} m/s in area {area.name!r}",
+                    key="speed",
+                    value=area.speed,
+                    expected=f"a speed of {unit:g} m/s or more",
                 )
-    if not table.any():
-        what = "has a speed" if has_limits else "bars this agent" if agent else "bars all agents"
+    if not values.any():
+        what = "bars this agent" if agent else "bars all agents"
+        if has_limits:
+            what = "has a speed"
         raise FormatError(f"a mask needs zones or areas: no area of the grid {what}")
     priced = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
     if priced and not has_limits:
         LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(priced))
-    return [table[level.area_index] for level in grid.levels], scale
+    return [values[level.area_index] for level in grid.levels], scale
 
 
-def _multiplier(speeds: Sequence[float]) -> float:
-    """The limit of a value of 1 [m/s], by which up to 100 stand for speeds, exactly if it can."""
-    most = max(speeds, default=1.0)
-    for unit in ROUND:
-        shares = [speed / unit for speed in speeds]
-        if most <= 100 * unit and all(abs(v - round(v)) < 1e-6 * max(v, 1.0) for v in shares):
-            return unit
-    return most / 100.0
+def _find_multiplier(speeds: Sequence[float]) -> float:
+    """Find the limit of a value of 1 [m/s] so that values up to 100 stand for speeds [m/s].
+
+    It is a round number if the values of all speeds are whole by it.
+    """
+    max_speed = max(speeds, default=1.0)
+    for multiplier in ROUND_MULTIPLIERS:
+        if max_speed > MAX_VALUE * multiplier:
+            continue
+        values = [speed / multiplier for speed in speeds]
+        if all(abs(value - round(value)) < 1e-6 * max(value, 1.0) for value in values):
+            return multiplier
+    return max_speed / 100.0
 
 
 def _mark_zones(
-    grid: NavGrid, zone: Sequence[str] | None, zones: Any, has_limits: bool
+    grid: NavGrid,
+    zone: Sequence[str] | None,
+    zones_path: str | PathLike[str] | None,
+    has_limits: bool,
 ) -> list[OccupancyValues]:
-    """The values of all levels by rooms and polygons."""
-    known = _find_zones(grid, zones, has_limits)
-    chosen: list[tuple[Zone, int]] = []
+    """Return the mask of each level by rooms and polygons."""
+    available = _find_zones(grid, zones_path, has_limits)
+    marks: list[tuple[Zone, int]] = []  # zones and their values
     if zone is None and not has_limits:
-        chosen = [(own, OCCUPIED) for own in known if not isinstance(own[2], int)]
+        marks = [(polygon, OCCUPIED) for polygon in available if polygon.mask is not None]
     for entry in zone or []:
         name = entry
         value = OCCUPIED
         if has_limits:
             name, _, text = entry.rpartition("=")
             if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
-                raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
+                expected = "NAME=PERCENT, 1 to 100, as zone"
+                raise FormatError(
+                    f"expected {expected}, got {entry!r}",
+                    key="zone",
+                    value=entry,
+                    expected=expected,
+                )
             value = int(text)
-        found = [own for own in known if name in own[0]]  # on all levels with that name
-        if not found:
-            owner = "the grid" if zones is None else f"the grid or {zones}"
-            there = suggest(name, (own[0][-1] for own in known), MAX_LISTED, owner)
-            raise FormatError(f"no room or polygon is called {name!r}: {there}")
-        chosen += [(own, value) for own in found]
-    if not chosen:
+        matches = [candidate for candidate in available if name in candidate.names]
+        if not matches:
+            owner = "the grid" if zones_path is None else f"the grid or {zones_path}"
+            zone_names = (candidate.names[-1] for candidate in available)
+            hint = suggest(name, zone_names, MAX_LISTED, owner)
+            raise FormatError(
+                f"no room or polygon is called {name!r}: {hint}", key="zone", value=name, hint=hint
+            )
+        marks += [(match, value) for match in matches]  # on all levels with that name
+    if not marks:
         raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
-    marked: list[OccupancyValues] = [np.full(v.shape, FREE, dtype=np.int8) for v in grid.levels]
-    for (_, k, cells), value in sorted(chosen, key=lambda pair: -pair[1]):
-        is_room = isinstance(cells, int)
-        marked[k][grid.levels[k].room_index == cells if is_room else cells] = value
-    return marked
+    masks: list[OccupancyValues] = [
+        np.full(level.shape, FREE, dtype=np.int8) for level in grid.levels
+    ]
+    # where zones overlap, the least value counts, so it is written last
+    for marked_zone, value in sorted(marks, key=lambda mark: -mark[1]):
+        cells = marked_zone.mask
+        if cells is None:
+            cells = grid.levels[marked_zone.level].room_index == marked_zone.room_index
+        masks[marked_zone.level][cells] = value
+    return masks
 
 
 def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: bool) -> list[Zone]:
-    """The rooms of a grid, and the polygons of a file."""
-    found: list[Zone] = [
-        ((str(room.index), room.id, *([room.name] if room.name else [])), room.level, room.index)
-        for room in grid.rooms
-    ]
-    names = grid.level_names
+    """Return the rooms of a grid, and the polygons of a file."""
+    zones = []
+    for room in grid.rooms:
+        names = [str(room.index), room.id]
+        if room.name:
+            names.append(room.name)
+        zones.append(Zone(tuple(names), room.level, room.index, None))
+    level_names = grid.level_names
     for k, outline in enumerate([] if path is None else read_room_outlines(path)):
         name = outline["name"] or f"feature {k}"
         level = outline["level"]
-        number = names.index(level) if level in names else level
-        if not isinstance(number, int) or number >= len(names):
-            whose = f"{name!r} in {path}"
-            there = ", ".join(names)
-            raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
+        number = level_names.index(level) if level in level_names else level
+        if not isinstance(number, int) or number >= len(level_names):
+            polygon = f"{name!r} in {path}"
+            listed = ", ".join(level_names)
+            raise FormatError(
+                f"no level {level!r}, which {polygon} is on: the grid has {listed}",
+                path=str(path),
+                key="level",
+                value=level,
+            )
         rings = [outline["points"], *outline["rings"]]
         lattice = grid.levels[number].lattice
         touched = touch_cells(rings, lattice)
         mask = cover_cells(rings, lattice) if has_limits else touched
         if not mask.any():
-            where = f"lies outside of level {number}: it holds no cell"
+            fault = f"lies outside of level {number}: it holds no cell"
             if touched.any():
-                where = f"is thinner than a cell of level {number}: it holds no cell's centre"
-            raise FormatError(f"{name!r} in {path} {where}")
-        found.append(((name,), number, mask))
-    return found
+                fault = f"is thinner than a cell of level {number}: it holds no cell's centre"
+            raise FormatError(f"{name!r} in {path} {fault}", path=str(path), value=name)
+        zones.append(Zone((name,), number, None, mask))
+    return zones
 
 
-def _info_path(path: Path) -> Path:
-    """Where the parameters of a mask's filter are."""
+def _find_parameters_path(path: Path) -> Path:
+    """Return the path of the parameters of a mask's filter."""
     return path.with_name(f"{path.stem}_filter{path.suffix}")
 
 
@@ -248,62 +309,84 @@ def read_mask(
     Args:
         path: the mask's YAML. The filter's parameters are read where `encode_mask` writes them;
             without them, values are percent.
-        has_limits: whether it is one of the speed filter.
-        grid: the grid that gets the areas, after its own; a new one of free cells if None. A cell
-            takes what the mask has at its centre.
-        level: of the grid.
-        agent: whose speed is 100 %: a name in the grid, or an agent; 1 m/s if None.
+        has_limits: whether the mask is one of the speed filter.
+        grid: the grid that gets the areas, after those that it has; None for a new grid of free
+            cells. A cell takes what the mask has at its centre.
+        level: the number of the grid's level that the mask is of.
+        agent: the agent whose speed is 100 %: a name in the grid, or an agent; 1 m/s if None.
+
+    Returns:
+        A new grid with the areas.
 
     Raises:
         FormatError: a file is broken, there is no such level, or there are too many areas.
         QueryError: the grid names no such agent.
     """
-    values, lattice, stated = read_map(path)
+    mask, mask_lattice, map_yaml = read_map(path)
     if grid is None:
-        empty = np.zeros_like(values)
+        free_values = np.zeros_like(mask)
         level = 0
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
-        grid = level_from_values(empty, lattice, stated.ground, metadata)
+        grid = level_from_values(free_values, mask_lattice, map_yaml.ground, metadata)
         check_grid(grid, JsonPath(check_path(path)))
     check_level(grid, level)
-    target = grid.levels[level].lattice
-    rows, cols = lattice.rows_cols(target.positions(*np.indices(target.shape)))
-    inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-    seen = np.zeros(target.shape, dtype=np.int8)
-    seen[inside] = values[rows[inside], cols[inside]]
-    whose = find_agent(grid, agent)
-    scale = _read_info(Path(path)) if has_limits else Scale()
-    table = list(grid.areas)
-    index = grid.levels[level].area_index.copy()
-    names = {area.name for area in table}
-    for value in np.unique(seen[seen > FREE]).tolist():
-        area = _area_of(value, scale, has_limits, SPEED if whose is None else whose.speed)
+
+    # the mask's value at each cell's centre
+    lattice = grid.levels[level].lattice
+    rows, cols = mask_lattice.rows_cols(lattice.positions(*np.indices(lattice.shape)))
+    is_inside = (rows >= 0) & (rows < mask_lattice.height)
+    is_inside &= (cols >= 0) & (cols < mask_lattice.width)
+    values = np.zeros(lattice.shape, dtype=np.int8)
+    values[is_inside] = mask[rows[is_inside], cols[is_inside]]
+
+    mask_agent = find_agent(grid, agent)
+    agent_speed = SPEED if mask_agent is None else mask_agent.speed
+    scale = _read_parameters(Path(path)) if has_limits else FilterScale()
+    areas = list(grid.areas)
+    area_index = grid.levels[level].area_index.copy()
+    used_names = {area.name for area in areas}
+    for value in np.unique(values[values > FREE]).tolist():
+        area = _make_area(value, scale, has_limits, agent_speed)
         name = area.name
-        again = 2
-        while name in names:
-            name = f"{area.name} ({again})"
-            again = again + 1
-        names.add(name)
-        table.append(Area(name, area.cost, area.speed))
-        if len(table) > MAX_AREAS:
-            raise FormatError(f"expected at most {MAX_AREAS} areas, got more by {path}")
-        index[seen == value] = len(table)
-    areas = {"areas": [area.to_json() for area in table]}
+        number = 2
+        while name in used_names:
+            name = f"{area.name} ({number})"
+            number = number + 1
+        used_names.add(name)
+        areas.append(Area(name, area.cost, area.speed))
+        if len(areas) > MAX_AREAS:
+            message = f"expected at most {MAX_AREAS} areas, got more by {path}"
+            raise FormatError(message, path=str(path), expected=f"at most {MAX_AREAS} areas")
+        area_index[values == value] = len(areas)
+
+    entries = {"areas": [area.to_json() for area in areas]}
     levels = []
-    for k, own in enumerate(grid.levels):
-        metadata = {**own.metadata, "navbake": {**own.navbake, **areas}}
-        attributes = {"area": index} if k == level else {}
-        levels.append(own.with_layers(attributes=attributes, metadata=metadata))
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, **areas}}
-    done: NavGrid = grid.with_levels(levels, metadata)
-    renew_islands(done)
-    return done
+    for k, scene in enumerate(grid.levels):
+        metadata = {**scene.metadata, "navbake": {**scene.navbake, **entries}}
+        attributes = {"area": area_index} if k == level else {}
+        levels.append(scene.with_layers(attributes=attributes, metadata=metadata))
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, **entries}}
+    marked_grid: NavGrid = grid.with_levels(levels, metadata)
+    renew_islands(marked_grid)
+    return marked_grid
 
 
 def read_keepout(
     path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
 ) -> NavGrid:
-    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
+    """Read a mask of the keepout filter as areas of a grid, see `read_mask`.
+
+    Args:
+        path: the mask's YAML.
+        grid: the grid that gets the areas, None for a new grid of free cells.
+        level: the number of the grid's level that the mask is of.
+
+    Returns:
+        A new grid with the areas.
+
+    Raises:
+        FormatError: as of `read_mask`.
+    """
     return read_mask(path, has_limits=False, grid=grid, level=level)
 
 
@@ -314,37 +397,52 @@ def read_speed(
     level: int = 0,
     agent: str | Agent | None = None,
 ) -> NavGrid:
-    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
+    """Read a mask of the speed filter as areas of a grid, see `read_mask`.
+
+    Args:
+        path: the mask's YAML.
+        grid: the grid that gets the areas, None for a new grid of free cells.
+        level: the number of the grid's level that the mask is of.
+        agent: the agent whose speed is 100 %: a name in the grid, or an agent; 1 m/s if None.
+
+    Returns:
+        A new grid with the areas.
+
+    Raises:
+        FormatError: as of `read_mask`.
+        QueryError: the grid names no such agent.
+    """
     return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
 
 
-def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:
-    """The area of the cells with a value."""
+def _make_area(value: int, scale: FilterScale, has_limits: bool, agent_speed: float) -> Area:
+    """Make the area of the cells with a value."""
     if not has_limits:
         if value >= INSCRIBED:
             return Area("keepout" if value == OCCUPIED else f"keepout {value}", math.inf)
         return Area(f"cost {value}", float(1 + math.ceil(251 * (value - 1) / 97)))
     limit = round(scale.base + scale.multiplier * value, 9)
-    speed = limit if scale.type == ABSOLUTE else round(limit / 100.0 * fastest, 9)
+    speed = limit if scale.type == ABSOLUTE else round(limit / 100.0 * agent_speed, 9)
     name = f"speed {limit:g} m/s" if scale.type == ABSOLUTE else f"speed {limit:g} %"
-    # nav2 takes limits that are no share of a speed for none
+    # nav2 takes a limit of 0 and less as no limit
     return Area(name, 1.0, speed if speed > 0 else None)
 
 
-def _read_info(path: Path) -> Scale:
-    """The parameters beside a mask; percent without them."""
-    info = _info_path(path)
-    if not info.exists():
-        return Scale(PERCENT)
-    content, name = read_yaml(info, expected="the parameters of a filter")
+def _read_parameters(path: Path) -> FilterScale:
+    """Read the parameters beside a mask; without them, values are percent."""
+    parameters_path = _find_parameters_path(path)
+    if not parameters_path.exists():
+        return FilterScale(PERCENT)
+    content, name = read_yaml(parameters_path, expected="the parameters of a filter")
     place = JsonPath(name)
     for node, entry in check_object(content, place).items():
-        own = check_object(check_object(entry, place).get("ros__parameters"), place[str(node)])
-        if "multiplier" in own and "type" in own:
-            numbers = [
-                float(check_number(own.get(key), place[str(node)][key])) for key in Scale._fields
-            ]
-            if numbers[0] not in (PERCENT, ABSOLUTE):
-                place[str(node)]["type"].refuse("1 (percent) or 2 (m/s)", own["type"])
-            return Scale(int(numbers[0]), *numbers[1:])
+        node_place = place[str(node)]
+        parameters = check_object(check_object(entry, place).get("ros__parameters"), node_place)
+        if "multiplier" in parameters and "type" in parameters:
+            filter_type = check_number(parameters.get("type"), node_place["type"])
+            base = check_number(parameters.get("base"), node_place["base"])
+            multiplier = check_number(parameters.get("multiplier"), node_place["multiplier"])
+            if filter_type not in (PERCENT, ABSOLUTE):
+                node_place["type"].refuse("1 (percent) or 2 (m/s)", parameters["type"])
+            return FilterScale(int(filter_type), float(base), float(multiplier))
     place.fail("expected a node with type, base and multiplier")

@@ -1,8 +1,8 @@
 """Levels as the values of ROS's ``nav_msgs/OccupancyGrid``: -1 unknown, 0 free to 100 occupied.
 
 Arrays have row 0 at the top (largest y), as everywhere in navbake; a message has it at the bottom.
-Values from 1 to 98 are costs from 1 to 252, as ``nav2_costmap_2d`` publishes costmaps, and 99 is a
-cell that the robot's centre can't be on.
+Values from 1 to 98 are costs from 1 to 252, as ``nav2_costmap_2d`` publishes costmaps, and 99 is
+a cell that the robot's centre can't be on.
 
 Source: nav2's ``costmap_2d_publisher.cpp`` for the values of costs.
 """

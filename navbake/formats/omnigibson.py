@@ -27,9 +27,7 @@ from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import MAX_PIXELS
 from navbake.formats.convert import select_levels
-from navbake.formats.occupancy import (
-    level_from_rooms,
-)
+from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, encode_image, open_image, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, Lattice
@@ -41,6 +39,7 @@ PIXEL_MARGIN = 1e-7  # [m], by which a pixel is smaller on each side: cells' edg
 ROOMS_FILE = "floor_insseg_0.png"
 CATEGORIES_FILE = "floor_semseg_0.png"
 CATEGORY_NAMES_FILE = "room_categories.txt"
+DEFAULT_CATEGORY = "room"
 NO_OBJECTS = "no_obj"  # in the name of a map without furniture
 TRAILING_NUMBER = re.compile(r"[\s_-]*\d*$")  # at the end of a room's name
 
@@ -54,89 +53,120 @@ def encode_omnigibson(
     with ``_`` for spaces and without a number at the end, or ``room``.
 
     Args:
-        path: ends in ``.png``; the level's number is added: ``floor_trav_0.png``. There are no room
-            maps if its name has ``no_obj``, as that of a grid that was baked without furniture.
-        level: this level only.
+        grid: the grid.
+        path: the file, which ends in ``.png``; the level's number is added: ``floor_trav_0.png``.
+            There are no room maps if its name has ``no_obj``, as that of a grid that was baked
+            without furniture.
+        level: the number of the only level to write, None for all.
         categories: the ``room_categories.txt`` of OmniGibson's dataset, which has to have all
             rooms' categories. If None, one of these rooms is written.
+
+    Returns:
+        The content of each file by its path.
 
     Raises:
         FormatError: there is no such level, an image is too large, cells are smaller than a pixel,
             there are more than 255 rooms, or a category isn't in the list.
     """
     files: Files = {}
-    chosen = select_levels(grid, path, level, (".png",))
-    for number in chosen:
-        own = grid.levels[number]
-        lattice = own.lattice
+    for number in select_levels(grid, path, level, (".png",)):
+        scene = grid.levels[number]
+        lattice = scene.lattice
         if lattice.cell_size < PIXEL_SIZE - PIXEL_MARGIN:
+            expected = f"cells of {PIXEL_SIZE} m at least"
+            got = f"{lattice.cell_size:g} m"
             raise FormatError(
-                f"expected cells of {PIXEL_SIZE} m at least, got {lattice.cell_size:g} m"
+                f"expected {expected}, got {got}", value=lattice.cell_size, expected=expected
             )
-        half = math.ceil(max(map(abs, lattice.bounds)) / PIXEL_SIZE) + 1  # 0 has to be in room maps
-        if (2 * half) ** 2 > MAX_PIXELS:
-            far = half * PIXEL_SIZE
-            most = math.isqrt(MAX_PIXELS) // 2 * PIXEL_SIZE
+        # half of the image's edge; 0 has to be in room maps
+        half_size = math.ceil(max(map(abs, lattice.bounds)) / PIXEL_SIZE) + 1
+        if (2 * half_size) ** 2 > MAX_PIXELS:
+            extent = half_size * PIXEL_SIZE
+            max_extent = math.isqrt(MAX_PIXELS) // 2 * PIXEL_SIZE
             what = f"OmniGibson's maps are centred on the origin, and level {number} ends"
-            raise FormatError(f"{what} {far:.1f} m from it, expected {most:.1f} m at most")
-        text = orjson.dumps({**lattice._asdict(), "ground": own.ground}).decode()
-        free = np.ones((2 * half, 2 * half), dtype=bool)
+            expected = f"{max_extent:.1f} m at most"
+            raise FormatError(
+                f"{what} {extent:.1f} m from it, expected {expected}",
+                value=extent,
+                expected=expected,
+            )
+        text = orjson.dumps({**lattice._asdict(), "ground": scene.ground}).decode()
+        free = np.ones((2 * half_size, 2 * half_size), dtype=bool)
         reach = PIXEL_SIZE / 2 - PIXEL_MARGIN  # a pixel meets two cells at most along each axis
         for right, up in itertools.product((-reach, reach), repeat=2):
-            free &= _sample(own.free, lattice, half, right, up)
+            free &= _sample_pixels(scene.free, lattice, half_size, right, up)
         pixels = np.where(free, np.uint8(255), np.uint8(0))
-        name = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        files[name] = encode_image(pixels, "PNG", navbake=text)
-        if number == 0 and NO_OBJECTS not in path.stem and own.room_index.any():
-            files |= _encode_rooms(grid, path.parent, half, categories)
+        map_path = path.with_name(f"{path.stem}_{number}{path.suffix}")
+        files[map_path] = encode_image(pixels, "PNG", navbake=text)
+        if number == 0 and NO_OBJECTS not in path.stem and scene.room_index.any():
+            files |= _encode_room_maps(grid, path.parent, half_size, categories)
     return files
 
 
-def _sample(
-    layer: NDArray[Any], lattice: Lattice, half: int, right: float = 0.0, up: float = 0.0
+def _sample_pixels(
+    layer: NDArray[Any], lattice: Lattice, half_size: int, right: float = 0.0, up: float = 0.0
 ) -> NDArray[Any]:
-    """A layer at the middles of all pixels, moved right and up [m]; 0 outside of the lattice."""
-    middle = (np.arange(2 * half) + (0.5 - half)) * PIXEL_SIZE
+    """Return a layer's values at all pixels' middles, moved right and up [m].
+
+    Outside of the lattice they are 0.
+    """
+    middle = (np.arange(2 * half_size) + (0.5 - half_size)) * PIXEL_SIZE
     rows, cols = lattice.rows_cols(np.stack([middle + right, middle + up], axis=-1))
-    rows, cols = (np.clip(k + 1, 0, n + 1) for k, n in zip((rows, cols), layer.shape, strict=True))
-    found: NDArray[Any] = np.pad(layer, 1)[rows[:, None], cols]
-    return found
+    # a border of zeros stands for everything outside
+    height, width = layer.shape
+    rows = np.clip(rows + 1, 0, height + 1)
+    cols = np.clip(cols + 1, 0, width + 1)
+    samples: NDArray[Any] = np.pad(layer, 1)[rows[:, None], cols]
+    return samples
 
 
-def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | None) -> Files:
-    """The room maps of level 0."""
+def _encode_room_maps(
+    grid: NavGrid, folder: Path, half_size: int, categories: Path | None
+) -> Files:
+    """Encode the room maps of level 0, and its categories if no file of them is given."""
     level = grid.levels[0]
-    names = {
-        room.index: TRAILING_NUMBER.sub("", (room.name or "").lower()).replace(" ", "_") or "room"
-        for room in grid.rooms
-        if room.level == 0
+    category_of_room = {
+        room.index: _find_category(room.name or "") for room in grid.rooms if room.level == 0
     }
-    most = int(level.room_index.max())
-    if most > MAX_ROOMS:
+    num_rooms = int(level.room_index.max())
+    if num_rooms > MAX_ROOMS:
         limit = f"a map of OmniGibson numbers rooms up to {MAX_ROOMS}"
-        raise FormatError(f"{limit}, level 0 has {most}")
+        raise FormatError(f"{limit}, level 0 has {num_rooms}", value=num_rooms)
     files: Files = {}
     if categories is None:
-        known = sorted({*names.values(), "room"})
-        files[folder / CATEGORY_NAMES_FILE] = "".join(f"{name}\n" for name in known).encode()
+        category_names = sorted({*category_of_room.values(), DEFAULT_CATEGORY})
+        files[folder / CATEGORY_NAMES_FILE] = "".join(
+            f"{name}\n" for name in category_names
+        ).encode()
     else:
-        known = _read_lines(categories)
-        for number, name in names.items():
-            if name not in known:
-                what = f"room {number} of level 0 is a {name!r}, which {categories} doesn't have"
+        category_names = _read_lines(categories)
+        for index, category in category_of_room.items():
+            if category not in category_names:
+                what = f"room {index} of level 0 is a {category!r}, which {categories} doesn't have"
                 remedy = "name rooms as its lines do, see `rooms` in the settings"
-                raise FormatError(f"{what}: {remedy}")
-    kinds = np.zeros(most + 1, dtype=np.int64)
-    kinds[1:] = known.index("room") + 1 if "room" in known else 0
-    for number, name in names.items():
-        kinds[number] = known.index(name) + 1
-    if kinds.max() > MAX_ROOMS:
+                raise FormatError(
+                    f"{what}: {remedy}", path=str(categories), value=category, hint=remedy
+                )
+    # the number of each room's category: its line, from 1
+    category_numbers = np.zeros(num_rooms + 1, dtype=np.int64)
+    if DEFAULT_CATEGORY in category_names:
+        category_numbers[1:] = category_names.index(DEFAULT_CATEGORY) + 1
+    for index, category in category_of_room.items():
+        category_numbers[index] = category_names.index(category) + 1
+    if category_numbers.max() > MAX_ROOMS:
         limit = f"a map of OmniGibson numbers categories up to {MAX_ROOMS}"
-        raise FormatError(f"{limit}, the last of level 0 has the number {kinds.max()}")
-    index = _sample(level.room_index, level.lattice, half)
-    files[folder / ROOMS_FILE] = encode_image(index.astype(np.uint8), "PNG")
-    files[folder / CATEGORIES_FILE] = encode_image(kinds[index].astype(np.uint8), "PNG")
+        raise FormatError(f"{limit}, the last of level 0 has the number {category_numbers.max()}")
+    room_pixels = _sample_pixels(level.room_index, level.lattice, half_size)
+    files[folder / ROOMS_FILE] = encode_image(room_pixels.astype(np.uint8), "PNG")
+    category_pixels = category_numbers[room_pixels].astype(np.uint8)
+    files[folder / CATEGORIES_FILE] = encode_image(category_pixels, "PNG")
     return files
+
+
+def _find_category(room_name: str) -> str:
+    """Return the category of a room: ``living_room`` of ``Living room 2``."""
+    name = TRAILING_NUMBER.sub("", room_name.lower())
+    return name.replace(" ", "_") or DEFAULT_CATEGORY
 
 
 def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
@@ -145,94 +175,124 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     Cells are pixels of 0.01 m, or those that navbake made the map of. All have a flat floor, at
     z = 0 unless navbake wrote the map. Rooms are numbered as in ``floor_insseg_0.png``, which is
     read beside a map whose name ends in ``_0``; with ``room_categories.txt``, they are named as
-    OmniGibson names them, ``bedroom_0``. Raises a FormatError if the file is no such map, or a room
-    map isn't of its size.
+    OmniGibson names them, ``bedroom_0``.
+
+    Args:
+        path: the map.
+
+    Returns:
+        The level.
+
+    Raises:
+        FormatError: the file is no such map, or a room map isn't of its size.
+
+    Example:
+        >>> grid = navbake.from_omnigibson("floor_trav_0.png")
     """
     image = open_image(path, ("PNG",))
-    own = image.info.get("navbake")
+    cells_text = image.info.get("navbake")
     size = image.width
     if image.width != image.height:
-        got = f"{image.width} × {image.height}"
-        raise FormatError(f"expected a square map in {path}, got {got} pixels")
+        got = f"{image.width} × {image.height} pixels"
+        message = f"expected a square map in {path}, got {got}"
+        raise FormatError(message, path=str(path), value=image.size, expected="a square map")
     if image.mode not in ("1", "L"):
-        raise FormatError(f"expected a map of one channel in {path}, got {image.mode}")
-    half = size * PIXEL_SIZE / 2
-    lattice = Lattice(-half, half, PIXEL_SIZE, size, size)
+        message = f"expected a map of one channel in {path}, got {image.mode}"
+        raise FormatError(
+            message, path=str(path), value=image.mode, expected="a map of one channel"
+        )
+    half_extent = size * PIXEL_SIZE / 2
+    lattice = Lattice(-half_extent, half_extent, PIXEL_SIZE, size, size)
     ground = 0.0
-    if isinstance(own, str):
-        lattice, ground = _parse_cells(own, path)
+    if isinstance(cells_text, str):
+        lattice, ground = _parse_cells(cells_text, path)
+    # the pixel at each cell's centre
     rows = np.floor(lattice.center_y() / PIXEL_SIZE + size / 2).astype(np.int64)
     cols = np.floor(lattice.center_x() / PIXEL_SIZE + size / 2).astype(np.int64)
     if min(rows[-1], cols[0]) < 0 or max(rows[0], cols[-1]) >= size:
-        raise FormatError(
-            f"the cells that the text of {path} states reach beyond its {size} pixels"
-        )
-    picked = rows[:, None], cols
-    free = np.asarray(image.convert("L"))[picked] == 255
+        message = f"the cells that the text of {path} states reach beyond its {size} pixels"
+        raise FormatError(message, path=str(path))
+    pixel_of_cell = (rows[:, None], cols)
+    free = np.asarray(image.convert("L"))[pixel_of_cell] == 255
     rooms = np.zeros(free.shape, dtype=np.uint16)
     names = dict[int, str]()
     if list_room_maps(Path(path)):
-        index, names = _read_rooms(Path(path).parent, size)
-        rooms = index[picked].astype(np.uint16)
+        room_pixels, names = _read_room_maps(Path(path).parent, size)
+        rooms = room_pixels[pixel_of_cell].astype(np.uint16)
     return level_from_rooms(free, rooms, names, lattice, ground, readable_stem(path))
 
 
 def list_room_maps(path: Path) -> list[Path]:
-    """The room maps that `read_omnigibson` reads beside a map."""
-    found = [path.with_name(name) for name in (ROOMS_FILE, CATEGORIES_FILE, CATEGORY_NAMES_FILE)]
-    is_first = path.stem.endswith("_0") and found[0].exists()
-    return [file for file in found if file.exists()] if is_first else []
+    """List the existing files of rooms that `read_omnigibson` reads beside a map."""
+    rooms_path = path.with_name(ROOMS_FILE)
+    if not path.stem.endswith("_0") or not rooms_path.exists():
+        return []
+    candidates = [rooms_path, path.with_name(CATEGORIES_FILE), path.with_name(CATEGORY_NAMES_FILE)]
+    return [candidate for candidate in candidates if candidate.exists()]
 
 
 def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
-    """The lattice and the ground that navbake wrote into a map."""
+    """Return the lattice and the ground that navbake wrote into a map."""
     try:
-        stated: Json = orjson.loads(text)
-        ground = float(stated.pop("ground"))
-        lattice = Lattice(**stated)
-        is_sound = (
-            lattice.cell_size >= PIXEL_SIZE - PIXEL_MARGIN
-            and min(lattice.width, lattice.height) >= 1
-        )
-        is_sound &= abs(ground) <= FARTHEST and lattice.width * lattice.height <= MAX_PIXELS
-        is_sound &= type(lattice.width) is type(lattice.height) is int
-        if not is_sound or not all(abs(edge) <= FARTHEST for edge in lattice.bounds):
+        cells: Json = orjson.loads(text)
+        ground = float(cells.pop("ground"))
+        lattice = Lattice(**cells)
+        is_valid = lattice.cell_size >= PIXEL_SIZE - PIXEL_MARGIN
+        is_valid &= min(lattice.width, lattice.height) >= 1
+        is_valid &= abs(ground) <= FARTHEST and lattice.width * lattice.height <= MAX_PIXELS
+        is_valid &= type(lattice.width) is type(lattice.height) is int
+        if not is_valid or not all(abs(edge) <= FARTHEST for edge in lattice.bounds):
             raise ValueError("out of range")
     except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise FormatError(f"expected the cells of a map as `navbake` in {path}: {error}") from error
+        expected = "the cells of a map"
+        raise FormatError(
+            f"expected {expected} as `navbake` in {path}: {error}",
+            path=str(path),
+            key="navbake",
+            value=text,
+            expected=expected,
+        ) from error
     return lattice, ground
 
 
-def _read_rooms(folder: Path, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
-    """The numbers of rooms, and names as OmniGibson's.
+def _read_room_maps(folder: Path, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
+    """Read the room number of each pixel, and the rooms' names as OmniGibson's.
 
-    These are the category of a room's first pixel, and a count from 0 in each.
+    A name is the category of a room's first pixel, and the room's number in it, from 0.
     """
-    layers = []
-    for name in (ROOMS_FILE, CATEGORIES_FILE):
-        if not (folder / name).exists():
-            layers.append(np.zeros((size, size), dtype=np.uint8))
-            continue
-        image = open_image(folder / name, ("PNG",))
-        if image.size != (size, size) or image.mode not in ("L", "P"):
-            got = f"{image.mode} of {image.width} × {image.height}"
-            raise FormatError(f"expected bytes of {size} × {size} in {folder / name}, got {got}")
-        layers.append(np.asarray(image))
-    index, kinds = layers
-    known = (
-        _read_lines(folder / CATEGORY_NAMES_FILE) if (folder / CATEGORY_NAMES_FILE).exists() else []
-    )
+    rooms = _read_room_map(folder / ROOMS_FILE, size)
+    categories = _read_room_map(folder / CATEGORIES_FILE, size)
+    names_path = folder / CATEGORY_NAMES_FILE
+    category_names = _read_lines(names_path) if names_path.exists() else []
     names = dict[int, str]()
     counts = Counter[str]()
-    numbers, first = np.unique(index, return_index=True)
-    for number, kind in zip(numbers.tolist(), kinds.ravel()[first].tolist(), strict=True):
-        if number and 1 <= kind <= len(known) and known[kind - 1]:
-            name = known[kind - 1]
+    numbers, first_pixel = np.unique(rooms, return_index=True)
+    first_category = categories.ravel()[first_pixel]
+    for number, category in zip(numbers.tolist(), first_category.tolist(), strict=True):
+        if number and 1 <= category <= len(category_names) and category_names[category - 1]:
+            name = category_names[category - 1]
             names[number] = f"{name}_{counts[name]}"
             counts[name] += 1
-    return index, names
+    return rooms, names
+
+
+def _read_room_map(path: Path, size: int) -> NDArray[np.uint8]:
+    """Read the bytes of a square image; zeros if it does not exist."""
+    if not path.exists():
+        return np.zeros((size, size), dtype=np.uint8)
+    image = open_image(path, ("PNG",))
+    if image.size != (size, size) or image.mode not in ("L", "P"):
+        expected = f"bytes of {size} × {size}"
+        got = f"{image.mode} of {image.width} × {image.height}"
+        raise FormatError(
+            f"expected {expected} in {path}, got {got}",
+            path=str(path),
+            value=got,
+            expected=expected,
+        )
+    return np.asarray(image)
 
 
 def _read_lines(path: Path) -> list[str]:
-    text = read_bytes(path)[0].decode(errors="replace")
-    return [line.rstrip() for line in text.split("\n")]
+    content, _ = read_bytes(path)
+    return [line.rstrip() for line in content.decode(errors="replace").split("\n")]
