@@ -30,7 +30,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import orjson
 
@@ -56,95 +56,162 @@ LOG = logging.getLogger(__name__)
 
 
 def write_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = None) -> list[Path]:
-    """Write a graph of routes, in a format given by name or else by the file's ending."""
+    """Write a graph of routes.
+
+    Args:
+        graph: the graph.
+        path: of the file.
+        to: name of a format; the one of the file's ending unless given.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        FormatError: there is no such format.
+    """
     return source.write_files({Path(source.check_path(path)): encode_routes(graph, path, to)})
 
 
 def encode_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = None) -> bytes:
-    """Encode a graph of routes, in a format given by name or else by the file's ending."""
-    form = find_format(path, to, writing=True, formats=ROUTE_FORMATS)
-    content: bytes = resolve(f"navbake.formats.{form.encode}")(graph)
+    """Encode a graph of routes; for arguments and errors, see `write_routes`."""
+    file_format = find_format(path, to, writing=True, formats=ROUTE_FORMATS)
+    content: bytes = resolve(f"navbake.formats.{file_format.encode}")(graph)
     return content
 
 
 def read_routes(path: str | PathLike[str], origin: str | None = None) -> RouteGraph:
-    """Read a graph of routes, in a format given by name or else by the file's ending.
+    """Read a graph of routes.
 
-    Raises a FormatError if the format is unknown, or the file broken.
+    Args:
+        path: of the file.
+        origin: name of its format; the one of the file's ending unless given.
+
+    Returns:
+        The graph.
+
+    Raises:
+        FormatError: the format is unknown, or the file broken.
     """
-    form = find_format(source.check_path(path), origin, writing=False, formats=ROUTE_FORMATS)
-    graph: RouteGraph = resolve(f"navbake.formats.{form.read}")(path)
+    path = source.check_path(path)
+    file_format = find_format(path, origin, writing=False, formats=ROUTE_FORMATS)
+    graph: RouteGraph = resolve(f"navbake.formats.{file_format.read}")(path)
     return graph
 
 
-class _Rows:
-    """Nodes, by their key in a file, and one-way lanes while the file is read.
+class _NodeEntry(NamedTuple):
+    """A node that was read."""
+
+    number: object  # its place in the graph, if the file states one
+    key: object  # its id in the file
+    node: Node
+
+
+class _LaneEntry(NamedTuple):
+    """A lane one way that was read."""
+
+    number: object  # its place in the graph, if the file states one
+    start: object  # keys of its nodes
+    end: object
+    lane: Lane  # with nodes 0 and 0, until all nodes are known
+
+
+class _GraphReader:
+    """Collects nodes, by their keys in a file, and one-way lanes while the file is read.
 
     A ``number`` in an entry is its place in the graph, where files group nodes by level.
     """
 
     def __init__(self, file: str) -> None:
         self.top = JsonPath(file)
-        self.nodes: dict[Any, tuple[Any, Node]] = {}  # each after its number
-        self.lanes: list[tuple[Any, Any, Any, Lane]] = []  # each after number, start and end
+        self.nodes: dict[object, _NodeEntry] = {}  # by their keys
+        self.lanes: list[_LaneEntry] = []
 
-    def add_node(self, key: Any, position: Any, entry: Json, place: JsonPath) -> None:
-        """Add a node at x, y and maybe z [m]."""
+    def add_node(self, key: object, position: object, entry: Json, place: JsonPath) -> None:
+        """Add a node.
+
+        Args:
+            key: its id in the file.
+            position: a list of x, y and maybe z [m].
+            entry: further fields of the node.
+            place: where it stands in the file, for errors.
+        """
         if not isinstance(key, int | str | tuple):
             place.refuse("the id of a node", key)
         if key in self.nodes:
             place.fail(f"two nodes have the id {key!r}")
         if not isinstance(position, list) or len(position) not in (2, 3):
             place.refuse("a node's x and y [m]", position)
-        x, y, z = (float(check_number(v, place)) for v in [*position, 0.0][:3])
-        fields = {"name": str(key), **entry, "position": (x, y, z)}
+        coordinates = [float(check_number(value, place)) for value in [*position, 0.0][:3]]
+        fields = {"name": str(key), **entry, "position": tuple(coordinates)}
         node = read_table(fields, Node, f"{place.path} in {place.file}")
-        self.nodes[key] = entry.get("number"), node
+        self.nodes[key] = _NodeEntry(entry.get("number"), key, node)
 
-    def add_lane(self, start: Any, end: Any, entry: Json, place: JsonPath) -> None:
-        """Add a lane one way between the keys of nodes, its length by them unless stated."""
+    def add_lane(self, start: object, end: object, entry: Json, place: JsonPath) -> None:
+        """Add a lane one way.
+
+        Args:
+            start: the key of its first node.
+            end: the key of its last node.
+            entry: further fields of the lane; its length follows from the nodes unless stated.
+            place: where it stands in the file, for errors.
+        """
         for key in (start, end):
             if not isinstance(key, int | str | tuple) or key not in self.nodes:
                 place.refuse("the id of a node", key)
-        one = self.nodes[start][1].position
-        other = self.nodes[end][1].position
-        length = math.dist(one[:2], other[:2])
+        start_position = self.nodes[start].node.position
+        end_position = self.nodes[end].node.position
+        length = math.dist(start_position[:2], end_position[:2])
         fields = {"name": "", "length": length, "cost": entry.get("length", length), **entry}
-        fields |= {"start": 0, "end": 0, "two_way": False}  # until all nodes are known
+        fields |= {"start": 0, "end": 0, "two_way": False}
         lane = read_table(fields, Lane, f"{place.path} in {place.file}")
-        self.lanes.append((entry.get("number"), start, end, lane))
+        self.lanes.append(_LaneEntry(entry.get("number"), start, end, lane))
 
-    def make_graph(self, about: Any, level_names: Sequence[str] = ("level 0",)) -> RouteGraph:
-        """Make the graph, with the fields of the file's own entry `about` it, if that is one."""
-        rows = _in_order([(own, key, node) for key, (own, node) in self.nodes.items()])
-        nodes = tuple(node for *_, node in rows)
-        index = {key: k for k, (_, key, _) in enumerate(rows)}
+    def make_graph(self, about: object, level_names: Sequence[str] = ("level 0",)) -> RouteGraph:
+        """Make the graph.
+
+        Args:
+            about: navbake's own entry on the graph, ignored unless it is an object.
+            level_names: names of the lowest levels.
+        """
+        node_entries = _in_order(list(self.nodes.values()))
+        lane_entries = _in_order(self.lanes)
+        nodes = tuple(entry.node for entry in node_entries)
+        index = {entry.key: number for number, entry in enumerate(node_entries)}
         lanes = [
-            replace(lane, start=index[start], end=index[end])
-            for _, start, end, lane in _in_order(self.lanes)
+            replace(entry.lane, start=index[entry.start], end=index[entry.end])
+            for entry in lane_entries
         ]
-        highest = max((node.level for node in nodes), default=0)
-        names = [*level_names, *(f"level {k}" for k in range(len(level_names), highest + 1))]
-        fields = {"level_names": names, **(about if isinstance(about, dict) else {})}
+        num_levels = max((node.level for node in nodes), default=0) + 1
+        names = [*level_names]
+        names += [f"level {number}" for number in range(len(level_names), num_levels)]
+        fields: Json = {"level_names": names}
+        if isinstance(about, dict):
+            fields |= about
         fields |= {"nodes": nodes, "lanes": undirected(lanes)}
         graph: RouteGraph = read_table(fields, RouteGraph, f"navbake in {self.top.file}")
-        taken = set[str]()
+        used_names = set[str]()
         for node in nodes:
-            if node.name in taken or not 0 <= node.level < len(graph.level_names):
+            if node.name in used_names or not 0 <= node.level < len(graph.level_names):
                 self.top.fail(f"expected nodes of unique names on known levels, got {node}")
-            taken.add(node.name)
+            used_names.add(node.name)
         return graph
 
 
-def _in_order(rows: list[Any]) -> list[Any]:
-    """Rows by the numbers that they begin with; as they are if one has none."""
-    is_numbered = all(isinstance(row[0], int) for row in rows)
-    return sorted(rows, key=lambda row: row[0]) if is_numbered else rows
+Entry = TypeVar("Entry", _NodeEntry, _LaneEntry)
 
 
-def _with_height(x: Any, y: Any, own: Json) -> list[Any]:
+def _in_order(entries: list[Entry]) -> list[Entry]:
+    """Entries by their numbers; as they are if one has none."""
+    numbers = [entry.number for entry in entries if isinstance(entry.number, int)]
+    if len(numbers) < len(entries):
+        return entries
+    order = sorted(range(len(entries)), key=numbers.__getitem__)
+    return [entries[place] for place in order]
+
+
+def _with_height(x: object, y: object, navbake_entry: Json) -> list[object]:
     """A position on a map, with the z of navbake's own entry if it has one."""
-    position = own.get("position", [0.0, 0.0, 0.0])
+    position = navbake_entry.get("position", [0.0, 0.0, 0.0])
     return [x, y, *(position[2:] if isinstance(position, list) else [])]
 
 
@@ -161,22 +228,29 @@ def encode_nav2_route(graph: RouteGraph) -> bytes:
         )  # fmt: skip
     features = []
     for number, node in enumerate(graph.nodes):
-        own = {"id": number, "frame": "map", "metadata": to_entry(node, "position")}
-        features.append(_feature("Point", list(node.position), own))
+        properties = {"id": number, "frame": "map", "metadata": to_entry(node, "position")}
+        features.append(_feature("Point", list(node.position), properties))
     for number, lane in enumerate(directed(graph.lanes), len(graph.nodes)):
-        more = to_entry(lane, "start", "end", "two_way", "cost", "speed")
+        metadata = to_entry(lane, "start", "end", "two_way", "cost", "speed")
         if lane.speed is not None:
-            share = min(100.0, 100.0 * lane.speed / graph.speed)
-            more |= {"abs_speed_limit": lane.speed, "speed_limit": share}
-        ends = [list(graph.nodes[end].position) for end in (lane.start, lane.end)]
-        own = {"id": number, "startid": lane.start, "endid": lane.end, "cost": lane.cost}
-        own |= {"overridable": lane.kind == FLOOR, "metadata": more}
-        features.append(_feature("MultiLineString", [ends], own))
+            percent = min(100.0, 100.0 * lane.speed / graph.speed)
+            metadata |= {"abs_speed_limit": lane.speed, "speed_limit": percent}
+        properties = {
+            "id": number,
+            "startid": lane.start,
+            "endid": lane.end,
+            "cost": lane.cost,
+            "overridable": lane.kind == FLOOR,
+            "metadata": metadata,
+        }
+        start = list(graph.nodes[lane.start].position)
+        end = list(graph.nodes[lane.end].position)
+        features.append(_feature("MultiLineString", [[start, end]], properties))
     content = {"type": "FeatureCollection", "navbake": to_entry(graph), "features": features}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
-def _feature(kind: str, coordinates: list[Any], properties: Json) -> Json:
+def _feature(kind: str, coordinates: Sequence[object], properties: Json) -> Json:
     geometry = {"type": kind, "coordinates": coordinates}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -188,31 +262,35 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     where the file has none.
     """
     content, name = source.read_json(path, expected="a GeoJSON FeatureCollection")
-    rows = _Rows(name)
-    place = rows.top
-    top = check_object(content, rows.top)
+    reader = _GraphReader(name)
+    top = check_object(content, reader.top)
     features = top.get("features")
     if not isinstance(features, list):
-        place["features"].refuse("a list of features", features)
-    about = check_optional_object(top, "navbake", place)
-    fastest = float(check_number(about.get("speed", SPEED), place["navbake"]["speed"]))
-    for k, feature in enumerate(features):
-        at = place["features"][k]
-        geometry = check_object(check_object(feature, at).get("geometry"), at["geometry"])
-        own = check_object(feature.get("properties"), at["properties"])
-        more = check_optional_object(own, "metadata", at["properties"])
+        reader.top["features"].refuse("a list of features", features)
+    about = check_optional_object(top, "navbake", reader.top)
+    agent_speed = check_number(about.get("speed", SPEED), reader.top["navbake"]["speed"])
+    for index, feature in enumerate(features):
+        place = reader.top["features"][index]
+        geometry = check_object(check_object(feature, place).get("geometry"), place["geometry"])
+        properties = check_object(feature.get("properties"), place["properties"])
+        metadata = check_optional_object(properties, "metadata", place["properties"])
         if geometry.get("type") == "Point":
-            rows.add_node(own.get("id", MISSING), geometry.get("coordinates"), more, at)
+            key = properties.get("id", MISSING)
+            reader.add_node(key, geometry.get("coordinates"), metadata, place)
         elif geometry.get("type") in ("LineString", "MultiLineString"):
-            entry = {key: own[key] for key in ("cost",) if key in own}
-            if "abs_speed_limit" in more:
-                entry["speed"] = more["abs_speed_limit"]
-            elif more.get("speed_limit"):  # 0 is no limit
-                share = float(check_number(more["speed_limit"], at["properties"]["metadata"]))
-                entry["speed"] = share / 100.0 * fastest
-            ends = own.get("startid", MISSING), own.get("endid", MISSING)
-            rows.add_lane(*ends, {"name": str(own.get("id", "")), **more, **entry}, at)
-    return rows.make_graph(about)
+            entry = {"name": str(properties.get("id", "")), **metadata}
+            if "cost" in properties:
+                entry["cost"] = properties["cost"]
+            if "abs_speed_limit" in metadata:
+                entry["speed"] = metadata["abs_speed_limit"]
+            elif metadata.get("speed_limit"):  # 0 is no limit
+                metadata_place = place["properties"]["metadata"]
+                percent = float(check_number(metadata["speed_limit"], metadata_place))
+                entry["speed"] = percent / 100.0 * float(agent_speed)
+            start = properties.get("startid", MISSING)
+            end = properties.get("endid", MISSING)
+            reader.add_lane(start, end, entry, place)
+    return reader.make_graph(about)
 
 
 # ---------------------------------------------------------------- LIF
@@ -263,8 +341,12 @@ def encode_lif(graph: RouteGraph) -> bytes:
                 "navbake": {**to_entry(lane, "start", "end", "two_way"), "number": number},
             }
         )
-    about = {"projectIdentification": graph.scene_id or "", "creator": "navbake"}
-    about |= {"exportTimestamp": "1970-01-01T00:00:00Z", "lifVersion": "1.0.0"}
+    about = {
+        "projectIdentification": graph.scene_id or "",
+        "creator": "navbake",
+        "exportTimestamp": "1970-01-01T00:00:00Z",
+        "lifVersion": "1.0.0",
+    }
     content = {"metaInformation": about, "layouts": layouts, "navbake": to_entry(graph)}
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
@@ -275,48 +357,65 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
     Nodes have the names that it states, or their ids, if it states a name twice.
     """
     content, name = source.read_json(path, expected="a LIF (JSON)")
-    rows = _Rows(name)
-    top = check_object(content, rows.top)
-    layouts = [
-        (layout, rows.top["layouts"][level])
-        for level, layout in enumerate(_objects(top, "layouts", rows.top))
+    reader = _GraphReader(name)
+    top = check_object(content, reader.top)
+    layouts = _objects(top, "layouts", reader.top)
+    name_key = _unique_name_key(layouts, reader.top["layouts"])
+    for level, layout in enumerate(layouts):
+        layout_place = reader.top["layouts"][level]
+        for number, node in enumerate(_objects(layout, "nodes", layout_place)):
+            place = layout_place["nodes"][number]
+            position = check_object(node.get("nodePosition"), place["nodePosition"])
+            navbake_entry = check_optional_object(node, "navbake", place)
+            node_name = node.get(name_key) or node.get("nodeId")
+            reader.add_node(
+                node.get("nodeId", MISSING),
+                _with_height(position.get("x"), position.get("y"), navbake_entry),
+                {"name": node_name, "level": level, **navbake_entry},
+                place,
+            )
+    for level, layout in enumerate(layouts):
+        layout_place = reader.top["layouts"][level]
+        for number, edge in enumerate(_objects(layout, "edges", layout_place)):
+            place = layout_place["edges"][number]
+            navbake_entry = check_optional_object(edge, "navbake", place)
+            entry: Json = {"name": edge.get("edgeId")}
+            if not navbake_entry:
+                vehicle_types = _objects(edge, "vehicleTypeEdgeProperties", place)
+                if vehicle_types and vehicle_types[0].get("maxSpeed"):
+                    entry["speed"] = vehicle_types[0]["maxSpeed"]
+            start = edge.get("startNodeId", MISSING)
+            end = edge.get("endNodeId", MISSING)
+            reader.add_lane(start, end, entry | navbake_entry, place)
+    names = [
+        str(layout.get("layoutName") or f"level {level}") for level, layout in enumerate(layouts)
     ]
+    return reader.make_graph(top.get("navbake"), names)
+
+
+def _unique_name_key(layouts: list[Json], place: JsonPath) -> str:
+    """The key of LIF's nodes that has their names: ``nodeId`` if a ``nodeName`` is there twice."""
     nodes = [
-        (level, node, at["nodes"][number])
-        for level, (layout, at) in enumerate(layouts)
-        for number, node in enumerate(_objects(layout, "nodes", at))
+        node
+        for level, layout in enumerate(layouts)
+        for node in _objects(layout, "nodes", place[level])
     ]
-    stated = [str(node.get("nodeName") or node.get("nodeId")) for _, node, _ in nodes]
-    key = "nodeName" if len({*stated}) == len(stated) else "nodeId"
-    for level, node, here in nodes:
-        spot = check_object(node.get("nodePosition"), here["nodePosition"])
-        own = check_optional_object(node, "navbake", here)
-        named = {"name": node.get(key) or node.get("nodeId"), "level": level, **own}
-        position = _with_height(spot.get("x"), spot.get("y"), own)
-        rows.add_node(node.get("nodeId", MISSING), position, named, here)
-    for layout, at in layouts:
-        for number, edge in enumerate(_objects(layout, "edges", at)):
-            here = at["edges"][number]
-            own = check_optional_object(edge, "navbake", here)
-            kinds = _objects(edge, "vehicleTypeEdgeProperties", here) if not own else []
-            speed = {"speed": kinds[0]["maxSpeed"]} if kinds and kinds[0].get("maxSpeed") else {}
-            ends = edge.get("startNodeId", MISSING), edge.get("endNodeId", MISSING)
-            rows.add_lane(*ends, {"name": edge.get("edgeId"), **speed, **own}, here)
-    names = [str(own.get("layoutName") or f"level {k}") for k, (own, _) in enumerate(layouts)]
-    return rows.make_graph(top.get("navbake"), names)
+    names = [str(node.get("nodeName") or node.get("nodeId")) for node in nodes]
+    return "nodeName" if len({*names}) == len(names) else "nodeId"
 
 
-def _list_of(content: Json, key: str, place: JsonPath) -> list[Any]:
+def _list_of(content: Json, key: str, place: JsonPath) -> list[object]:
     """A list that may be missing or null."""
-    found = content.get(key) or []
-    if not isinstance(found, list):
-        place[key].refuse("a list", found)
-    return found
+    entries = content.get(key) or []
+    if not isinstance(entries, list):
+        place[key].refuse("a list", entries)
+    return entries
 
 
 def _objects(content: Json, key: str, place: JsonPath) -> list[Json]:
-    listed = _list_of(content, key, place)
-    return [check_object(entry, place[key][number]) for number, entry in enumerate(listed)]
+    """A list of objects that may be missing or null."""
+    entries = _list_of(content, key, place)
+    return [check_object(entry, place[key][number]) for number, entry in enumerate(entries)]
 
 
 # ---------------------------------------------------------------- Open-RMF
@@ -329,27 +428,37 @@ def encode_rmf(graph: RouteGraph) -> bytes:
     if len({*names}) < len(names):
         names = [f"level {number}" for number in range(len(names))]
     levels: list[Json] = [{"vertices": [], "lanes": []} for _ in names]
-    between = []
-    place = []
+    vertex_of_node = []  # its place among the vertices of its level
     for number, node in enumerate(graph.nodes):
         x, y, _ = node.position
         vertices = levels[node.level]["vertices"]
-        place.append(len(vertices))
-        lift = {"lift": node.link} if node.link in lifts and node.link else {}
-        own = {**to_entry(node), "position": list(node.position), "number": number}
-        vertices.append([x, y, {"name": node.name, **lift, "navbake": own}])
+        vertex_of_node.append(len(vertices))
+        fields: Json = {"name": node.name}
+        if node.link and node.link in lifts:
+            fields["lift"] = node.link
+        fields["navbake"] = {**to_entry(node), "position": list(node.position), "number": number}
+        vertices.append([x, y, fields])
+    lanes_between_levels = []
     for number, lane in enumerate(directed(graph.lanes)):
-        own = {**to_entry(lane, "start", "end", "two_way"), "number": number}
-        known: Json = {"door_name": lane.door} if lane.door else {}
-        known |= {} if lane.speed is None else {"speed_limit": lane.speed}
+        navbake_entry = {**to_entry(lane, "start", "end", "two_way"), "number": number}
         level = graph.nodes[lane.start].level
-        to_level = graph.nodes[lane.end].level
-        if level == to_level:
-            ends = [place[lane.start], place[lane.end]]
-            levels[level]["lanes"].append([*ends, {**known, "navbake": own}])
-        else:
-            between.append([lane.start, lane.end, {"navbake": own}])
-    about = {**to_entry(graph), "level_names": list(graph.level_names), "lanes": between}
+        if level != graph.nodes[lane.end].level:
+            lanes_between_levels.append([lane.start, lane.end, {"navbake": navbake_entry}])
+            continue
+        fields = {}
+        if lane.door:
+            fields["door_name"] = lane.door
+        if lane.speed is not None:
+            fields["speed_limit"] = lane.speed
+        fields["navbake"] = navbake_entry
+        start = vertex_of_node[lane.start]
+        end = vertex_of_node[lane.end]
+        levels[level]["lanes"].append([start, end, fields])
+    about = {
+        **to_entry(graph),
+        "level_names": list(graph.level_names),
+        "lanes": lanes_between_levels,
+    }
     content = {
         "building_name": graph.scene_id or "building",
         "levels": dict(zip(names, levels, strict=True)),
@@ -361,53 +470,76 @@ def encode_rmf(graph: RouteGraph) -> bytes:
 def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     """Read a navigation graph of Open-RMF."""
     content, name = source.read_yaml(path, expected="a navigation graph")
-    rows = _Rows(name)
-    place = rows.top
-    top = check_object(content, rows.top)
-    levels = check_object(top.get("levels"), place["levels"])
-    about = check_optional_object(top, "navbake", place)
-    for level, (level_name, part) in enumerate(levels.items()):
-        at = place["levels"][str(level_name)]
-        part = check_object(part, at)
-        for k, (x, y, vertex) in enumerate(_triples(part, "vertices", at)):
-            here = at["vertices"][k]
-            own = check_optional_object(vertex, "navbake", here)
-            named = {"name": vertex.get("name") or f"{level_name} {k}", "level": level}
-            if vertex.get("lift"):
-                named |= {"link": vertex["lift"], "kind": "stop"}
-            rows.add_node((level, k), _with_height(x, y, own), {**named, **own}, here)
-        for k, (start, end, lane) in enumerate(_triples(part, "lanes", at)):
-            known = {"door": lane.get("door_name"), "speed": lane.get("speed_limit")}
-            entry = {"name": f"{level_name} {k}"}
-            entry |= {key: value for key, value in known.items() if value}
-            entry |= check_optional_object(lane, "navbake", at["lanes"][k])
-            rows.add_lane((level, start), (level, end), entry, at["lanes"][k])
-    # of nodes with one number, the first has it
-    numbered = [(own, key) for key, (own, _) in rows.nodes.items() if isinstance(own, int | float)]
-    keys = dict(reversed(numbered))
-    for k, (start, end, lane) in enumerate(_triples(about, "lanes", place["navbake"])):
-        here = place["navbake"]["lanes"][k]
+    reader = _GraphReader(name)
+    top = check_object(content, reader.top)
+    levels = check_object(top.get("levels"), reader.top["levels"])
+    about = check_optional_object(top, "navbake", reader.top)
+    for level, (level_name, level_content) in enumerate(levels.items()):
+        place = reader.top["levels"][str(level_name)]
+        _read_rmf_level(reader, level, str(level_name), check_object(level_content, place), place)
+    _read_lanes_between_levels(reader, about)
+    if not about:
+        _join_lifts(reader)
+    return reader.make_graph(about, [str(level_name) for level_name in levels])
+
+
+def _read_rmf_level(
+    reader: _GraphReader, level: int, name: str, content: Json, place: JsonPath
+) -> None:
+    """Read the vertices and lanes of a level; the keys of its nodes are its number and theirs."""
+    for number, (x, y, vertex) in enumerate(_triples(content, "vertices", place)):
+        vertex_place = place["vertices"][number]
+        navbake_entry = check_optional_object(vertex, "navbake", vertex_place)
+        entry: Json = {"name": vertex.get("name") or f"{name} {number}", "level": level}
+        if vertex.get("lift"):
+            entry |= {"link": vertex["lift"], "kind": "stop"}
+        position = _with_height(x, y, navbake_entry)
+        reader.add_node((level, number), position, {**entry, **navbake_entry}, vertex_place)
+    for number, (start, end, lane) in enumerate(_triples(content, "lanes", place)):
+        lane_place = place["lanes"][number]
+        entry = {"name": f"{name} {number}"}
+        if lane.get("door_name"):
+            entry["door"] = lane["door_name"]
+        if lane.get("speed_limit"):
+            entry["speed"] = lane["speed_limit"]
+        entry |= check_optional_object(lane, "navbake", lane_place)
+        reader.add_lane((level, start), (level, end), entry, lane_place)
+
+
+def _read_lanes_between_levels(reader: _GraphReader, about: Json) -> None:
+    """Read the lanes in navbake's own entry, which name nodes by their numbers in the graph."""
+    key_of_number: dict[object, object] = {}
+    for entry in reader.nodes.values():
+        if isinstance(entry.number, int | float):
+            key_of_number.setdefault(entry.number, entry.key)
+    place = reader.top["navbake"]
+    for index, (start, end, lane) in enumerate(_triples(about, "lanes", place)):
+        lane_place = place["lanes"][index]
         for number in (start, end):
-            if not isinstance(number, int | float) or number not in keys:
-                here.refuse("the number of a node", number)
-        rows.add_lane(keys[start], keys[end], check_optional_object(lane, "navbake", here), here)
-    # lifts join their levels
-    nodes = [(key, node) for key, (_, node) in rows.nodes.items()] if not about else []
-    for (key, node), (other_key, other) in itertools.permutations(nodes, 2):
-        if node.link and node.link == other.link and node.level != other.level:
-            entry = {"name": node.link, "kind": "lift", "link": node.link}
-            length = math.dist(node.position, other.position)
-            rows.add_lane(key, other_key, {**entry, "length": length}, place)
-    return rows.make_graph(about, [str(level) for level in levels])
+            if not isinstance(number, int | float) or number not in key_of_number:
+                lane_place.refuse("the number of a node", number)
+        navbake_entry = check_optional_object(lane, "navbake", lane_place)
+        reader.add_lane(key_of_number[start], key_of_number[end], navbake_entry, lane_place)
 
 
-def _triples(content: Json, key: str, place: JsonPath) -> list[list[Any]]:
+def _join_lifts(reader: _GraphReader) -> None:
+    """Add lanes between the nodes of a lift on different levels, as Open-RMF does."""
+    for start, end in itertools.permutations(list(reader.nodes.values()), 2):
+        link = start.node.link
+        if link and link == end.node.link and start.node.level != end.node.level:
+            length = math.dist(start.node.position, end.node.position)
+            entry = {"name": link, "kind": "lift", "link": link, "length": length}
+            reader.add_lane(start.key, end.key, entry, reader.top)
+
+
+def _triples(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
     """A list of rows of two numbers and an object, which may be missing."""
-    found = _list_of(content, key, place)
-    for number, row in enumerate(found):
+    triples = []
+    for number, row in enumerate(_list_of(content, key, place)):
         if not isinstance(row, list) or len(row) < 2:
             place[key][number].refuse("a list of two numbers and an object", row)
-    return [[*row[:2], row[-1] if isinstance(row[-1], dict) else {}] for row in found]
+        triples.append((row[0], row[1], row[-1] if isinstance(row[-1], dict) else {}))
+    return triples
 
 
 # ---------------------------------------------------------------- GraphML
@@ -415,16 +547,19 @@ def _triples(content: Json, key: str, place: JsonPath) -> list[list[Any]]:
 
 def encode_graphml(graph: RouteGraph) -> bytes:
     """Encode a graph by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
-    made = source.import_extra("networkx").MultiDiGraph()
+    nx_graph = source.import_extra("networkx").MultiDiGraph()
     about = to_entry(graph)
-    made.graph.update({**about, "level_names": orjson.dumps(about["level_names"]).decode()})
+    nx_graph.graph.update({**about, "level_names": orjson.dumps(about["level_names"]).decode()})
     for number, node in enumerate(graph.nodes):
         x, y, z = node.position
-        made.add_node(node.name, x=x, y=y, z=z, number=number, **to_entry(node, "position", "name"))
+        fields = to_entry(node, "position", "name")
+        nx_graph.add_node(node.name, x=x, y=y, z=z, number=number, **fields)
     for number, lane in enumerate(directed(graph.lanes)):
-        ends = graph.nodes[lane.start].name, graph.nodes[lane.end].name
-        made.add_edge(*ends, number=number, **to_entry(lane, "start", "end", "two_way"))
-    return encode_networkx(made)
+        start = graph.nodes[lane.start].name
+        end = graph.nodes[lane.end].name
+        fields = to_entry(lane, "start", "end", "two_way")
+        nx_graph.add_edge(start, end, number=number, **fields)
+    return encode_networkx(nx_graph)
 
 
 def read_graphml(path: str | PathLike[str]) -> RouteGraph:
@@ -432,23 +567,25 @@ def read_graphml(path: str | PathLike[str]) -> RouteGraph:
     networkx = source.import_extra("networkx")
     data, name = source.read_bytes(path)
     try:
-        found = networkx.read_graphml(io.BytesIO(data), force_multigraph=True)
+        nx_graph = networkx.read_graphml(io.BytesIO(data), force_multigraph=True)
     except Exception as error:  # networkx and expat raise many types
-        why = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(
-            f"expected GraphML, {source.format_path(name)} can't be read: {why}"
+            f"expected GraphML, {source.format_path(name)} can't be read: {reason}"
         ) from error
-    rows = _Rows(name)
-    for node, entry in found.nodes(data=True):
-        spot = [entry.get("x"), entry.get("y"), entry.get("z", 0.0)]
-        rows.add_node(node, spot, {**entry, "name": str(node)}, rows.top[str(node)])
-    for one, other, entry in found.edges(data=True):
-        own = {"name": f"{one} - {other}", **entry}
-        for ends in [(one, other)] if found.is_directed() else [(one, other), (other, one)]:
-            rows.add_lane(*ends, own, rows.top[f"{one} - {other}"])
-    about: Json = dict(found.graph)
+    reader = _GraphReader(name)
+    for node, entry in nx_graph.nodes(data=True):
+        position = [entry.get("x"), entry.get("y"), entry.get("z", 0.0)]
+        reader.add_node(node, position, {**entry, "name": str(node)}, reader.top[str(node)])
+    for start, end, edge in nx_graph.edges(data=True):
+        place = reader.top[f"{start} - {end}"]
+        entry = {"name": f"{start} - {end}", **edge}
+        reader.add_lane(start, end, entry, place)
+        if not nx_graph.is_directed():
+            reader.add_lane(end, start, entry, place)
+    about: Json = dict(nx_graph.graph)
     try:
         about["level_names"] = orjson.loads(about.get("level_names", '["level 0"]'))
     except (orjson.JSONDecodeError, TypeError) as error:
         raise FormatError(f"expected a list of names as level_names in {name}") from error
-    return rows.make_graph(about)
+    return reader.make_graph(about)
