@@ -1,7 +1,7 @@
-"""Bakes MuJoCo scenes into navigation grids, and serves those grids to agents.
+"""Bakes MuJoCo scenes into navigation grids, and answers agents' queries to these grids.
 
-``navbake.bake(config)`` makes a grid, ``navbake.load(path)`` reads one. Importing navbake loads
-none of its dependencies; each name below loads what it needs when it is first used.
+``navbake.bake(config)`` makes a grid, ``navbake.load(path)`` reads one. Importing navbake imports
+none of its dependencies; each name below imports what it needs when it is first used.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ __all__ = [
     "view",
 ]
 
-# where each public name is that loads dependencies; of others, the module itself
+# where each public name is that needs dependencies, as ``module:name``, or a module
 _LAZY = {
     "Agent": "navbake.navgrid.links:Agent",
     "audit": "navbake.auditor.audit:audit",
@@ -111,21 +111,30 @@ _LAZY = {
     "tensors": "navbake.tensors",
 }
 
-# first guesses
-_MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}
-_MEANT |= dict.fromkeys(("sample_episodes", "generate_episodes"), "episodes.make_episodes")
-_MEANT |= {"make_episodes": "episodes.make_episodes", "batch": "bake, or use `navbake batch`"}
+# names that people guess first, and what they mean
+_GUESSES = {
+    "load_grid": "load",
+    "read": "load",
+    "read_grid": "load",
+    "load_scene": "bake",
+    "sample_episodes": "episodes.make_episodes",
+    "generate_episodes": "episodes.make_episodes",
+    "make_episodes": "episodes.make_episodes",
+    "batch": "bake, or use `navbake batch`",
+}
 
 
 def __getattr__(name: str) -> Any:
+    """Import a public name on first use."""
     if name not in _LAZY:
-        meant = f": write navbake.{_MEANT[name]}" if name in _MEANT else ""
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{meant}")
-    where = _LAZY[name]
-    value = resolve(where) if ":" in where else importlib.import_module(where)
-    globals()[name] = value
-    return value
+        hint = f": write navbake.{_GUESSES[name]}" if name in _GUESSES else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+    place = _LAZY[name]
+    public_object = resolve(place) if ":" in place else importlib.import_module(place)
+    globals()[name] = public_object
+    return public_object
 
 
 def __dir__() -> list[str]:
+    """List the public names, those that are not imported yet as well."""
     return sorted({*globals(), *_LAZY})

@@ -1,15 +1,15 @@
-"""Kernels: functions that numba compiles once for a machine, and keeps on disk.
+"""Kernels: functions that numba compiles once for a machine, and stores on disk.
 
-`kernel` makes what Python calls, `subkernel` what only kernels call: it becomes code of theirs, and
-a call from Python would crash. Both are `numba.njit` with options.
+`kernel` decorates what Python calls, `subkernel` what only kernels call: numba compiles it into
+them, and a call from Python would crash. Both are `numba.njit` with options.
 
-Compiled code lies in a folder for each state of a module's source and of all that it imports from
-the package, so that no change leaves old code in use; see `cache_folder` for where. Where nothing
-can be written, kernels are compiled in memory.
+Compiled code is stored in a folder for each state of a module's source and of all that it imports
+from the package, so that no change leaves old code in use; see `cache_folder` for where. If no
+folder can be written, kernels are compiled in memory.
 
-A bake, or whatever else calls many kernels, begins with `ensure_compiled`: what is cold is compiled
-in a few processes. ``kernels.json``, which `scripts/list_kernels.py` writes, has the types of the
-kernels' arguments. An entry that is out of date costs time, and nothing else.
+A bake, and any other code that calls many kernels, begins with `ensure_compiled`: it compiles the
+kernels without code on disk in a few processes. ``kernels.json``, which `scripts/list_kernels.py`
+writes, has the types of the kernels' arguments. An entry that is out of date costs time only.
 """
 
 # numba has few types
@@ -35,23 +35,23 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import numba
 
 from navbake.lazy import lazy
 
-filelock = lazy("filelock")  # for what is compiled alone
+filelock = lazy("filelock")  # needed for compiling alone
 
 LOGGER = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
 ROOT = Path(__file__).parent
 LIST = ROOT / "kernels.json"
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
-MOST_PROCESSES = 4  # that compile side by side: kernels that share code are one's
-STEP = 5.0  # until the first line that says how far compiling is; then twice as long each [s]
+MAX_PROCESSES = 4  # that compile side by side; kernels that share code are compiled by one
+FIRST_PROGRESS = 5.0  # time until the first line of progress; then it doubles each time [s]
 KERNELS: list[Any] = []
-"""All kernels that have been imported; of numba's, as `njit` returned them."""
+"""All kernels that have been imported, each a dispatcher of numba's, as `njit` returned it."""
 
 # Functions that allocate no arrays do without reference counts, which cost a fifth of a bake of
 # 100 rooms: an option that numba has but does not document. Their callers keep the arrays alive.
@@ -59,61 +59,103 @@ _OPTIONS = getattr(getattr(numba.core, "options", None), "DefaultOptions", None)
 NO_REFCOUNT: Any = {"_nrt": False} if hasattr(_OPTIONS, "_nrt") else {}
 # As in numpy, a division by zero raises nothing; no function is called by ctypes
 OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
-subkernel: Any = partial(numba.njit, no_cpython_wrapper=True, **OPTIONS)
+SUBKERNEL_OPTIONS: Any = {"no_cpython_wrapper": True, **OPTIONS}
 
+Result = TypeVar("Result")
 _config_lock = threading.Lock()
 
 
-def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
-    """Compile a function that Python calls, and kernels may; `options` are those of `njit`."""
+@overload
+def kernel(function: Callable[..., Result], /) -> Callable[..., Result]: ...
+
+
+@overload
+def kernel(
+    **options: Any,
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]: ...
+
+
+def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Callable[..., Any]:
+    """Compile a function that Python and kernels may call; a decorator with or without options.
+
+    Args:
+        function: The function.
+        **options: Options of `numba.njit`.
+    """
     if function is None:
         return partial(kernel, **options)
-    place = cache_folder()
-    name = function.__module__
-    own = place and str(place / f"{name.removeprefix(PACKAGE + '.')}-{digest_sources(name)}")
-    with _config_lock:  # numba reads where its cache is when a function is made
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = own
+    folder = cache_folder()
+    module = function.__module__
+    module_folder = None
+    if folder is not None:
+        name = module.removeprefix(PACKAGE + ".")
+        module_folder = str(folder / f"{name}-{digest_sources(module)}")
+    with _config_lock:  # numba reads the folder of its cache when a function is decorated
+        folder_before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = module_folder
         try:
-            made = numba.njit(cache=place is not None, **OPTIONS, **options)(function)
+            dispatcher = numba.njit(cache=folder is not None, **OPTIONS, **options)(function)
         finally:
-            numba.config.CACHE_DIR = before
-    KERNELS.append(made)
-    return made
+            numba.config.CACHE_DIR = folder_before
+    KERNELS.append(dispatcher)
+    return cast("Callable[..., Any]", dispatcher)
+
+
+@overload
+def subkernel(function: Callable[..., Result], /) -> Callable[..., Result]: ...
+
+
+@overload
+def subkernel(
+    **options: Any,
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]: ...
+
+
+def subkernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Callable[..., Any]:
+    """Compile a function that only kernels may call; a decorator with or without options.
+
+    Args:
+        function: The function.
+        **options: Options of `numba.njit`.
+    """
+    if function is None:
+        return partial(subkernel, **options)
+    return cast("Callable[..., Any]", numba.njit(**SUBKERNEL_OPTIONS, **options)(function))
 
 
 @cache
 def cache_folder() -> Path | None:
-    """The folder of compiled code, for all states of the sources; None where there is none.
+    """Return the folder of compiled code, for all states of the sources; None if there is none.
 
-    It is the first one that can be written of NUMBA_CACHE_DIR, or else the package's own
-    ``__pycache__`` and the user's cache. A folder that can only be read, as in a container that was
-    warmed up, is used by way of a temporary folder of links.
+    It is the first that can be written: NUMBA_CACHE_DIR, or if that is not set, the package's
+    ``__pycache__`` and then the user's cache. A folder that can only be read, as in a container
+    with compiled kernels, is used by way of a temporary folder of links.
     """
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    user = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    tops = [Path(given)] if given else [ROOT / "__pycache__", Path(user)]
-    places = [top.absolute() / f"{PACKAGE}-kernels" for top in tops]
-    filled = next((place for place in places if place.is_dir()), None)
-    for place in places:
+    numba_folder = os.environ.get("NUMBA_CACHE_DIR")
+    user_folder = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    parents = [Path(numba_folder)] if numba_folder else [ROOT / "__pycache__", Path(user_folder)]
+    folders = [parent.absolute() / f"{PACKAGE}-kernels" for parent in parents]
+    existing = next((folder for folder in folders if folder.is_dir()), None)
+    for folder in folders:
         with suppress(OSError):
-            place.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=place):
-                return place
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
     with suppress(OSError):
-        if filled is not None:
+        if existing is not None:
             temporary = Path(tempfile.mkdtemp(prefix=f"{PACKAGE}-kernels-"))
             atexit.register(_remove, temporary, os.getpid())
-            for path in filled.rglob("*.nb[ic]"):
-                link = temporary / filled.name / path.relative_to(filled)
+            for path in existing.rglob("*.nb[ic]"):
+                link = temporary / existing.name / path.relative_to(existing)
                 link.parent.mkdir(parents=True, exist_ok=True)
                 link.symlink_to(path)
-            return temporary / filled.name
+            return temporary / existing.name
     return None
 
 
 def _remove(folder: Path, process: int) -> None:
-    if os.getpid() == process:  # and no fork of it
+    """Remove a folder, in the process that made it, not in a fork of it."""
+    if os.getpid() == process:
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -121,136 +163,166 @@ def _remove(folder: Path, process: int) -> None:
 def _read_module(name: str) -> tuple[bytes, frozenset[str]]:
     """A module's source, and the modules of the package that it imports something from."""
     path = ROOT.parent.joinpath(*name.split("."))
-    source = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_bytes()
-    found = re.findall(rb"^\s*(?:from|import) (" + PACKAGE.encode() + rb"[\w.]*)", source, re.M)
-    return source, frozenset(each.decode() for each in found)
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    source = path.read_bytes()
+    pattern = rb"^\s*(?:from|import) (" + PACKAGE.encode() + rb"[\w.]*)"
+    imported = re.findall(pattern, source, re.M)
+    return source, frozenset(module.decode() for module in imported)
 
 
 @cache
 def digest_sources(module: str) -> str:
     """Hash the sources of a module and of all that it imports from the package."""
-    seen: dict[str, bytes] = {}
-    left = [module]
-    while left:
-        name = left.pop()
-        if name not in seen:
-            seen[name], imported = _read_module(name)
-            left += imported
+    sources: dict[str, bytes] = {}
+    pending = [module]
+    while pending:
+        name = pending.pop()
+        if name not in sources:
+            sources[name], imported = _read_module(name)
+            pending += imported
     digest = hashlib.sha256()
-    for name in sorted(seen):
-        digest.update(b"%s\0%s\0" % (name.encode(), seen[name]))
+    for name in sorted(sources):
+        digest.update(b"%s\0%s\0" % (name.encode(), sources[name]))
     return digest.hexdigest()[:16]
 
 
 class Entry(NamedTuple):
-    """A kernel of the list."""
+    """A kernel of the list ``kernels.json``."""
 
-    name: str  # its module and name, without the package's
-    seconds: float  # about how long compiling it takes [s]
-    # of its arguments: "float64 2 C" for an array, a list for a tuple, an object with the name of
-    # its class for a named one
+    name: str  #: Its module and name, without the package's.
+    seconds: float  #: About how long compiling it takes [s].
+    #: The types of its arguments: "float64 2 C" for an array, a list for a tuple, an object with
+    #: the name of the class for a NamedTuple.
     types: list[Any]
 
     def compile(self) -> None:
-        """Compile the kernel, or load what is on disk; entries that are out of date do nothing."""
+        """Compile the kernel, or load its code from disk; do nothing for an outdated entry."""
         try:
-            find(self.name).compile(tuple(map(decode_type, self.types)))
-        except Exception as error:  # whoever calls the kernel compiles it, and says what is wrong
+            import_object(self.name).compile(tuple(map(decode_type, self.types)))
+        except Exception as error:  # a call of the kernel compiles it, and raises what is wrong
             LOGGER.debug(f"{LIST.name} is out of date: {self.name}: {error}")
 
 
-def find(name: str) -> Any:
-    """Import what has a name in a module of the package."""
+def import_object(name: str) -> Any:
+    """Import a function or class of the package, by its module and name without the package's."""
     module, _, name = name.rpartition(".")
     return getattr(importlib.import_module(f"{PACKAGE}.{module}"), name)
 
 
 @cache
 def read_list() -> tuple[list[Entry], list[Entry]]:
-    """Read the list of kernels: those that bakes call, and others."""
-    found = json.loads(LIST.read_text(encoding="utf-8"))
-    return [Entry(*entry) for entry in found["bake"]], [Entry(*entry) for entry in found["others"]]
+    """Read the list of kernels: those that bakes call, and all others."""
+    entries = json.loads(LIST.read_text(encoding="utf-8"))
+    bake_kernels = [Entry(*entry) for entry in entries["bake"]]
+    further_kernels = [Entry(*entry) for entry in entries["others"]]
+    return bake_kernels, further_kernels
 
 
-def decode_type(value: Any) -> Any:
-    """Make one of numba's types of what the list has for it."""
-    if isinstance(value, dict):
-        ((name, fields),) = value.items()
-        return numba.types.BaseTuple.from_types(
-            [decode_type(field) for field in fields], find(name)
-        )
-    if isinstance(value, list):
-        return numba.types.BaseTuple.from_types([decode_type(each) for each in value])
-    name, *rest = value.split()
+def decode_type(encoded: Any) -> Any:
+    """Convert a type of the list to one of numba's, see `Entry.types`."""
+    if isinstance(encoded, dict):
+        ((name, fields),) = encoded.items()
+        field_types = [decode_type(field) for field in fields]
+        return numba.types.BaseTuple.from_types(field_types, import_object(name))
+    if isinstance(encoded, list):
+        return numba.types.BaseTuple.from_types([decode_type(item) for item in encoded])
+    name, *array_words = encoded.split()
     scalar = getattr(numba.types, "boolean" if name == "bool" else name)
-    return numba.types.Array(scalar, int(rest[0]), rest[1], "readonly" in rest) if rest else scalar
+    if not array_words:
+        return scalar
+    num_dimensions = int(array_words[0])
+    order = array_words[1]
+    return numba.types.Array(scalar, num_dimensions, order, "readonly" in array_words)
 
 
-def list_cold(entries: Iterable[Entry]) -> list[Entry]:
-    """The entries of kernels that lack code on disk for some of their types."""
+def list_uncompiled(entries: Iterable[Entry]) -> list[Entry]:
+    """Return the entries of kernels that lack code on disk for some of their types."""
     entries = list(entries)
-    cold = set()
-    for name, types in Counter(entry.name for entry in entries).items():
+    uncompiled = set()
+    for name, num_types in Counter(entry.name for entry in entries).items():
         with suppress(ImportError, AttributeError):  # the list is out of date
-            stats = (found := find(name)).stats
-            own = f"*.{found.__name__}-*.nbc"
-            if not stats.cache_path or len(list(Path(stats.cache_path).glob(own))) < types:
-                cold.add(name)
-    return [entry for entry in entries if entry.name in cold]
+            dispatcher = import_object(name)
+            folder = dispatcher.stats.cache_path
+            pattern = f"*.{dispatcher.__name__}-*.nbc"
+            if not folder or len(list(Path(folder).glob(pattern))) < num_types:
+                uncompiled.add(name)
+    return [entry for entry in entries if entry.name in uncompiled]
 
 
 @cache
-def ensure_compiled(*rooms: str) -> None:
-    """Compile what bakes call, or kernels whose names begin with `rooms`; once in a process."""
-    bake, others = read_list()
-    _compile([each for each in [*bake, *others] if each.name.startswith(rooms)] if rooms else bake)
+def ensure_compiled(*prefixes: str) -> None:
+    """Compile the kernels that have no code on disk; once in a process.
+
+    Args:
+        *prefixes: Beginnings of the names of kernels, as ``formats.``; the kernels that bakes call
+            if there are none.
+    """
+    bake_kernels, further_kernels = read_list()
+    if not prefixes:
+        _compile(bake_kernels)
+        return
+    all_kernels = [*bake_kernels, *further_kernels]
+    _compile([entry for entry in all_kernels if entry.name.startswith(prefixes)])
 
 
 def warm_up() -> list[str]:
-    """Compile all kernels, unless that is done; returns names of those without code on disk."""
-    entries = [entry for entries in read_list() for entry in entries]
+    """Compile all kernels that have no code on disk.
+
+    Returns:
+        The names of kernels that still have none.
+    """
+    entries = [entry for group in read_list() for entry in group]
     _compile(entries)
-    return sorted({entry.name for entry in list_cold(entries)})
+    return sorted({entry.name for entry in list_uncompiled(entries)})
 
 
 def _compile(entries: list[Entry]) -> None:
-    """Compile what is cold in some processes, and log how far that is; one caller at a time."""
-    place = cache_folder()
-    cold = list_cold(entries)
+    """Compile kernels without code on disk in some processes, and log the progress.
+
+    A lock lets one process do that at a time.
+    """
+    folder = cache_folder()
+    uncompiled = list_uncompiled(entries)
     begin = time.monotonic()
-    # an executable that holds Python is none
+    # a program that embeds Python cannot start another Python
     is_python = Path(sys.executable or "").name.lower().startswith("python")
-    count = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MOST_PROCESSES) if is_python else 1
-    about = f"{max(map(_cost, _share(cold, count)), default=0):.0f} s"
-    if place is None:
-        why = f"as no folder for compiled code can be written: {REMEDY}"
-        LOGGER.warning(f"compiling in memory: about {about}, in each process anew, {why}")
-    elif cold:
-        LOGGER.warning(f"compiling for this machine, once: about {about}")
-    if place is None or not cold or not is_python:
-        return  # what is cold is compiled when it is first called
+    num_processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MAX_PROCESSES) if is_python else 1
+    duration = max(map(_total_seconds, _divide(uncompiled, num_processes)), default=0)
+    if folder is None:
+        reason = f"as no folder for compiled code can be written: {REMEDY}"
+        LOGGER.warning(
+            f"compiling in memory: about {duration:.0f} s, in each process anew, {reason}"
+        )
+    elif uncompiled:
+        LOGGER.warning(f"compiling for this machine, once: about {duration:.0f} s")
+    if folder is None or not uncompiled or not is_python:
+        return  # each kernel is compiled when it is first called
 
-    pause = STEP
+    timeout = FIRST_PROGRESS
 
-    def wait(for_it: Callable[..., Any]) -> None:
-        nonlocal pause
+    def wait(wait_for: Callable[..., object]) -> None:
+        """Call a function that takes a timeout until it returns in time, and log the progress."""
+        nonlocal timeout
         while True:
             try:
-                for_it(timeout=pause)
+                wait_for(timeout=timeout)
                 return
             except (filelock.Timeout, subprocess.TimeoutExpired):
-                done = len(cold) - len(list_cold(cold))
-                taken = time.monotonic() - begin
-                LOGGER.warning(f"compiled {done} of {len(cold)} functions after {taken:.0f} s")
-                pause *= 2  # into a file or a pipe, each would be a line
+                num_done = len(uncompiled) - len(list_uncompiled(uncompiled))
+                elapsed = time.monotonic() - begin
+                LOGGER.warning(
+                    f"compiled {num_done} of {len(uncompiled)} functions after {elapsed:.0f} s"
+                )
+                timeout *= 2  # not to fill a log file
 
-    lock = filelock.FileLock(place / "compiling.lock")
-    helpers = list[subprocess.Popen[bytes]]()
+    lock = filelock.FileLock(folder / "compiling.lock")
+    helpers: list[subprocess.Popen[bytes]] = []
     try:
         with suppress(OSError, NotImplementedError):  # of a file system without locks
             wait(lock.acquire)
-        for share in _share(list_cold(cold), count):  # another process may have compiled some
-            helpers.append(_start(share, place))
+        # another process may have compiled some while this one waited
+        for share in _divide(list_uncompiled(uncompiled), num_processes):
+            helpers.append(_start_helper(share, folder))
         for helper in helpers:
             wait(helper.wait)
     finally:
@@ -260,49 +332,53 @@ def _compile(entries: list[Entry]) -> None:
         lock.release()
 
 
-def _cost(entries: list[Entry]) -> float:
+def _total_seconds(entries: list[Entry]) -> float:
     return sum(entry.seconds for entry in entries)
 
 
-def _share(entries: list[Entry], count: int) -> list[list[Entry]]:
-    """Share entries out evenly; those of a module, which have code in common, stay together."""
-    families: dict[str, list[Entry]] = {}
+def _divide(entries: list[Entry], num_processes: int) -> list[list[Entry]]:
+    """Divide entries evenly; those of a module, which have code in common, stay together."""
+    by_module: dict[str, list[Entry]] = {}
     for entry in entries:
-        families.setdefault(entry.name.rpartition(".")[0], []).append(entry)
-    shares: list[list[Entry]] = [[] for _ in range(count)]
-    for family in sorted(families.values(), key=_cost, reverse=True):
-        min(shares, key=_cost).extend(family)
+        by_module.setdefault(entry.name.rpartition(".")[0], []).append(entry)
+    shares: list[list[Entry]] = [[] for _ in range(num_processes)]
+    # the longest first, each to the process with the least to do
+    for of_module in sorted(by_module.values(), key=_total_seconds, reverse=True):
+        min(shares, key=_total_seconds).extend(of_module)
     return [share for share in shares if share]
 
 
-def _start(entries: list[Entry], place: Path) -> subprocess.Popen[bytes]:
-    """Start a process that compiles entries."""
+def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]:
+    """Start a process that compiles entries into a folder."""
     # modules are found where this process finds them, and not in the current folder first
     path = [*filter(None, sys.path), str(ROOT.parent)]
     code = f"import sys; sys.path[:] = {path!r}; from {__name__} import serve; serve()"
     environment = {
         **os.environ,
-        "NUMBA_CACHE_DIR": str(place.parent),
+        "NUMBA_CACHE_DIR": str(folder.parent),
         # messages are made and dropped by the hundred, and colouring them takes a tenth of the time
         "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1",
     }
-    started = subprocess.Popen(
-        [sys.executable, "-c", code], env=environment,
-        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    assert started.stdin is not None
-    with started.stdin as names:
-        names.write(json.dumps(entries).encode())
-    return started
+    helper = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    assert helper.stdin is not None
+    with helper.stdin as pipe:
+        pipe.write(json.dumps(entries).encode())
+    return helper
 
 
 def serve() -> None:
-    """Compile the entries that stdin has."""
+    """Compile the entries that stdin holds as JSON, in a process of `_start_helper`."""
     for entry in json.load(sys.stdin):
         Entry(*entry).compile()
 
 
-# what may take minutes is printed where nobody has set up logging
+# what may take minutes is printed if the program has not set up logging
 if not LOGGER.handlers:
     _printer = logging.StreamHandler()
     _printer.addFilter(lambda record: not logging.getLogger().handlers)

@@ -1,4 +1,4 @@
-"""Atomic writes, temporary folders, and CSV."""
+"""Writes files as a whole or not at all, makes temporary folders, and encodes CSV."""
 
 import csv
 import errno
@@ -19,16 +19,23 @@ from typing import Any, BinaryIO
 from navbake.errors import NavbakeError, printable
 
 LOG = logging.getLogger("navbake")
-TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")  # files; folders by `tempfile`
-OLD = 86400.0  # age of leftovers: no write takes a day [s]
-_swept: set[Path] = set()  # folders without leftovers since this process began
+# names of temporary files, and of folders by `tempfile`
+TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")
+LEFTOVER_AGE = 86400.0  # no write takes a day [s]
+_cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
 
 
 def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> None:
-    """Write a file atomically, given as bytes or pieces: under another name, then renamed.
+    """Write a file as a whole or not at all: under another name, which is then renamed.
 
-    A link's target is replaced. A device or a pipe is written to directly. Raises an OSError if the
-    path can't be written; an existing file is unchanged.
+    A link's target is replaced. A device or a pipe is written to directly.
+
+    Args:
+        data: The content, or the pieces of it in order.
+        path: The path of the file.
+
+    Raises:
+        OSError: The path cannot be written; an existing file is unchanged.
     """
     write_together({Path(path): data})
 
@@ -36,16 +43,25 @@ def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> Non
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
     """Write several files, each as `write_whole`; all or, as far as the system allows, none.
 
-    All are written before the first is renamed, in the order given, so put a file that names others
-    after them. After an OSError no file has changed, unless a renaming failed.
+    All are written before the first is renamed.
+
+    Args:
+        contents: The content of each file, or its pieces, by path. Files are renamed in this order,
+            so put a file that names others after them.
+
+    Raises:
+        OSError: A path cannot be written; no file has changed, unless a renaming failed.
     """
     with ExitStack() as stack:
-        for commit in [stack.enter_context(_beside(data, path)) for path, data in contents.items()]:
+        commits = [
+            stack.enter_context(_write_temporary(data, path)) for path, data in contents.items()
+        ]
+        for commit in commits:
             commit()
 
 
 @contextmanager
-def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
+def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
     """Write a file under another name; yields a commit function that renames it."""
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
@@ -57,9 +73,7 @@ def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], 
         yield write_device
         return
     target = Path(os.path.realpath(path))
-    if target.parent not in _swept:  # once per process, as listing a large folder is slow
-        _swept.add(target.parent)
-        remove_leftovers(target.parent)
+    _clean_once(target.parent)
     file, temporary = create_temporary(target.parent)
     try:
         with file:
@@ -72,12 +86,21 @@ def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], 
 
 
 def create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
+    """Create a temporary file in a folder, and open it to write; also return its path."""
     path = folder / f".navbake-{os.urandom(8).hex()}.tmp"
     return open(path, "xb"), path
 
 
 def write_all(file: int, data: bytes) -> None:
-    """Write all data to a file; raises an OSError if the disk gets full."""
+    """Write all data to an open file.
+
+    Args:
+        file: The file descriptor.
+        data: The bytes to write.
+
+    Raises:
+        OSError: The disk is full.
+    """
     written = os.write(file, data)
     while written < len(data):
         written += os.write(file, data[written:])
@@ -89,27 +112,30 @@ def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
     Text that a spreadsheet would evaluate as a formula gets an apostrophe in front, and control
     characters are escaped. Source: OWASP, "CSV Injection".
     """
-
-    def plain(cell: Any) -> Any:
-        if isinstance(cell, str):
-            return printable(f"'{cell}" if cell.startswith(("=", "+", "-", "@")) else cell)
-        return cell if cell == cell else None
-
     text = io.StringIO()
     # with other line ends, csv doesn't quote names that contain them
-    csv.writer(text, lineterminator="\r\n").writerows(map(plain, row) for row in rows)
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerows([_to_csv_cell(cell) for cell in row] for row in rows)
     return text.getvalue().encode()
 
 
+def _to_csv_cell(cell: object) -> object:
+    """A cell without formulas, control characters and NaN."""
+    if isinstance(cell, str):
+        return printable(f"'{cell}" if cell.startswith(("=", "+", "-", "@")) else cell)
+    is_nan = cell != cell
+    return None if is_nan else cell
+
+
 def check_writable(path: str | PathLike[str]) -> None:
-    """Raise an OSError for a path that `write_whole` can't write, before any work is done."""
+    """Raise an OSError for a path that `write_whole` can't write, before work is done for it."""
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass
 
 
 def readable_stem(path: str | PathLike[str]) -> str:
-    """The stem of a file's name, bytes that are not UTF-8 as U+FFFD."""
+    """Return the stem of a file's name, bytes that are not UTF-8 as U+FFFD."""
     return os.fsencode(Path(path).stem).decode(errors="replace")
 
 
@@ -127,16 +153,28 @@ def check_regular(path: str | PathLike[str]) -> None:
         raise OSError(errno.EINVAL, "expected a file, got a pipe or a device", os.fspath(path))
 
 
-def remove_leftovers(folder: Path, age: float = OLD) -> None:
+def _clean_once(folder: Path) -> None:
+    """Remove leftovers from a folder, once in a process, as listing a large folder is slow."""
+    if folder not in _cleaned_folders:
+        _cleaned_folders.add(folder)
+        remove_leftovers(folder)
+
+
+def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
     """Remove this user's temporary files and folders of killed processes from a folder.
 
-    Only those last changed at least `age` [s] ago; 0 if nobody else writes. Failures are ignored.
+    Failures are ignored.
+
+    Args:
+        folder: The folder.
+        age: Time since the last change of what is removed, at least [s]; 0 if no other process
+            writes there.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             status = entry.stat(follow_symlinks=False)
-            is_mine = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-            if not (TEMPORARY.fullmatch(entry.name) and is_mine):
+            is_of_user = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+            if not (TEMPORARY.fullmatch(entry.name) and is_of_user):
                 continue
             if time.time() - status.st_mtime < age:
                 continue
@@ -158,25 +196,33 @@ def _is_replaceable(path: str | PathLike[str]) -> bool:
 
 
 @contextmanager
-def scratch_folder(place: Path | None = None) -> Iterator[Path]:
-    """Make a temporary folder in `place`, else the system's, and remove it at the end.
+def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Make a temporary folder, and remove it at the end.
 
-    Leftovers of killed processes are removed first. Raises a NavbakeError if it can't be made.
+    Leftovers of killed processes are removed first.
+
+    Args:
+        parent: The folder to make it in; None for the system's folder of temporary files.
+
+    Raises:
+        NavbakeError: It cannot be made.
     """
-    where: Path | str = "" if place is None else place
     try:
-        where = where or tempfile.gettempdir()
-        if Path(where) not in _swept:
-            _swept.add(Path(where))
-            remove_leftovers(Path(where))
+        if parent is None:
+            parent = Path(tempfile.gettempdir())
+        _clean_once(parent)
         folder = tempfile.TemporaryDirectory(
-            prefix="navbake-", dir=where, ignore_cleanup_errors=True
+            prefix="navbake-", dir=parent, ignore_cleanup_errors=True
         )
     except OSError as error:
-        if error.errno in (errno.EMFILE, errno.ENFILE):  # not the folder's fault
+        if error.errno in (errno.EMFILE, errno.ENFILE):  # too many open files, in any folder
             raise
-        into = f" into {where}" if where else ""
-        text = f"cannot write temporary files{into}: {error.strerror}: free space"
-        raise NavbakeError(f"{text}, or set TMPDIR to a folder that has room") from error
+        into = "" if parent is None else f" into {parent}"
+        hint = "free space, or set TMPDIR to a folder that has room"
+        raise NavbakeError(
+            f"cannot write temporary files{into}: {error.strerror}: {hint}",
+            path=None if parent is None else str(parent),
+            hint=hint,
+        ) from error
     with folder:
         yield Path(folder.name)

@@ -1,78 +1,114 @@
-"""What errors and warnings say of names: the nearest known one, and which ones there are."""
+"""Suggestions of names for errors and warnings: the nearest known name, and which there are."""
 
 import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 MAX_LISTED = 12
-NEAR = 0.85  # share of characters that two long names have in common
+CLOSE_MATCH = 0.85  # share of characters that two long names have in common
 
 
-def find_near(name: object, known: Iterable[str], most: int = 1) -> list[str]:
-    """The known names that were probably meant, the nearest first; often none.
+def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[str]:
+    """Return the candidates that were probably meant; often none.
 
-    Near is what differs by one slip of the finger (a character too many, too few, a wrong one, or
-    two swapped), in long names by more; and what has all the words of the name and others, as
+    Near is a name that differs by one edit (a character too many, too few, a wrong one, or two
+    swapped), in long names by more; and a name that has all the words of the name and others, as
     ``cell_size`` has ``size``. Capitals don't count.
+
+    Args:
+        name: The name that is not known.
+        candidates: The known names.
+        most: How many to return at most.
+
+    Returns:
+        The names, the nearest first.
     """
-    by_folded = {other.casefold(): other for other in reversed(list(dict.fromkeys(known)))}
+    by_folded = {known.casefold(): known for known in reversed(list(dict.fromkeys(candidates)))}
     folded = str(name).casefold()
-    typos = get_close_matches(folded, by_folded, n=most, cutoff=NEAR)
-    typos += [other for other in by_folded if _is_one_slip(folded, other)]
+    close = get_close_matches(folded, by_folded, n=most, cutoff=CLOSE_MATCH)
+    close += [known for known in by_folded if _is_one_edit(folded, known)]
     words = _words(folded)
-    longer = sorted((o for o in by_folded if words and words <= _words(o)), key=len)
-    return [by_folded[other] for other in dict.fromkeys([*typos, *longer])][:most]
+    with_all_words = [known for known in by_folded if words and words <= _words(known)]
+    with_all_words.sort(key=len)
+    nearest = dict.fromkeys([*close, *with_all_words])  # each once, in this order
+    return [by_folded[known] for known in nearest][:most]
 
 
-def suggest(name: object, known: Iterable[str], limit: int = MAX_LISTED, owner: str = "it") -> str:
-    """The nearest of the known names, if one is near, and the first `limit` that the owner has."""
-    names = list(dict.fromkeys(known))
+def suggest(
+    name: object, candidates: Iterable[str], limit: int = MAX_LISTED, owner: str = "it"
+) -> str:
+    """Write a suggestion for a name that is not known, as ``did you mean 'hall'? it has hall``.
+
+    Args:
+        name: The name that is not known.
+        candidates: The known names.
+        limit: How many of them to list.
+        owner: What has the known names.
+    """
+    names = list(dict.fromkeys(candidates))
     folded = str(name).casefold()
-    near = find_near(name, names) or [n for n in names if _is_two_slips(folded, n.casefold())]
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    near = find_near(name, names)
+    if not near:
+        near = [known for known in names if _is_two_edits(folded, known.casefold())]
+    question = f"did you mean {near[0]!r}? " if near else ""
     more = f", and {len(names) - limit} more" if len(names) > limit else ""
-    return f"{hint}{owner} has {', '.join(names[:limit]) or 'none'}{more}"
+    return f"{question}{owner} has {', '.join(names[:limit]) or 'none'}{more}"
 
 
 def list_first(names: Sequence[str], most: int = 1) -> str:
-    """The first names, and how many more there are, as in ``a, b and 3 more``."""
+    """List the first names, and count the others, as in ``a, b and 3 more``.
+
+    Args:
+        names: The names.
+        most: How many to list.
+    """
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
-def _is_one_slip(name: str, other: str) -> bool:
-    """Whether one edit makes one of the other; not of names as short as two characters."""
-    if min(len(name), len(other)) < 3 or abs(len(name) - len(other)) > 1:
+def _is_one_edit(first: str, second: str) -> bool:
+    """Whether one edit turns a name into another; False for names of two characters or fewer."""
+    if min(len(first), len(second)) < 3 or abs(len(first) - len(second)) > 1:
         return False
-    same = 0
-    while same < min(len(name), len(other)) and name[same] == other[same]:
-        same += 1
-    a = name[same:]
-    b = other[same:]
-    return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[:2] == b[1::-1] and a[2:] == b[2:])
+    num_equal = 0
+    while num_equal < min(len(first), len(second)) and first[num_equal] == second[num_equal]:
+        num_equal += 1
+    a = first[num_equal:]
+    b = second[num_equal:]
+    is_replaced = a[1:] == b[1:]
+    is_added = a[1:] == b or a == b[1:]
+    is_swapped = a[:2] == b[1::-1] and a[2:] == b[2:]
+    return is_replaced or is_added or is_swapped
 
 
-def _is_two_slips(name: str, other: str) -> bool:
-    """Whether one of the names without a character is one edit from the other; of four or more."""
-    return min(len(name), len(other)) >= 4 and any(
-        _is_one_slip(a[:k] + a[k + 1 :], b)
-        for a, b in ((name, other), (other, name))
-        for k in range(len(a))
-    )
+def _is_two_edits(first: str, second: str) -> bool:
+    """Whether one name without a character is one edit from the other; of four or more."""
+    if min(len(first), len(second)) < 4:
+        return False
+    for shortened, whole_name in ((first, second), (second, first)):
+        for k in range(len(shortened)):
+            if _is_one_edit(shortened[:k] + shortened[k + 1 :], whole_name):
+                return True
+    return False
 
 
 def _words(name: str) -> set[str]:
     """The words of a name, in the singular."""
     words = re.findall(r"[^\W_]+", name)
-    return {f"{w[:-3]}y" if w.endswith("ies") else w.removesuffix("s") for w in words}
+    return {f"{word[:-3]}y" if word.endswith("ies") else word.removesuffix("s") for word in words}
 
 
-def unique_name(name: str, taken: set[str]) -> str:
-    """The name, numbered from 2 where it is taken, as in ``wall#2``; taken from now on."""
+def unique_name(name: str, used_names: set[str]) -> str:
+    """Return a name that is not used yet: the name, or with a number from 2, as ``wall#2``.
+
+    Args:
+        name: The name.
+        used_names: Names that are used; the returned one is added.
+    """
     candidate = name
     count = 1
-    while candidate in taken:
+    while candidate in used_names:
         count += 1
         candidate = f"{name}#{count}"
-    taken.add(candidate)
+    used_names.add(candidate)
     return candidate

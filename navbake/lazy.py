@@ -1,9 +1,8 @@
-"""Libraries and functions of modules above that are loaded at their first use.
+"""Imports libraries, and functions of higher modules, when they are first used.
 
-A module names such a library at its top, where its other imports stand:
-``trimesh = lazy("trimesh")``. So imports stay in one place, and nothing is loaded until a function
-asks the name for something. `tests/test_imports.py` counts the call as an import, and lists what
-each command may load.
+A module names such a library at its top, beside its other imports: ``trimesh = lazy("trimesh")``.
+The library is imported when an attribute of it is first read. `tests/test_imports.py` counts the
+call as an import, and lists what each command may load.
 """
 
 from __future__ import annotations
@@ -17,19 +16,23 @@ Result = TypeVar("Result")
 
 
 class lazy:
-    """A module by its full name, which is imported when something of it is first used."""
+    """A module that is imported when an attribute of it is first read.
+
+    Args:
+        name: The full name of the module.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
         value = getattr(import_module(self._name), attribute)
-        setattr(self, attribute, value)  # found without this function from now on
+        setattr(self, attribute, value)  # from now on it is read without this function
         return value
 
 
 def resolve(where: str) -> Any:
-    """Import what stands at ``module:name``."""
+    """Import the object ``name`` of a module, given as ``module:name``."""
     module, _, name = where.partition(":")
     return getattr(import_module(module), name)
 

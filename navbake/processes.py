@@ -22,9 +22,10 @@ NO_MEMORY = ("could not allocate memory", "unknown exception", "cannot allocate 
 
 
 def end_with_parent(parent: int | None = None) -> None:
-    """Let the system end this process with its parent, on Linux.
+    """Let the system end this process when its parent ends, on Linux.
 
-    Ends it at once if the process with the id `parent` has already ended.
+    Args:
+        parent: Process id of the parent: end at once if it has ended already. None to skip that.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
@@ -33,16 +34,23 @@ def end_with_parent(parent: int | None = None) -> None:
 
 
 def give_back_memory() -> None:
-    """Let the system have the memory that this process has freed, where glibc keeps it."""
-    if sys.platform == "linux" and hasattr(library := ctypes.CDLL(None), "malloc_trim"):
+    """Return freed memory of this process to the system, where glibc has not returned it."""
+    if sys.platform != "linux":
+        return
+    library = ctypes.CDLL(None)
+    if hasattr(library, "malloc_trim"):
         library.malloc_trim(0)
 
 
 def limit_memory(gib: float | None) -> Callable[[], None]:
     """Limit the memory that this process may reserve, on Linux, and disable core dumps.
 
-    The limit is `gib` beyond its current memory [GiB]; None, or more than a process can have, is no
-    limit. Returns a function that removes it.
+    Args:
+        gib: Memory beyond what the process has now [GiB]; None, or more than a process can have,
+            for no limit.
+
+    Returns:
+        A function that removes the limit.
     """
     if resource is None:
         return lambda: None
@@ -54,20 +62,20 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
             pages = int(file.read().split()[0])
     except OSError:  # limits are kept on Linux only
         return lambda: None
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + int(gib * GIB)
-    hard = before[1]
-    if most < (sys.maxsize if hard == resource.RLIM_INFINITY else hard):
-        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-    return lambda: resource.setrlimit(resource.RLIMIT_AS, before)
+    limits_before = resource.getrlimit(resource.RLIMIT_AS)
+    hard_limit = limits_before[1]
+    max_bytes = pages * resource.getpagesize() + int(gib * GIB)
+    if max_bytes < (sys.maxsize if hard_limit == resource.RLIM_INFINITY else hard_limit):
+        resource.setrlimit(resource.RLIMIT_AS, (max_bytes, hard_limit))
+    return lambda: resource.setrlimit(resource.RLIMIT_AS, limits_before)
 
 
 def lacked_memory(error: BaseException) -> bool:
-    """Whether an error was caused by a memory limit of this process.
+    """Whether a lack of memory caused an error.
 
-    With a limit, an error's causes and its message count, too, as libraries like MuJoCo raise
-    errors of their own. Without one, only a MemoryError does, as sizes in a broken file may cause
-    the others.
+    If the process has a memory limit, causes and messages of the error count as well, because
+    libraries like MuJoCo raise errors of their own. Without a limit only a MemoryError counts,
+    because sizes in a broken file may cause the others.
     """
     if isinstance(error, MemoryError):
         return True
@@ -86,7 +94,7 @@ def lacked_memory(error: BaseException) -> bool:
 
 
 def ending_of(status: int) -> str:
-    """Describe the end of a process from Python's exit status: a number, or a signal's name."""
+    """Describe how a process ended, by the exit status that Python has: a number, or a signal."""
     if status >= 0:
         return f"exit status {status}"
     try:

@@ -1,6 +1,6 @@
-"""The sample scenes with their settings, to try navbake with.
+"""Sample scenes with their settings, to try navbake with.
 
-They are the folder `configs/` of a checkout; an installed navbake carries a copy of it.
+They are the folder `configs/` of a checkout; an installed navbake has a copy of it.
 """
 
 from os import PathLike
@@ -12,65 +12,86 @@ from navbake.known_names import suggest
 
 _PACKAGE = Path(__file__).parent
 _FOLDERS = (_PACKAGE / "sample_files", _PACKAGE.parent / "configs")
-"""In an installed package, as `pyproject.toml` has it; and in a checkout."""
+"""Where the samples are: in an installed package, as `pyproject.toml` has it; in a checkout."""
 
 
 def names() -> list[str]:
-    """The names of the samples: apartment, clutter, house, terrain, tower and warehouse."""
+    """Return the names of the samples: apartment, clutter, house, terrain, tower and warehouse."""
     return sorted(file.stem for file in _folder().glob("*.yaml"))
 
 
 def path(name: str) -> Path:
-    """The settings of a sample, a YAML file that `navbake.bake` takes.
+    """Return the path of a sample's settings, a YAML file that `navbake.bake` takes.
 
-    Raises a ConfigError for a name that isn't one of `names`.
+    Raises:
+        ConfigError: There is no such sample.
+
+    Example:
+        >>> grid = navbake.bake(navbake.samples.path("apartment"))
     """
     if name not in names():
-        raise ConfigError(f"no sample {name!r}: {suggest(name, names())}")
+        hint = suggest(name, names())
+        raise ConfigError(f"no sample {name!r}: {hint}", value=name, hint=hint)
     return _folder() / f"{name}.yaml"
 
 
-def find(given: str | PathLike[str]) -> Path:
-    """What a path means that is the bare name of a sample and no file; else the path itself.
+def find(scene: str | PathLike[str]) -> Path:
+    """Return the settings that the bare name of a sample stands for, or a path as it is.
 
-    That is ``NAME.yaml`` in the current folder, or else the settings of the installed sample.
+    Args:
+        scene: A path, or the name of a sample. The name stands for ``NAME.yaml`` in the current
+            folder, or else for the settings of the installed sample; unless there is a file of that
+            name.
     """
-    found = Path(given)
-    if found.suffix or found.name != str(given) or found.exists() or found.name not in names():
-        return found
-    own = Path(f"{found.name}.yaml")
-    return own if own.exists() else path(found.name)
+    as_path = Path(scene)
+    is_name = not as_path.suffix and as_path.name == str(scene)
+    if not is_name or as_path.exists() or as_path.name not in names():
+        return as_path
+    local_settings = Path(f"{as_path.name}.yaml")
+    return local_settings if local_settings.exists() else path(as_path.name)
 
 
 def copy(name: str, folder: Path | str = ".") -> list[Path]:
     """Copy a sample to a folder, to change it: its settings and the files of its scene.
 
-    Returns the files, the settings first; those that were there with the same content stay. Raises
-    a ConfigError if there is no such sample, or another file is there by one of the names.
+    Args:
+        name: The name of the sample.
+        folder: The folder, which is made if it does not exist.
+
+    Returns:
+        The paths of the files, the settings first; files that are there with the same content stay.
+
+    Raises:
+        ConfigError: There is no such sample, a file cannot be written, or a file of one of the
+            names is there with other content.
     """
     settings = path(name)
     target = Path(folder)
     scenes = _folder() / "scenes"
-    own = sorted(scenes.glob(f"{name}.*"))
-    text = "".join(file.read_text(encoding="utf-8") for file in own if file.suffix == ".xml")
-    assets = [file for file in sorted((scenes / "assets").iterdir()) if file.name in text]
-    files = [settings, *own, *assets]
-    copies = {file: target / file.relative_to(settings.parent) for file in files}
-    contents = {file: file.read_bytes() for file in files}
+    scene_files = sorted(scenes.glob(f"{name}.*"))
+    mjcf_files = [file for file in scene_files if file.suffix == ".xml"]
+    mjcf = "".join(file.read_text(encoding="utf-8") for file in mjcf_files)
+    assets = [file for file in sorted((scenes / "assets").iterdir()) if file.name in mjcf]
+    sources = [settings, *scene_files, *assets]
+    copies = {source: target / source.relative_to(settings.parent) for source in sources}
+    contents = {source: source.read_bytes() for source in sources}
     try:
-        for file, written in copies.items():
-            if written.exists() and written.read_bytes() != contents[file]:
-                raise ConfigError(f"another {written} is there: move it, or copy elsewhere")
-        for file, written in copies.items():
-            if not written.exists():
-                written.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(contents[file], written)
+        for source, copied in copies.items():
+            if copied.exists() and copied.read_bytes() != contents[source]:
+                hint = "move it, or copy elsewhere"
+                raise ConfigError(f"another {copied} is there: {hint}", path=str(copied), hint=hint)
+        for source, copied in copies.items():
+            if not copied.exists():
+                copied.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(contents[source], copied)
     except OSError as error:
-        raise ConfigError(f"cannot write {error.filename or target}: {error.strerror}") from error
+        file = str(error.filename or target)
+        raise ConfigError(f"cannot write {file}: {error.strerror}", path=file) from error
     return list(copies.values())
 
 
 def _folder() -> Path:
+    """The folder of the samples."""
     for folder in _FOLDERS:
         if folder.is_dir():
             return folder

@@ -14,35 +14,64 @@ if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport
     from navbake.verifier.source import SceneSource
 
-SHOWN = 10  # disagreements in a message
+MAX_LISTED = 10  # findings in a message
 
 
 def assert_true(
     grid: NavGrid | str | PathLike[str], scene: SceneSource | None = None, **options: Any
 ) -> VerifyReport:
-    """Assert that a grid agrees with its scene; arguments and result are those of `navbake.verify`.
+    """Assert that a grid agrees with its scene, see `navbake.verify`.
 
-    The message of its AssertionError lists the first disagreements.
+    Args:
+        grid: As of `navbake.verify`.
+        scene: As of `navbake.verify`.
+        **options: Further arguments of `navbake.verify`.
+
+    Returns:
+        The report of the verification.
+
+    Raises:
+        AssertionError: Grid and scene disagree; the message lists the first ten disagreements.
+
+    Example:
+        >>> def test_the_kitchen_is_as_in_the_scene():
+        ...     navbake.testing.assert_true("kitchen.grid.json")
     """
     report = verify(grid, scene, **options)
     if not report.ok:
-        places = [f"{f.kind}, level {f.level}, {f.position}: {f.text}" for f in report.findings]
-        raise AssertionError(_list(f"{report.scene_id}: grid and scene disagree", places))
+        lines = [
+            f"{finding.kind}, level {finding.level}, {finding.position}: {finding.text}"
+            for finding in report.findings
+        ]
+        raise AssertionError(_list_findings(f"{report.scene_id}: grid and scene disagree", lines))
     return report
 
 
 def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -> AuditReport:
-    """Assert that an audit finds no error in a grid and, if `remarks` count, no remark.
+    """Assert that an audit finds no error in a grid, see `navbake.audit`.
 
-    Arguments and result are those of `navbake.audit`; the AssertionError lists the findings.
+    Args:
+        grid: As of `navbake.audit`.
+        remarks: Assert that it has no remark either.
+
+    Returns:
+        The report of the audit.
+
+    Raises:
+        AssertionError: The audit finds something; the message lists the first ten findings.
     """
     report = audit(grid)
-    found = report.remarks if remarks else report.errors
-    if found:
-        raise AssertionError(_list(f"{report.scene_id}: an audit finds", list(map(str, found))))
+    findings = report.remarks if remarks else report.errors
+    if findings:
+        lines = [str(finding) for finding in findings]
+        raise AssertionError(_list_findings(f"{report.scene_id}: an audit finds", lines))
     return report
 
 
-def _list(head: str, places: list[str]) -> str:
-    rest = len(places) - SHOWN
-    return "\n".join([head, *places[:SHOWN], *([f"and {rest} more"] if rest > 0 else [])])
+def _list_findings(heading: str, lines: list[str]) -> str:
+    """A message of a heading and the first lines, and how many more there are."""
+    message = [heading, *lines[:MAX_LISTED]]
+    num_more = len(lines) - MAX_LISTED
+    if num_more > 0:
+        message.append(f"and {num_more} more")
+    return "\n".join(message)

@@ -1,4 +1,4 @@
-"""Runs compiled kernels on Python threads, each with ranges of the work.
+"""Runs compiled kernels on Python threads, each thread with chunks of the work.
 
 Kernels release the GIL. They compile in a fraction of the time of numba's own parallel loops, and
 work after a fork and from any thread.
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numba
 import numpy as np
@@ -20,103 +20,134 @@ from navbake.errors import ConfigError
 
 Result = TypeVar("Result")
 
-LEAST_CELLS = 4096  # so many cells are worth a call on another thread
-BANDS = 8  # ranges per thread: enough to balance them
+LEAST_CELLS = 4096  # the fewest cells that are worth a call on another thread
+CHUNKS_PER_THREAD = 8  # enough to balance the threads
 _limit = threading.local()  # `count`: the most threads for kernels that this thread starts
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
 
 
 def run_in_chunks(
-    kernel: Callable[..., Any], count: int, *args: Any, least: int = 1, begin: int = 0
+    kernel: Callable[..., object], count: int, *args: object, least: int = 1, begin: int = 0
 ) -> None:
-    """Call a kernel for ``range(begin, begin + count)``, by ranges, on as many threads as allowed.
+    """Call a kernel for ``range(begin, begin + count)``, by chunks, on as many threads as allowed.
 
-    The threads take the ranges in order, each its next one when done. The result must not depend on
-    that: each range writes data that no other one reads or writes.
+    The threads take the chunks in order, each the next one when it is done. The result must not
+    depend on that: each chunk writes data that no other chunk reads or writes.
 
     Args:
         kernel: ``kernel(*args, first, last)`` does the work of ``range(first, last)``; compiled
             with ``nogil=True``.
-        count: size of the work, >= 0.
-        args: of all calls.
-        least: smallest range that is worth a call, >= 1; less work runs on this thread.
-        begin: start of the work.
+        count: Size of the work, >= 0.
+        *args: Arguments of all calls.
+        least: Smallest chunk that is worth a call, >= 1; less work runs on this thread.
+        begin: Start of the work.
     """
-    threads = num_threads()
-    size = max(least, -(-count // (threads * BANDS)))
+    max_threads = num_threads()
+    chunk_size = max(least, -(-count // (max_threads * CHUNKS_PER_THREAD)))
     end = begin + count
-    if threads == 1 or count <= size:
+    if max_threads == 1 or count <= chunk_size:
         if count:
             kernel(*args, begin, end)
         return
-    bands = iter([(first, min(first + size, end)) for first in range(begin, end, size)])
-    others = min(threads, -(-count // size)) - 1
-    started = [_get_pool().submit(_work, kernel, args, bands) for _ in range(others)]
+    chunks = iter(
+        [(first, min(first + chunk_size, end)) for first in range(begin, end, chunk_size)]
+    )
+    num_helpers = min(max_threads, -(-count // chunk_size)) - 1  # threads besides this one
+    futures = [_get_pool().submit(_run_kernel, kernel, args, chunks) for _ in range(num_helpers)]
     try:
-        _work(kernel, args, bands)
+        _run_kernel(kernel, args, chunks)
     finally:
-        deque(bands, maxlen=0)  # after an error, no further range begins
-        # the ranges are used up
-        for future in [future for future in started if not future.cancel()]:
+        deque(chunks, maxlen=0)  # after an error, no further chunk begins
+        # threads that have not begun would find no chunk
+        begun = [future for future in futures if not future.cancel()]
+        for future in begun:
             future.result()
 
 
-def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
-    """Start a function on another thread; returns a function that waits for its result or error.
+def run_beside(task: Callable[..., Result], *args: object) -> Callable[[], Result]:
+    """Start a function on another thread.
 
-    Its kernels may take as many threads as this thread's. If it hasn't begun when the result is
-    needed, as with one thread or if all are busy, it runs on the waiting thread.
+    Its kernels may take as many threads as those of this thread. If it has not begun when the
+    result is needed, as with one thread or if all are busy, it runs on the waiting thread.
+
+    Args:
+        task: The function.
+        *args: Its arguments.
+
+    Returns:
+        A function that waits, and returns the result of `task` or raises its error.
     """
-    count = num_threads()
-    if count == 1:
+    max_threads = num_threads()
+    if max_threads == 1:
         return partial(task, *args)
-    future = _get_pool().submit(_run_limited, count, task, args)
-    return lambda: _run_limited(count, task, args) if future.cancel() else future.result()
+    future = _get_pool().submit(_run_with_limit, max_threads, task, args)
+
+    def wait() -> Result:
+        if future.cancel():
+            return _run_with_limit(max_threads, task, args)
+        return future.result()
+
+    return wait
 
 
-def _run_limited(count: int, task: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-    with limit_threads(count):  # limits are per thread
+def _run_with_limit(
+    max_threads: int, task: Callable[..., Result], args: tuple[object, ...]
+) -> Result:
+    with limit_threads(max_threads):  # each Python thread has a limit of its own
         return task(*args)
 
 
-def _work(kernel: Callable[..., Any], args: tuple[Any, ...], bands: Iterator[Any]) -> None:
+def _run_kernel(
+    kernel: Callable[..., object], args: tuple[object, ...], chunks: Iterator[tuple[int, int]]
+) -> None:
+    """Call a kernel for the next chunk, until none is left; other threads take chunks as well."""
     # `next` of a list's iterator is atomic
-    for first, last in bands:
+    for first, last in chunks:
         kernel(*args, first, last)
 
 
 def num_threads() -> int:
-    """The most threads for kernels that this Python thread starts."""
+    """Return the most threads for kernels that this Python thread starts."""
     return int(getattr(_limit, "count", None) or numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 @contextmanager
 def limit_threads(count: int | None) -> Iterator[None]:
-    """Limit kernels inside to `count` threads; None changes nothing. Raises a ConfigError."""
-    before = getattr(_limit, "count", None)
+    """Limit the threads of kernels that this Python thread calls in a with statement.
+
+    Args:
+        count: The most threads, >= 1; None changes nothing.
+
+    Raises:
+        ConfigError: It is no whole number >= 1.
+    """
+    count_before = getattr(_limit, "count", None)
     if count is not None:
         is_whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
         if not is_whole or count < 1:
-            raise ConfigError(f"expected a number of threads >= 1, got {count!r}")
+            expected = "a number of threads >= 1"
+            raise ConfigError(
+                f"expected {expected}, got {count!r}", key="threads", value=count, expected=expected
+            )
         _limit.count = min(int(count), int(numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
     try:
         yield
     finally:
-        _limit.count = before
+        _limit.count = count_before
 
 
 def _get_pool() -> ThreadPoolExecutor:
     global _pool
     with _pool_lock:
         if _pool is None:
-            most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-            _pool = ThreadPoolExecutor(most, "navbake")
+            max_threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+            _pool = ThreadPoolExecutor(max_threads, "navbake")
         return _pool
 
 
 def _after_fork() -> None:
-    """Reset a forked child, which has no threads and maybe a locked lock."""
+    """Reset the pool in a forked child, which has no threads, and whose lock may be locked."""
     global _pool, _pool_lock
     _pool = None
     _pool_lock = threading.Lock()

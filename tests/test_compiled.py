@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.compiled import KERNELS, decode_type, find, list_cold, read_list
+from navbake.compiled import KERNELS, decode_type, import_object, list_uncompiled, read_list
 
 INNER = """from navbake.compiled import kernel
 
@@ -110,7 +110,7 @@ def test_all_is_compiled_beforehand_and_what_is_not_is_named(package, tmp_path):
 LONE = """
 import numpy as np
 from navbake import compiled
-compiled.STEP = 0.05
+compiled.FIRST_PROGRESS = 0.05
 compiled.ensure_compiled("kernels.lone")
 from navbake.kernels.lone import lone
 print(lone(np.zeros(3)))
@@ -178,7 +178,7 @@ def test_kernels_of_others_stay_as_they_are(package):
 def test_the_list_names_kernels_with_their_types():
     """If it fails: run `python scripts/list_kernels.py`."""
     for entry in [*read_list()[0], *read_list()[1]]:
-        found = find(entry.name)
+        found = import_object(entry.name)
         assert found in KERNELS, entry.name
         assert len(entry.types) == found.py_func.__code__.co_argcount, entry.name
         for each in entry.types:
@@ -214,6 +214,6 @@ def test_the_list_has_what_a_bake_calls_which_is_little(tmp_path):
     names = [entry.name for entry in read_list()[0]]
     called = json.loads(done.stdout.splitlines()[-1])
     missing = [k for k, (n, _) in called.items() if names.count(k.removeprefix("navbake.")) < n]
-    assert missing == [] and list_cold(read_list()[0]) == []
+    assert missing == [] and list_uncompiled(read_list()[0]) == []
     assert len(called) <= MOST
     assert sum(size for _, size in called.values()) <= MOST_BYTES

@@ -238,7 +238,7 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
         yield "compiled", f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.REMEDY}"
     else:
         entries = [entry for group in compiled.read_list() for entry in group]
-        warm = len(entries) - len(compiled.list_cold(entries))
+        warm = len(entries) - len(compiled.list_uncompiled(entries))
         files = [path for path in folder.rglob("*.nb?") if path.is_file()]
         state = f"{warm} of {len(entries)} functions are compiled"
         yield "compiled", f"{folder}, {_megabytes(files)} MB: {state}"
