@@ -1,13 +1,18 @@
 """Writes YAML, and reads hand-written YAML: plain scalars as in YAML 1.2, and unique keys."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from navbake.errors import ConfigError
+
+if TYPE_CHECKING:  # loads numpy
+    from navbake.types import JsonValue
 
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
@@ -53,7 +58,7 @@ for _name, _pattern in {
     _Loader.add_implicit_resolver(_TAG + _name, re.compile(rf"^(?:{_pattern})$"), None)
 
 
-def read_yaml(path: Path) -> Any:
+def read_yaml(path: Path) -> JsonValue:
     """Read a YAML file, as `parse_yaml`; raises a ConfigError if it can't be read."""
     try:
         return decode_yaml(path.read_bytes(), str(path))
@@ -63,7 +68,7 @@ def read_yaml(path: Path) -> Any:
         raise ConfigError(f"cannot read {path}: {error.strerror}", path=str(path)) from error
 
 
-def decode_yaml(content: bytes, source: str) -> Any:
+def decode_yaml(content: bytes, source: str) -> JsonValue:
     """Parse the content of a YAML file, UTF-8 with or without a byte order mark.
 
     Args:
@@ -89,7 +94,7 @@ def encode_yaml(content: object) -> bytes:
     return text.encode()
 
 
-def parse_yaml(text: str, source: str) -> Any:
+def parse_yaml(text: str, source: str) -> JsonValue:
     """Parse one YAML document.
 
     Args:

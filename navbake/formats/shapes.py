@@ -294,7 +294,7 @@ def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json
     for k, feature in enumerate(_read_features(path, with_lists=True)):
         if isinstance(feature, dict) and feature.get("type") == "Feature":
             where = f"feature {k} of {path}"
-            geometry: Any = feature.get("geometry")
+            geometry = feature.get("geometry")
             kind = geometry.get("type") if isinstance(geometry, dict) else None
             properties = feature.get("properties")
             is_object = isinstance(properties, dict | None)
@@ -353,7 +353,7 @@ def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]
     return rings
 
 
-def _check(is_good: bool, expected: str, value: Any, where: str) -> None:
+def _check(is_good: bool, expected: str, value: object, where: str) -> None:
     """Raise a FormatError for a value of a feature that is not what was expected."""
     if not is_good:
         text = value if isinstance(value, str) else repr(value)

@@ -25,7 +25,7 @@ from navbake.navgrid.metadata import (
     to_entry,
     unflatten,
 )
-from navbake.types import Bool, Float, Int, Json, Vector3
+from navbake.types import Bool, Float, Int, Json, JsonValue, Vector3
 
 AGENTS = "metadata.navbake.agents"
 AREAS = "metadata.navbake.areas"
@@ -71,7 +71,7 @@ class Agent:
         return to_entry(self, "name")
 
 
-def parse_agents(entries: Any) -> dict[str, Agent]:
+def parse_agents(entries: object) -> dict[str, Agent]:
     """Check and convert ``metadata.navbake.agents``; None is no agent.
 
     Returns:
@@ -121,7 +121,7 @@ class _AreaEntry(msgspec.Struct):
     agents: tuple[str, ...] | None = None
 
 
-def parse_areas(entries: Any) -> tuple[Area, ...]:
+def parse_areas(entries: object) -> tuple[Area, ...]:
     """Check and convert ``metadata.navbake.areas``; None is no area.
 
     Raises:
@@ -317,7 +317,7 @@ class _StopsEntry(msgspec.Struct):
     positions: list[Vector3]
 
 
-def _parse_entries(entries: Any) -> list[Row | _StopsEntry]:
+def _parse_entries(entries: object) -> list[Row | _StopsEntry]:
     """Convert a table of links: its steps, and the stops of its named links, in its order."""
     separate = unflatten(entries or [])
     has_links = isinstance(separate, list) and any(isinstance(entry, dict) for entry in separate)
@@ -326,7 +326,7 @@ def _parse_entries(entries: Any) -> list[Row | _StopsEntry]:
     return parsed
 
 
-def parse_steps(entries: Any, cell_counts: Sequence[int]) -> Int:
+def parse_steps(entries: object, cell_counts: Sequence[int]) -> Int:
     """Check and convert the steps of ``metadata.navbake.links``.
 
     Args:
@@ -352,7 +352,7 @@ def parse_steps(entries: Any, cell_counts: Sequence[int]) -> Int:
     return steps
 
 
-def parse_links(entries: Any, cell_counts: Sequence[int]) -> tuple[Link, ...]:
+def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, ...]:
     """Check and convert the named links of ``metadata.navbake.links``.
 
     Args:

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.types import Json
+from navbake.types import Json, JsonValue
+
+Kind = TypeVar("Kind")
 
 Name = Annotated[str, msgspec.Meta(min_length=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e10)]
@@ -57,7 +59,7 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     return list(described.values())
 
 
-def read_table(entries: object, kind: Any, place: str) -> Any:
+def read_table(entries: object, kind: type[Kind], place: str) -> Kind:
     """Convert a table of a file to a type.
 
     Args:
@@ -113,7 +115,7 @@ def cut_metadata(metadata: Json, level: int) -> Json:
     return {**metadata, "navbake": cut}
 
 
-def unflatten(links: Any) -> Any:
+def unflatten(links: JsonValue) -> JsonValue:
     """Return the entries of a table of links, whose steps may be one flat list of integers."""
     if isinstance(links, list) and links and not isinstance(links[0], list | tuple | dict):
         return [links[i : i + 4] for i in range(0, len(links), 4)]
@@ -125,7 +127,7 @@ def cut_levels(levels: list[Json], level: int) -> list[Json]:
     return levels[level : level + 1]
 
 
-def cut_links(links: Any, level: int) -> list[Any]:
+def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
     """Return the steps within a level, and the named links with two or more stops on it."""
     cut: list[Any] = []
     for entry in unflatten(links):

@@ -11,11 +11,11 @@ import gc
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from navbake.types import Int, Json
+from navbake.types import Int, Json, JsonValue
 
 NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list names
 
@@ -172,7 +172,7 @@ def names_in(entry: Json, key: str) -> list[str]:
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 
-def _copy_json(value: Any) -> Any:
+def _copy_json(value: JsonValue) -> JsonValue:
     """Copy parsed JSON, faster than `copy.deepcopy`."""
     if isinstance(value, dict):
         return {key: _copy_json(part) for key, part in value.items()}

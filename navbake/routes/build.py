@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -277,15 +277,16 @@ class _Builder:
 
     # ---------------------------------------------------------------- lanes
 
-    def _distance(self, node: Any, target: Any) -> Any:
-        """How far nodes are from others, seen from above; indices or arrays of them [m]."""
-        return np.hypot(*(self.points[node] - self.points[target])[..., :2].T)
+    def _distance(self, node: int, target: int) -> float:
+        """How far a node is from another, seen from above [m]."""
+        offset = self.points[node] - self.points[target]
+        return float(np.hypot(offset[0], offset[1]))
 
     def _lane_cost(self, node: int, target: int) -> float:
         """The cost of a straight lane, or of a step between levels, which costs its length [m]."""
         level = self.nodes[node].level
         if level != self.nodes[target].level:
-            return float(self._distance(node, target))
+            return self._distance(node, target)
         return self._line_cost(self.points[[node, target], :2], level)
 
     def _line_cost(self, points: Float, level: int) -> float:
@@ -405,7 +406,8 @@ class _Builder:
     def _shortest_first(self, pairs: Int) -> list[tuple[int, int, float]]:
         """Pairs of nodes, shape (n, 2), with their distances [m]; the shortest first."""
         node, target = pairs.T
-        length = np.round(self._distance(node, target), DIGITS)
+        offset = self.points[node] - self.points[target]
+        length = np.round(np.hypot(offset[:, 0], offset[:, 1]), DIGITS)
         order = np.lexsort((target, node, length))
         return [(int(node[index]), int(target[index]), float(length[index])) for index in order]
 
