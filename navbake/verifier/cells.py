@@ -1,6 +1,7 @@
-"""Checks of cells: whether they are free or blocked as the grid says, and what floors they have.
+"""Checks of cells: of their state, free or blocked, and of their floors.
 
-Floors have to be surfaces, and no place to stand, nor a whole floor, may be missing.
+Each floor has to be a surface of the scene, and the grid may lack no place to stand on, and no
+level.
 """
 
 from __future__ import annotations
@@ -10,440 +11,701 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.config.settings import BakeConfig, FloorSettings
 from navbake.navgrid.grid import GridBase
-from navbake.types import Bool, Int, Vector3
+from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier import report
-from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, PlacedPiece
-from navbake.verifier.probes import AROUND, DISPUTED, FACES_UP, REACH, RIM, TOUCHES, Probes
+from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, PlacedShape
+from navbake.verifier.probes import (
+    CIRCLE_DIRECTIONS,
+    DISPUTED,
+    EDGE_TOLERANCE,
+    MAX_MEASURED_GAP,
+    MIN_UPWARD_NORMAL_Z,
+    TOUCHES,
+    ObstacleProbe,
+    SurfaceHit,
+)
 from navbake.verifier.report import Finding, LevelCounts
-from navbake.verifier.sample import AgentSizes, LevelSample, Part, shift_between
+from navbake.verifier.sample import AgentSizes, CellPrisms, LevelSample, shift_between
 
-MEASURED = 100  # findings of a kind whose depth or gap is measured
-OFF = 1e-4  # metres that a floor may be off a surface, and
-SHARE = 1e-6  # a share of its distance from the origin, which float32 rounds off
-SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
-STRIDE = 0.15  # distance of the places that are looked at [m]
-MOST_PLACES = 20_000  # of one search
-# A search calls a sheet a storey where it is clearly as large as a floor, where more than half of
-# its outline has walls, and where clearly less than a quarter of it drops, as a top's would. A
-# ground may be over a cellar or a pipe, up to the same share
-CLEARLY_LARGE = 1.25
-WALLED = 0.5
-DROPS = 0.2
-COVERS = 0.2
-MIN_WALL = 1.5  # parapets are lower than walls [m]
-REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
+MAX_MEASURED_FINDINGS = 100  # findings of a kind whose depth or gap is measured
 
-Node = tuple[int, int, int]
-"""Row and column on the lowest level's lattice, and the number of the surface in its column."""
+FLOOR_TOLERANCE = 1e-4  # how far a floor near the origin may be off a surface [m]
+FLOOR_TOLERANCE_SHARE = 1e-6  # and by which share of its coordinates: floors are float32
+NORMAL_Z_MARGIN = 1e-5  # by how much a floor's normal must exceed the limit to be a certain floor
+
+GRID_DIRECTIONS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column to the neighboring cells
+PROBE_DIRECTIONS = CIRCLE_DIRECTIONS[1::4]  # four, along none of the axes
+
+SEARCH_STRIDE = 0.15  # distance between the places of a search, rounded to whole cells [m]
+MAX_SEARCH_PLACES = 20_000  # of one search
+# A search counts a region as a missing level if it is clearly as large as a floor, if more than
+# half of its outline are walls, and if clearly less than a quarter of the outline drops, as that of
+# a table's top would. A ground may lie over a cellar or a pipe, up to the same share.
+LARGE_AREA_FACTOR = 1.25  # by which its area exceeds the least area of a floor
+MIN_WALL_SHARE = 0.5
+MAX_DROP_SHARE = 0.2
+MAX_COVERED_SHARE = 0.2
+MIN_WALL_HEIGHT = 1.5  # parapets are lower than walls [m]
+MIN_REACHED_AREA = 3.0  # area of the grid's floors that steps from a region have to lead to [m²]
 
 
-def rounding(*coordinates: float) -> float:
-    """How far a floor may be off a surface at some coordinates [m]."""
-    return OFF + SHARE * max(map(abs, coordinates))
+class StandingPlace(NamedTuple):
+    """A surface that an agent can stand on, at the centre of a cell.
+
+    Attributes:
+        row: Row of the cell on the lowest level's lattice; the cell may lie beside the grid.
+        col: Column of the cell.
+        surface: Index among the surfaces to stand on in the cell's column, 0 for the lowest.
+    """
+
+    row: int
+    col: int
+    surface: int
+
+
+class OutlineEdge(NamedTuple):
+    """How a region ends at one side of one of its places.
+
+    Attributes:
+        is_wall: Whether a wall stands there.
+        landing: The highest place below, where the region drops; None for none.
+    """
+
+    is_wall: bool
+    landing: StandingPlace | None
+
+
+class RegionSearch(NamedTuple):
+    """What a search over places a step apart returns.
+
+    Attributes:
+        places: The places that no level has.
+        is_reached: Whether steps lead from the grid's floors to the region.
+        outline: The edges of the region.
+    """
+
+    places: set[StandingPlace]
+    is_reached: bool
+    outline: list[OutlineEdge]
+
+
+class LevelCell(NamedTuple):
+    """A level's cell: its floor [m], NaN for none, and whether it is free."""
+
+    floor: float
+    is_free: bool
+
+
+class LevelArrays(NamedTuple):
+    """The floors [m] and free cells of a level, and its shift to the lowest level's lattice."""
+
+    floor: Float
+    free: Bool
+    row_shift: int
+    col_shift: int
+
+
+def floor_tolerance(*coordinates: float) -> float:
+    """Return how far a floor at some world coordinates [m] may be off a surface [m]."""
+    return FLOOR_TOLERANCE + FLOOR_TOLERANCE_SHARE * max(map(abs, coordinates))
 
 
 class FloorCheck:
     """Checks floors by MuJoCo's rays, and searches for places to stand that no level has.
 
-    All that hangs together by steps with such a place is a fault where steps lead to it, or where
-    it is as large as a floor, without drops, and has walls round most of it (a storey) or nothing
-    to stand on under it (a ground). Else it may be the top of furniture, a shelf or a roof:
-    `num_left` and `area_left` [m²] count these. A floor that no steps lead to is a fault only where
-    the settings leave out none, or the grid has no floor at all.
+    Places that are a step apart form a region. A region that no level has is a fault if steps lead
+    to it; or if it is as large as a floor, hardly drops at its outline, and is either mostly
+    surrounded by walls (a level) or mostly has nothing to stand on below (a ground). Any other
+    region may be the top of furniture, a shelf or a roof, and is ignored. A region that no steps
+    lead to is a fault only where the settings of the bake leave no floors out, or where the grid
+    has no floor at all.
 
-    Cells are given by row and column on the lowest level's lattice, also beside it.
+    Cells are stated by row and column on the lowest level's lattice, and may lie beside it.
+
+    Args:
+        grid: The inflated grid.
+        probe: The obstacles that can carry floors.
+        agent: The agent that the grid was baked for.
+        config: The settings of the bake; None if they are unknown.
+
+    Attributes:
+        num_ignored_regions: How many regions were ignored so far.
+        ignored_area: Their area [m²].
     """
 
     def __init__(
-        self, grid: GridBase, probes: Probes, body: AgentSizes, config: BakeConfig | None
+        self, grid: GridBase, probe: ObstacleProbe, agent: AgentSizes, config: BakeConfig | None
     ) -> None:
-        self._body = body
-        self._probes = probes
+        self._agent = agent
+        self._probe = probe
         self._settings = FloorSettings() if config is None else config.floors
         self._lattice = grid.levels[0].lattice
-        shifts = [shift_between(self._lattice, level.lattice) for level in grid.levels]
-        self._levels = [(v.floor, v.free, by) for v, by in zip(grid.levels, shifts, strict=True)]
+        self._levels = list[LevelArrays]()
+        for level in grid.levels:
+            shift = shift_between(self._lattice, level.lattice)
+            self._levels.append(LevelArrays(level.floor, level.free, shift.rows, shift.cols))
         leaves_out = config is None or config.levels != "auto" or config.floors.reach != "all"
-        self._are_asked = not leaves_out or all(np.isnan(floor).all() for floor, *_ in self._levels)
-        self._stride = max(1, round(STRIDE / self._lattice.cell_size))
-        self._edge = self._stride * self._lattice.cell_size
-        self._seen = set[Node]()
-        self._lost = set[Node]()
-        self.num_left = 0
-        self.area_left = 0.0
-        self._line_at = lru_cache(200_000)(lambda row, col: probes.line(*self._center(row, col)))
+        has_no_floor = all(np.isnan(level.floor).all() for level in self._levels)
+        self._unreached_counts = not leaves_out or has_no_floor
+        self._stride = max(1, round(SEARCH_STRIDE / self._lattice.cell_size))
+        self._stride_length = self._stride * self._lattice.cell_size
+        self._searched_places = set[StandingPlace]()
+        self._lost_places = set[StandingPlace]()
+        self.num_ignored_regions = 0
+        self.ignored_area = 0.0
+        self._line_at = lru_cache(200_000)(
+            lambda row, col: probe.cast_line(*self._center(row, col))
+        )
         self._standable_at = lru_cache(200_000)(
-            lambda row, col: self._line_at(row, col).standable(body.height, body.min_up)
+            lambda row, col: self._line_at(row, col).standable_hits(
+                agent.height, agent.min_normal_z
+            )
         )
 
-    def run(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
+    def check(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
         """Check the floors of a level, and look for places to stand that no level has.
 
-        A floor may lie inside of a solid, as under things lower than a step, which block nothing.
-        Columns whose floor is off, or beside the centre, aren't searched.
+        A floor may lie inside of a solid: things lower than a step block nothing. No places are
+        looked for in columns whose floor is off, or is a surface beside the centre.
+
+        Args:
+            sample: The cells of the level.
+            counts: The level's counts, which the check adds to.
+
+        Returns:
+            A finding for each floor that is off, and for each lost region that begins here.
         """
         findings = list[Finding]()
         shift = shift_between(sample.level.lattice, self._lattice)
-        unknown: list[tuple[int, int, float]] = []  # places that no level has
-        # floors over holes of a scan are no surfaces
+        missing_places: list[tuple[int, int, float]] = []  # row, column, height
+        # the grid's floors over holes of a scan are no surfaces
         unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
-        for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
-            x, y, z = place = sample.place(k)
-            line = self._probes.line(x, y)
-            off = rounding(x, y, z)
-            standable = line.standable(self._body.height, self._body.min_up)
-            # at the edge of a crack, floors that slope have any height
-            is_gap = all(abs(s.z - z) > self._body.step for s in standable)
-            min_up = self._body.min_up if is_gap else np.inf
-            counts.floors += not has_none
-            has_none |= bool(unseen[sample.rows[k], sample.cols[k]])
-            if has_none or line.faces_up(z - off, z + off):
-                row = int(sample.rows[k]) + shift[0]
-                col = int(sample.cols[k]) + shift[1]
-                for s in standable:
-                    if not self._is_known(row, col, s.z):
-                        unknown.append((row, col, s.z))
-                        findings += self._look_from(row, col, (x, y, s.z), sample, k)
-            elif self._probes.faces_up_beside(place, off, self._settings.crack, min_up=min_up):
+        for cell, has_no_floor in enumerate(np.isnan(sample.floor).tolist()):
+            position = sample.position(cell)
+            x, y, z = position
+            line = self._probe.cast_line(x, y)
+            tolerance = floor_tolerance(x, y, z)
+            standable = line.standable_hits(self._agent.height, self._agent.min_normal_z)
+            if not has_no_floor:
+                counts.floors += 1
+            is_unchecked = has_no_floor or bool(unseen[sample.rows[cell], sample.cols[cell]])
+            if is_unchecked or line.has_upward_hit(z - tolerance, z + tolerance):
+                row = int(sample.rows[cell]) + shift.rows
+                col = int(sample.cols[cell]) + shift.cols
+                for hit in standable:
+                    if not self._has_floor(row, col, hit.z):
+                        missing_places.append((row, col, hit.z))
+                        findings += self._check_missing_place(row, col, (x, y, hit.z), sample, cell)
+                continue
+            # at the edge of a crack, a floor on a slope may have any of the slope's heights
+            is_gap = all(abs(hit.z - z) > self._agent.step for hit in standable)
+            has_surface_nearby = self._probe.has_upward_hit_nearby(
+                position,
+                tolerance,
+                self._settings.crack,
+                min_normal_z=self._agent.min_normal_z if is_gap else np.inf,
+            )
+            if has_surface_nearby:
                 counts.in_cracks += 1
             else:
                 counts.floors_off += 1
-                gaps = [abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP]
-                nearest = min(gaps, default=None)
-                off_by = f"{nearest:.4f} m off the nearest surface" if gaps else "over no surface"
-                text = f"has its floor at {z:.4f} m, {off_by}"
-                findings.append(sample.finding(report.FLOOR_OFF, k, text, None, nearest))
-        for row, col, z in unknown:  # lost itself, or where a search looked beside it
-            looked_at = (row, col), (row - row % self._stride, col - col % self._stride)
-            counts.lost += any((*cell, self._near(*cell, z)) in self._lost for cell in looked_at)
+                findings.append(self._floor_off(sample, cell, z, line.hits))
+        for row, col, z in missing_places:
+            # the place itself is lost, or the one near it where a search began
+            search_cell = (row - row % self._stride, col - col % self._stride)
+            counts.lost += any(
+                self._place_near(*row_col, z) in self._lost_places
+                for row_col in ((row, col), search_cell)
+            )
         return findings
 
-    def _look_from(
-        self, row: int, col: int, place: Vector3, sample: LevelSample, k: int
-    ) -> list[Finding]:
-        """The finding about a place that no level has, seen from a cell of a sample.
+    def _floor_off(
+        self, sample: LevelSample, cell: int, z: float, hits: list[SurfaceHit]
+    ) -> Finding:
+        """Return the finding of a floor that is no surface."""
+        gaps = [abs(hit.z - z) for hit in hits if hit.normal_z >= MIN_UPWARD_NORMAL_Z]
+        smallest_gap = min(gaps, default=None)
+        if smallest_gap is None:
+            where = "over no surface"
+        else:
+            where = f"{smallest_gap:.4f} m off the nearest surface"
+        text = f"has its floor at {z:.4f} m, {where}"
+        return sample.finding(report.FLOOR_OFF, cell, text, None, smallest_gap)
 
-        None where it was found before, or is narrower than furniture, unless it is a step from a
-        free cell: places are looked at every `STRIDE`.
+    def _check_missing_place(
+        self, row: int, col: int, position: Vector3, sample: LevelSample, cell: int
+    ) -> list[Finding]:
+        """Search the region of a place that no level has, and return its finding if it is lost.
+
+        A place that is a step from a free cell is the start of a search itself. For any other
+        place, the search starts at the nearest place of a coarse grid, every `SEARCH_STRIDE`; it
+        is left out where the region has been searched or is narrow, as the tops of furniture are.
         """
-        step = self._body.step - OFF
-        is_step = any(
-            is_free
-            and abs(floor - place[2]) <= step
-            and any(abs(s.z - floor) <= rounding(floor) for s in self._standable_at(r, c))
-            for r, c in ((row + dr, col + dc) for dr, dc in SIDES)
-            for floor, is_free in self._levels_at(r, c)
-        )
-        is_step = is_step and self._is_sure(*place)
+        is_step = self._is_step_from_free_cell(row, col, position[2])
+        is_step = is_step and self._is_certain(*position)
         if not is_step:
             row = row - row % self._stride
             col = col - col % self._stride
-        start = self._near(row, col, place[2])
+        start = self._place_near(row, col, position[2])
         if start is None:
             return []
-        first = self._standable_at(row, col)[start]
-        place = (*self._center(row, col), first.z)
+        hit = self._standable_at(row, col)[start.surface]
+        position = (*self._center(row, col), hit.z)
         if not is_step:
-            if (row, col, start) in self._seen or self._is_known(row, col, first.z):
+            if start in self._searched_places or self._has_floor(row, col, hit.z):
                 return []
-            far = [(row + 2 * self._stride * dr, col + 2 * self._stride * dc) for dr, dc in SIDES]
-            if sum(self._near(*there, first.z) is None for there in far) >= 2:
+            two_strides = 2 * self._stride
+            surroundings = [
+                self._place_near(row + two_strides * down, col + two_strides * right, hit.z)
+                for down, right in GRID_DIRECTIONS
+            ]
+            if surroundings.count(None) >= 2:
                 return []
-            if not self._is_sure(*place):
+            if not self._is_certain(*position):
                 return []
-        own, is_reached, ends = self._search((row, col, start))
-        self._seen |= own
-        places = {(r, c) for r, c, _ in own}
-        reach = int(self._settings.shrink / self._edge) + 1
-        span = [n * self._stride for n in range(-reach, reach + 1)]
-        # farther from the outline than floors are shrunk by
-        around = [*product(span, span)]
-        num_inner = sum(all((r + i, c + j) in places for i, j in around) for r, c in places)
-        over = {(r, c) for r, c, n in own if any((r, c, below) not in own for below in range(n))}
-        area = len(places) * self._edge**2
-        walls = ends.count(None)
-        # what drops to the sheet itself, as beside its own stairs, makes it no top
-        drops = sum(end is not None and end[2] >= 0 and end not in own for end in ends)
-        is_floor = num_inner * self._edge**2 >= CLEARLY_LARGE * self._settings.min_area
-        is_floor &= self._are_asked and drops <= DROPS * len(ends)
-        if is_reached:
-            how = "steps lead there"
-        elif is_floor and walls > WALLED * len(ends):
-            how = "it has walls all round"
-        elif is_floor and len(over) <= COVERS * len(places):
-            how = "there is nothing to stand on under it"
-        else:
-            self.num_left = self.num_left + 1
-            self.area_left = self.area_left + area
+
+        region = self._search(start)
+        self._searched_places |= region.places
+        area = len({(place.row, place.col) for place in region.places}) * self._stride_length**2
+        reason = "steps lead there" if region.is_reached else self._reason_for_level(region)
+        if not reason:
+            self.num_ignored_regions += 1
+            self.ignored_area += area
             return []
-        self._lost |= own
-        geom = self._probes.obstacles.name(first.number)
-        text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {how}"
-        found = sample.finding(report.PLACE_LOST, k, text, geom, round(area, 6))
-        return [replace(found, position=place)]
+        self._lost_places |= region.places
+        geom = self._probe.obstacles.geom_name(hit.obstacle)
+        text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {reason}"
+        finding = sample.finding(report.PLACE_LOST, cell, text, geom, round(area, 6))
+        return [replace(finding, position=position)]
 
-    def _search(self, start: Node) -> tuple[set[Node], bool, list[Node | None]]:
-        """Search breadth first over places a step apart.
+    def _is_step_from_free_cell(self, row: int, col: int, z: float) -> bool:
+        """Whether a free cell beside a place has a floor, and a surface there, a step away."""
+        step = self._agent.step - FLOOR_TOLERANCE
+        for down, right in GRID_DIRECTIONS:
+            for level_cell in self._levels_at(row + down, col + right):
+                floor = level_cell.floor
+                if not level_cell.is_free or not abs(floor - z) <= step:
+                    continue
+                hits = self._standable_at(row + down, col + right)
+                if any(abs(hit.z - floor) <= floor_tolerance(floor) for hit in hits):
+                    return True
+        return False
 
-        Returns the places that no level has; whether the search reached as much of the grid's
-        floors as makes steps that lead there; and how the outline ends at each edge, see `_end_at`.
+    def _reason_for_level(self, region: RegionSearch) -> str:
+        """Say why a region that no steps lead to is a level or a ground; empty if it is neither."""
+        cells = {(place.row, place.col) for place in region.places}
+        # floors are shrunk: only cells that are farther from the outline count
+        reach = int(self._settings.shrink / self._stride_length) + 1
+        offsets = [n * self._stride for n in range(-reach, reach + 1)]
+        window = list(product(offsets, offsets))
+        num_inner = sum(
+            all((row + down, col + right) in cells for down, right in window) for row, col in cells
+        )
+        # a drop to the region itself, as beside its own stairs, makes it no table's top
+        num_drops = sum(
+            edge.landing is not None and edge.landing not in region.places
+            for edge in region.outline
+        )
+        is_large = num_inner * self._stride_length**2 >= LARGE_AREA_FACTOR * self._settings.min_area
+        has_few_drops = num_drops <= MAX_DROP_SHARE * len(region.outline)
+        if not (is_large and self._unreached_counts and has_few_drops):
+            return ""
+        num_walls = sum(edge.is_wall for edge in region.outline)
+        if num_walls > MIN_WALL_SHARE * len(region.outline):
+            return "it has walls all round"
+        cells_over_others = {
+            (place.row, place.col)
+            for place in region.places
+            if any(place._replace(surface=k) not in region.places for k in range(place.surface))
+        }
+        if len(cells_over_others) <= MAX_COVERED_SHARE * len(cells):
+            return "there is nothing to stand on under it"
+        return ""
+
+    def _search(self, start: StandingPlace) -> RegionSearch:
+        """Search breadth first over places that are a step apart, from one that no level has.
+
+        The search goes on over places that levels have. It ends early where these add up to
+        `MIN_REACHED_AREA`: then steps lead from the grid's floors to the region.
         """
-        own = {start}
-        known = set[Node]()
+        region = {start}
+        places_on_levels = set[StandingPlace]()
         queue = deque([start])
-        ends = list[Node | None]()
+        outline = list[OutlineEdge]()
         is_reached = False
-        while queue and len(own) < MOST_PLACES and not is_reached:
-            row, col, number = here = queue.popleft()
-            z = self._standable_at(row, col)[number].z
-            for dr, dc in SIDES:
-                r = row + dr * self._stride
-                c = col + dc * self._stride
-                # of what lies beside the grid, no floors are known
-                beside = self._near(r, c, z) if self._levels_at(r, c) else None
-                if beside is None:
-                    ends += [self._end_at(row, col, dr, dc, z)] if here in own else []
+        while queue and len(region) < MAX_SEARCH_PLACES and not is_reached:
+            place = queue.popleft()
+            z = self._standable_at(place.row, place.col)[place.surface].z
+            for down, right in GRID_DIRECTIONS:
+                row = place.row + down * self._stride
+                col = place.col + right * self._stride
+                # the floors beside the grid are unknown: the search ends there
+                neighbor = self._place_near(row, col, z) if self._is_on_grid(row, col) else None
+                if neighbor is None:
+                    if place in region:
+                        outline.append(self._outline_edge(place.row, place.col, down, right, z))
                     continue
-                node = (r, c, beside)
-                if node in own or node in known:
+                if neighbor in region or neighbor in places_on_levels:
                     continue
-                if not self._is_known(r, c, self._standable_at(r, c)[beside].z):
-                    own.add(node)
-                elif here in own and not self._walks(row, col, dr, dc, z):
-                    ends.append(self._end_at(row, col, dr, dc, z))
+                neighbor_z = self._standable_at(row, col)[neighbor.surface].z
+                if not self._has_floor(row, col, neighbor_z):
+                    region.add(neighbor)
+                elif place in region and not self._is_walkable(
+                    place.row, place.col, down, right, z
+                ):
+                    outline.append(self._outline_edge(place.row, place.col, down, right, z))
                     continue
                 else:
-                    known.add(node)
-                    is_reached = len(known) * self._edge**2 >= REACHED
-                queue.append(node)
-        return own, is_reached, ends
+                    places_on_levels.add(neighbor)
+                    reached_area = len(places_on_levels) * self._stride_length**2
+                    is_reached = reached_area >= MIN_REACHED_AREA
+                queue.append(neighbor)
+        return RegionSearch(region, is_reached, outline)
 
-    def _walks(self, row: int, col: int, dr: int, dc: int, z: float) -> bool:
+    def _is_walkable(self, row: int, col: int, down: int, right: int, z: float) -> bool:
         """Whether steps from cell to cell lead over a stride."""
         for n in range(1, self._stride + 1):
-            beside = self._near(row + n * dr, col + n * dc, z)
-            if beside is None:
+            next_row = row + n * down
+            next_col = col + n * right
+            place = self._place_near(next_row, next_col, z)
+            if place is None:
                 return False
-            z = self._standable_at(row + n * dr, col + n * dc)[beside].z
+            z = self._standable_at(next_row, next_col)[place.surface].z
         return True
 
-    def _end_at(self, row: int, col: int, dr: int, dc: int, z: float) -> Node | None:
-        """The place that a sheet drops to, of number -1 if there is none; None at a wall."""
-        low = z + self._body.step
-        high = z + max(self._body.height, MIN_WALL)
+    def _outline_edge(self, row: int, col: int, down: int, right: int, z: float) -> OutlineEdge:
+        """Return how a region ends at one side of a place at a height [m]."""
+        low = z + self._agent.step
+        high = z + max(self._agent.height, MIN_WALL_HEIGHT)
         for _ in range(self._stride):
-            row = row + dr
-            col = col + dc
-            if any(begin < low and end > high for begin, end in self._line_at(row, col).solid):
-                return None
-        return row, col, sum(s.z < z for s in self._standable_at(row, col)) - 1
+            row = row + down
+            col = col + right
+            solid_ranges = self._line_at(row, col).solid_ranges
+            if any(bottom < low and top > high for bottom, top in solid_ranges):
+                return OutlineEdge(is_wall=True, landing=None)
+        num_below = sum(hit.z < z for hit in self._standable_at(row, col))
+        landing = StandingPlace(row, col, num_below - 1) if num_below else None
+        return OutlineEdge(is_wall=False, landing=landing)
 
-    def _near(self, row: int, col: int, z: float) -> int | None:
-        """The surface of a column that is a step at most from a height; None for none."""
-        gaps = [abs(surface.z - z) for surface in self._standable_at(row, col)]
-        best = min(gaps, default=np.inf)
-        return gaps.index(best) if best <= self._body.step - OFF else None
+    def _place_near(self, row: int, col: int, z: float) -> StandingPlace | None:
+        """Return the place in a column that is nearest to a height [m], at most a step off it."""
+        gaps = [abs(hit.z - z) for hit in self._standable_at(row, col)]
+        smallest_gap = min(gaps, default=np.inf)
+        if smallest_gap > self._agent.step - FLOOR_TOLERANCE:
+            return None
+        return StandingPlace(row, col, gaps.index(smallest_gap))
 
-    def _is_known(self, row: int, col: int, z: float) -> bool:
-        """Whether any level has a floor at a height in a column [m]."""
-        return any(abs(z - floor) <= rounding(floor) for floor, _ in self._levels_at(row, col))
+    def _has_floor(self, row: int, col: int, z: float) -> bool:
+        """Whether any level has a floor in a cell at a height [m]."""
+        return any(
+            abs(z - floor) <= floor_tolerance(floor) for floor, _ in self._levels_at(row, col)
+        )
 
-    def _levels_at(self, row: int, col: int) -> list[tuple[float, bool]]:
-        """The floor [m], NaN for none, and whether it is free, of each level that has a cell."""
-        found = []
-        for floor, free, (down, right) in self._levels:
-            r = row + down
-            c = col + right
-            if 0 <= r < len(floor) and 0 <= c < floor.shape[1]:
-                found.append((float(floor[r, c]), bool(free[r, c])))
-        return found
+    def _is_on_grid(self, row: int, col: int) -> bool:
+        """Whether any level has a cell there."""
+        for level in self._levels:
+            num_rows, num_cols = level.floor.shape
+            if 0 <= row + level.row_shift < num_rows and 0 <= col + level.col_shift < num_cols:
+                return True
+        return False
+
+    def _levels_at(self, row: int, col: int) -> list[LevelCell]:
+        """Return the cell of each level that has one there."""
+        cells = []
+        for level in self._levels:
+            level_row = row + level.row_shift
+            level_col = col + level.col_shift
+            if 0 <= level_row < len(level.floor) and 0 <= level_col < level.floor.shape[1]:
+                floor = float(level.floor[level_row, level_col])
+                cells.append(LevelCell(floor, bool(level.free[level_row, level_col])))
+        return cells
 
     def _center(self, row: int, col: int) -> tuple[float, float]:
-        """World x and y of a cell [m]."""
-        x_min, y_max, cell_size, *_ = self._lattice
-        return x_min + (col + 0.5) * cell_size, y_max - (row + 0.5) * cell_size
+        """Return world x and y of a cell's centre [m]."""
+        lattice = self._lattice
+        x = lattice.x_min + (col + 0.5) * lattice.cell_size
+        y = lattice.y_max - (row + 0.5) * lattice.cell_size
+        return x, y
 
-    def _is_sure(self, x: float, y: float, z: float) -> bool:
-        """Whether a place is there beside its centre, too, and is no rim or touching limit."""
-        for a, b in AROUND[1::4]:
-            found = self._probes.line(x + RIM * a, y + RIM * b)
-            places = found.standable(self._body.height + OFF, self._body.min_up + 1e-5)
-            if not any(abs(s.z - z) <= OFF for s in places):
+    def _is_certain(self, x: float, y: float, z: float) -> bool:
+        """Whether a place holds beside its centre, too, and with slack to the agent's limits.
+
+        At the edge of a surface, or at a limit, rounding decides whether it is a place to stand.
+        """
+        for cos, sin in PROBE_DIRECTIONS:
+            line = self._probe.cast_line(x + EDGE_TOLERANCE * cos, y + EDGE_TOLERANCE * sin)
+            standable = line.standable_hits(
+                self._agent.height + FLOOR_TOLERANCE, self._agent.min_normal_z + NORMAL_Z_MARGIN
+            )
+            if not any(abs(hit.z - z) <= FLOOR_TOLERANCE for hit in standable):
                 return False
         return True
+
+
+class CellContacts(NamedTuple):
+    """What the prisms over the cells of a sample touch.
+
+    Attributes:
+        obstacle: The id of an obstacle that is touched, (n,), -1 for none.
+        prism: The index of the prism that touches it, (n,).
+        disputed: Where MuJoCo and FCL contradict each other, (n,).
+    """
+
+    obstacle: Int
+    prism: Int
+    disputed: Bool
+
+
+class CellCrossing(NamedTuple):
+    """How often the vertical ray up from a cell's volume crosses an obstacle's surface.
+
+    Attributes:
+        obstacle: The obstacle's id.
+        cell: The cell's index in the sample.
+        num_exits: How often the ray leaves what the surface encloses.
+        num_entries: How often the ray enters it.
+    """
+
+    obstacle: int
+    cell: int
+    num_exits: int
+    num_entries: int
 
 
 class OccupancyCheck:
-    """Checks the cells of levels.
+    """Checks whether cells are free or blocked as the grid says.
 
-    A free cell's volume, made smaller by the tolerance on all sides, must touch nothing. A blocked
-    cell's, made larger by it, must touch something, or lie inside of something. `reach` is that of
-    the inflation that closed cells [m], 0 for none. `num_groundless` counts blocked cells without a
-    place to stand at their level's ground, of levels that state no floors.
+    The volume over a free cell, shrunk by the tolerance on all sides, must touch nothing and lie
+    inside of nothing. The volume over a blocked cell, enlarged by the tolerance, must touch
+    something or lie inside of something.
+
+    Args:
+        probe: The obstacles.
+        agent: The agent that the grid was baked for.
+        tolerance: The tolerance [m].
+        reach: The reach of the inflation that closed cells [m], 0 for none.
+
+    Attributes:
+        num_groundless: How many blocked cells have no place to stand at their level's ground, of
+            levels that state no floors of cells.
     """
 
     def __init__(
-        self, probes: Probes, body: AgentSizes, tolerance: float, reach: float = 0.0
+        self, probe: ObstacleProbe, agent: AgentSizes, tolerance: float, reach: float = 0.0
     ) -> None:
-        self._probes = probes
-        self._body = body
-        self._obstacles = probes.obstacles
+        self._probe = probe
+        self._agent = agent
+        self._obstacles = probe.obstacles
         self._tolerance = tolerance
         self._reach = reach
-        self._found: Counter[str] = Counter()
+        self._num_findings: Counter[str] = Counter()
         self.num_groundless = 0
 
     def check_free(
-        self, sample: LevelSample, counts: LevelCounts, volume: list[Part]
+        self, sample: LevelSample, counts: LevelCounts, volume: list[CellPrisms]
     ) -> list[Finding]:
-        """Check free cells by a volume."""
-        asked = sample.free & ~np.isnan(sample.floor)
-        touching, part, disputed = self._touch(sample, asked, volume, -self._tolerance)
-        within = self._inside(sample, asked & (touching < 0), volume[0])
-        by = np.where(within >= 0, within, touching)
+        """Check the free cells of a sample.
+
+        Args:
+            sample: The cells.
+            counts: The level's counts, which the check adds to.
+            volume: The volume over each cell that has to be empty.
+
+        Returns:
+            A finding for each free cell that touches something, or has no floor.
+        """
+        has_volume = sample.free & ~np.isnan(sample.floor)
+        contacts = self._find_contacts(sample, has_volume, volume, -self._tolerance)
+        is_untouched = has_volume & (contacts.obstacle < 0)
+        enclosing_obstacle = self._find_enclosing(sample, is_untouched, volume[0])
+        obstacles = np.where(enclosing_obstacle >= 0, enclosing_obstacle, contacts.obstacle)
+
         text = "is free, though it has no floor"
-        bare = np.flatnonzero(sample.free & ~asked).tolist()
-        findings = [sample.finding(report.NO_FLOOR, cell, text) for cell in bare]
-        is_apart = asked & (by < 0)
-        step = self._body.step + self._tolerance
-        text = f"is free, but no floor is within {self._body.step:g} m of its level's ground"
-        for cell in np.flatnonzero(is_apart & (not sample.states_floors)).tolist():
-            # a floor is a surface that faces up, also beside a crack or a rim
-            x, y, z = at = sample.place(cell)
-            on_floor = self._probes.line(x, y).faces_up(z - step, z + step)
-            if not on_floor and not self._probes.faces_up_beside(at, step):
+        cells_without_floor = np.flatnonzero(sample.free & ~has_volume).tolist()
+        findings = [sample.finding(report.NO_FLOOR, cell, text) for cell in cells_without_floor]
+
+        is_apart = has_volume & (obstacles < 0)
+        step = self._agent.step + self._tolerance
+        text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
+        for cell in np.flatnonzero(is_apart & (not sample.has_cell_floors)).tolist():
+            # a floor is a surface that faces up, also one beside a crack or an edge
+            position = sample.position(cell)
+            x, y, z = position
+            has_floor = self._probe.cast_line(x, y).has_upward_hit(z - step, z + step)
+            if not has_floor and not self._probe.has_upward_hit_nearby(position, step):
                 is_apart[cell] = False
                 findings.append(sample.finding(report.NO_FLOOR, cell, text))
-        counts.disputed += int((is_apart & disputed).sum())
-        counts.free_touches += int((by >= 0).sum())
-        counts.free_free += int((is_apart & ~disputed).sum())
-        for cell in np.flatnonzero(by >= 0).tolist():
-            number = int(by[cell])
+
+        counts.disputed += int((is_apart & contacts.disputed).sum())
+        counts.free_touches += int((obstacles >= 0).sum())
+        counts.free_free += int((is_apart & ~contacts.disputed).sum())
+        for cell in np.flatnonzero(obstacles >= 0).tolist():
+            obstacle = int(obstacles[cell])
+            name = self._obstacles.geom_name(obstacle)
             depth = None
-            name = self._obstacles.name(number)
-            text = f"is free, but {name!r} reaches into it"
-            if within[cell] >= 0:
+            if enclosing_obstacle[cell] >= 0:
                 text = f"is free, but lies inside of {name!r}"
             elif self._is_measured(report.FREE_TOUCHES):
-                place = volume[int(part[cell])].put_over(sample, cell)
-                depth = self._probes.depth(*place, number)
+                placed = volume[int(contacts.prism[cell])].over_cell(sample, cell)
+                depth = self._probe.measure_depth(placed.prism, placed.center, obstacle)
                 text = f"is free, but {name!r} reaches {depth:.4f} m into it"
+            else:
+                text = f"is free, but {name!r} reaches into it"
             findings.append(sample.finding(report.FREE_TOUCHES, cell, text, name, depth))
         return findings
 
     def check_blocked(
-        self, sample: LevelSample, counts: LevelCounts, volume: list[Part], excused: Bool
+        self, sample: LevelSample, counts: LevelCounts, volume: list[CellPrisms], excused: Bool
     ) -> list[Finding]:
-        """Check blocked cells by the baked volume, but those that an inflation closed rightly."""
-        asked = ~sample.free & ~np.isnan(sample.floor) & ~excused
-        touching, _, disputed = self._touch(sample, asked, volume, self._tolerance)
-        apart = asked & (touching < 0) & ~disputed
-        apart &= self._inside(sample, apart, volume[0]) < 0
-        for cell in np.flatnonzero(apart & (not sample.states_floors)).tolist():
-            # where the scene has no place to stand within a step of the ground, it may be blocked
-            line = self._probes.line(*sample.xy[cell])
-            body = self._body
-            z = sample.floor[cell]
-            places = line.standable(body.height, body.min_up)
-            apart[cell] = any(abs(s.z - z) <= body.step for s in places)
+        """Check the blocked cells of a sample.
+
+        Args:
+            sample: The cells.
+            counts: The level's counts, which the check adds to.
+            volume: The baked volume over each cell.
+            excused: The cells that an inflation closed with a reason, (n,); they are not checked.
+
+        Returns:
+            A finding for each blocked cell that touches nothing.
+        """
+        is_checked = ~sample.free & ~np.isnan(sample.floor) & ~excused
+        contacts = self._find_contacts(sample, is_checked, volume, self._tolerance)
+        apart = is_checked & (contacts.obstacle < 0) & ~contacts.disputed
+        apart &= self._find_enclosing(sample, apart, volume[0]) < 0
+        for cell in np.flatnonzero(apart & (not sample.has_cell_floors)).tolist():
+            # a cell without a place to stand within a step of the ground may be blocked
+            line = self._probe.cast_line(*sample.centers[cell])
+            standable = line.standable_hits(self._agent.height, self._agent.min_normal_z)
+            ground = sample.floor[cell]
+            apart[cell] = any(abs(hit.z - ground) <= self._agent.step for hit in standable)
             self.num_groundless += not apart[cell]
+
         unclear = np.zeros_like(apart)
-        for _, cell, leaves, enters in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
-            unclear[cell] |= (leaves + enters) % 2 == 1
+        for crossing in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
+            # by the even-odd rule, the cell lies inside of the nearly closed surface
+            unclear[crossing.cell] |= (crossing.num_exits + crossing.num_entries) % 2 == 1
         apart &= ~unclear
         num_unclear = int(unclear.sum())
         num_apart = int(apart.sum())
         counts.disputed += num_unclear
         counts.blocked_apart += num_apart
         counts.blocked_blocked += int((~sample.free).sum()) - num_unclear - num_apart
-        findings = []
-        for cell in np.flatnonzero(apart).tolist():
-            name = None
-            gap = None
-            text = "is blocked, but touches nothing"
-            if self._reach > 0 and not sample.occupied[cell]:
-                text = f"is blocked for {self._reach:g} m, but nothing within that radius is "
-                text += "in the way"
-            elif self._is_measured(report.BLOCKED_APART):
-                columns = [part.put_over(sample, cell) for part in volume]
-                nearest = [found for put in columns if (found := self._probes.nearest(*put))]
-                text = f"is blocked, but nothing is within {REACH:g} m"
-                if nearest:
-                    gap, number = min(nearest)
-                    name = self._obstacles.name(number)
-                    text = "is blocked, but nothing touches the volume over it: the nearest geom, "
-                    text += f"{name!r}, is {gap:.4f} m off"
-            findings.append(sample.finding(report.BLOCKED_APART, cell, text, name, gap))
-        return findings
+        return [
+            self._blocked_finding(sample, cell, volume) for cell in np.flatnonzero(apart).tolist()
+        ]
+
+    def _blocked_finding(self, sample: LevelSample, cell: int, volume: list[CellPrisms]) -> Finding:
+        """Return the finding of a blocked cell that touches nothing."""
+        name = None
+        gap = None
+        text = "is blocked, but touches nothing"
+        if self._reach > 0 and not sample.occupied[cell]:
+            text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
+        elif self._is_measured(report.BLOCKED_APART):
+            nearest_obstacles = []
+            for prisms in volume:
+                placed = prisms.over_cell(sample, cell)
+                nearest = self._probe.find_nearest(placed.prism, placed.center)
+                if nearest is not None:
+                    nearest_obstacles.append(nearest)
+            text = f"is blocked, but nothing is within {MAX_MEASURED_GAP:g} m"
+            if nearest_obstacles:
+                gap, obstacle = min(nearest_obstacles)
+                name = self._obstacles.geom_name(obstacle)
+                text = "is blocked, but nothing touches the volume over it: the nearest geom, "
+                text += f"{name!r}, is {gap:.4f} m off"
+        return sample.finding(report.BLOCKED_APART, cell, text, name, gap)
 
     def _is_measured(self, kind: str) -> bool:
-        self._found[kind] += 1
-        return self._found[kind] <= MEASURED
+        """Count a finding of a kind, and return whether it is to be measured: each costs time."""
+        self._num_findings[kind] += 1
+        return self._num_findings[kind] <= MAX_MEASURED_FINDINGS
 
-    def _touch(
-        self, sample: LevelSample, asked: Bool, volume: list[Part], margin: float
-    ) -> tuple[Int, Int, Bool]:
-        """What touches the volumes over cells, grown by a margin [m].
-
-        Returns the obstacle, -1 for none, the part of the volume, and where libraries disagree.
-        """
-        by = np.full(len(asked), -1)
-        which = np.zeros(len(asked), np.int64)
-        disputed = np.zeros_like(asked)
-        for k, part in enumerate(volume):
-            asked_here = asked & (part.high > part.low)
-            for number, item in enumerate(self._obstacles.items):
-                cells = _near(sample, asked_here & (by < 0), item, part, 2 * abs(margin))
+    def _find_contacts(
+        self, sample: LevelSample, is_checked: Bool, volume: list[CellPrisms], margin: float
+    ) -> CellContacts:
+        """Find what the volumes over the checked cells touch, enlarged by a margin [m]."""
+        touched_obstacle = np.full(len(is_checked), -1)
+        touching_prism = np.zeros(len(is_checked), np.int64)
+        disputed = np.zeros_like(is_checked)
+        for k, prisms in enumerate(volume):
+            has_height = is_checked & (prisms.high > prisms.low)
+            for obstacle, shape in enumerate(self._obstacles.shapes):
+                # twice the margin: rounding must not exclude a cell by its box
+                cells = _cells_near(
+                    sample, has_height & (touched_obstacle < 0), shape, prisms, 2 * abs(margin)
+                )
                 for cell in cells.tolist():
-                    answer = self._probes.touches(number, *part.put_over(sample, cell), margin)
-                    disputed[cell] |= answer == DISPUTED
-                    if answer == TOUCHES:
-                        by[cell] = number
-                        which[cell] = k
-        return by, which, disputed
+                    prism, center = prisms.over_cell(sample, cell)
+                    contact = self._probe.find_contact(obstacle, prism, center, margin)
+                    disputed[cell] |= contact == DISPUTED
+                    if contact == TOUCHES:
+                        touched_obstacle[cell] = obstacle
+                        touching_prism[cell] = k
+        return CellContacts(touched_obstacle, touching_prism, disputed)
 
-    def _inside(self, sample: LevelSample, asked: Bool, part: Part) -> Int:
-        """The enclosing obstacle that the middle of a cell's volume lies in, -1 for none."""
-        found = np.full(len(asked), -1)
-        depth = np.zeros(len(asked), dtype=np.int64)
-        for number, cell, leaves, enters in self._crossings(sample, asked, part, ENCLOSING):
-            depth[cell] += leaves - enters  # less than 0 in a cavity
-            if leaves > enters:
-                found[cell] = number
-        found[depth <= 0] = -1
-        return found
+    def _find_enclosing(self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms) -> Int:
+        """Return the obstacle that the middle of each checked cell's volume lies in, -1 for none.
+
+        The ray up from a point leaves solids more often than it enters them if the point lies
+        inside; a cavity's surface is crossed the opposite way.
+        """
+        enclosing_obstacle = np.full(len(is_checked), -1)
+        depth = np.zeros(len(is_checked), dtype=np.int64)
+        for crossing in self._crossings(sample, is_checked, prisms, ENCLOSING):
+            depth[crossing.cell] += crossing.num_exits - crossing.num_entries
+            if crossing.num_exits > crossing.num_entries:
+                enclosing_obstacle[crossing.cell] = crossing.obstacle
+        enclosing_obstacle[depth <= 0] = -1
+        return enclosing_obstacle
 
     def _crossings(
-        self, sample: LevelSample, asked: Bool, part: Part, kinds: Collection[str]
-    ) -> Iterator[tuple[int, int, int, int]]:
-        """Obstacles of some kinds and cells in their boxes: how often the way up leaves, enters."""
-        middle = (part.low + part.high) / 2
-        point = Part(0.0, False, middle, middle)
-        for number, item in enumerate(self._obstacles.items):
-            for cell in _near(sample, asked, item, point).tolist() if item.kind in kinds else ():
-                x, y = sample.xy[cell].tolist()
-                yield number, cell, *self._probes.crossings(number, (x, y, float(middle[cell])))
+        self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms, kinds: Collection[str]
+    ) -> Iterator[CellCrossing]:
+        """Cast a ray up from the middle of each checked cell's volume at obstacles of some kinds.
+
+        Yields only cells whose middle lies in the obstacle's bounding box.
+        """
+        middle = (prisms.low + prisms.high) / 2
+        points = CellPrisms(0.0, False, middle, middle)
+        for obstacle, shape in enumerate(self._obstacles.shapes):
+            if shape.kind not in kinds:
+                continue
+            for cell in _cells_near(sample, is_checked, shape, points).tolist():
+                x, y = sample.centers[cell].tolist()
+                num_exits, num_entries = self._probe.count_crossings(
+                    obstacle, (x, y, float(middle[cell]))
+                )
+                yield CellCrossing(obstacle, cell, num_exits, num_entries)
 
 
-def _near(
-    sample: LevelSample, asked: Bool, item: PlacedPiece, part: Part, beyond: float = 0.0
+def _cells_near(
+    sample: LevelSample,
+    is_checked: Bool,
+    shape: PlacedShape,
+    prisms: CellPrisms,
+    margin: float = 0.0,
 ) -> Int:
-    """The asked cells over which a part, larger by `beyond` [m], meets an obstacle's box."""
+    """Return the checked cells whose prism, enlarged by a margin [m], overlaps a shape's box."""
     lattice = sample.level.lattice
-    reach = part.half + beyond
-    # rows ascend in a sample; those that may meet it
-    ends = lattice.y_max - np.array([item.high[1] + reach, item.low[1] - reach])
-    first, last = np.clip(ends / lattice.cell_size, 0, lattice.height).astype(np.int64)
-    own = slice(*np.searchsorted(sample.rows, [first - 1, last + 1]))
-    x, y = sample.xy[own].T
-    low = part.low[own] - beyond
-    high = part.high[own] + beyond
-    kept = asked[own] & (low < item.high[2]) & (high > item.low[2])
-    kept &= (x + reach > item.low[0]) & (x - reach < item.high[0])
-    kept &= (y + reach > item.low[1]) & (y - reach < item.high[1])
-    return np.asarray(own.start + np.flatnonzero(kept))
+    reach = prisms.half_size + margin
+    # rows ascend in a sample: only those between the box's ends are compared
+    distance_from_top = lattice.y_max - np.array([shape.high[1] + reach, shape.low[1] - reach])
+    first_row, last_row = np.clip(distance_from_top / lattice.cell_size, 0, lattice.height).astype(
+        np.int64
+    )
+    begin, end = np.searchsorted(sample.rows, [first_row - 1, last_row + 1])
+    window = slice(begin, end)
+    x, y = sample.centers[window].T
+    low = prisms.low[window] - margin
+    high = prisms.high[window] + margin
+    overlaps = is_checked[window] & (low < shape.high[2]) & (high > shape.low[2])
+    overlaps &= (x + reach > shape.low[0]) & (x - reach < shape.high[0])
+    overlaps &= (y + reach > shape.low[1]) & (y - reach < shape.high[1])
+    return np.asarray(begin + np.flatnonzero(overlaps))

@@ -1,15 +1,15 @@
-"""The geoms that count, as FCL and MuJoCo hold them: what a verification judges by.
+"""The scene's counted geoms as FCL and MuJoCo shapes: what a verification compares a grid with.
 
-The shapes come from the compiled MuJoCo model and the choice of geoms alone. A MuJoCo model of
-their own makes them what the bake counts: a mesh that counts by its hull is its hull, also for
-rays, and transparent geoms are hit like others.
+The shapes come from the compiled MuJoCo model and the selection of geoms alone. A second MuJoCo
+model holds them as the bake counts them: a mesh that counts by its hull is a hull for rays, too,
+and rays hit transparent geoms like any geom.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import fcl
 import mujoco
@@ -27,234 +27,380 @@ from navbake.types import Bool, Float, Int, Json
 trimesh = lazy("trimesh")
 
 GEOM = mujoco.mjtGeom
-# What an obstacle is: convex solid or hull, endless plane, or height field; or a part of a mesh: a
-# sheet that encloses nothing, a closed part that faces out or in, or one that may enclose something
-CONVEX = "convex"
-HALF_SPACE = "half-space"
+
+# Kinds of shapes. The first three are whole geoms, the others are parts of meshes.
+CONVEX = "convex"  # a solid or a hull
+HALF_SPACE = "half-space"  # a plane without end, solid below
 HEIGHT_FIELD = "height field"
-SHEET = "sheet"
-SOLID = "solid"
-CAVITY = "cavity"
-UNCLEAR = "unclear"
-ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # their surface alone doesn't show what is inside
-MOST_OPEN = 0.05  # share of open edges up to which a part may be a closed one with a flaw
-THINNEST = 1e-6  # volume by area of what is a sheet with two sides [m]
-FAR = 1e4  # half-size that stands for the infinite side of a plane with a finite one [m]
-UPRIGHT = 1e-9  # least z of a unit normal, up or down, of what a vertical line can cross
+OPEN_SURFACE = "open surface"  # encloses nothing
+SOLID = "solid"  # closed, its faces point outwards
+CAVITY = "cavity"  # closed, its faces point inwards
+UNCLEAR = "unclear"  # nearly closed: it may enclose something
+ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # a column inside of these may not touch their surface
+
+MAX_OPEN_EDGES = 0.05  # share of open edges up to which a part of a mesh may be a flawed closed one
+MAX_SHEET_THICKNESS = 1e-6  # volume by area up to which a closed part is a two-sided sheet [m]
+INFINITE_HALF_SIZE = 1e4  # stands for the infinite side of a plane whose other side is finite [m]
+MIN_NORMAL_Z = 1e-9  # least |z| of the unit normal of a face that a vertical line can cross
+LEVEL_NORMAL = 1 - 1e-12  # least cosine between two directions that count as the same
 
 
-SOLIDS: dict[int, tuple[Callable[[Float], Any], Callable[[Float, Float], Any]]] = {
-    GEOM.mjGEOM_SPHERE: (lambda s: fcl.Sphere(s[0]), lambda s, way: s[0]),
-    GEOM.mjGEOM_CAPSULE: (
-        lambda s: fcl.Capsule(s[0], 2 * s[1]),
-        lambda s, way: s[0] + s[1] * abs(way[2]),
+class SolidGeometry(NamedTuple):
+    """How FCL and a support function represent a type of MuJoCo's solid geoms.
+
+    Attributes:
+        make_shape: Makes FCL's shape from the geom's size, (3,) [m].
+        extent: Returns how far the solid reaches from its centre along a unit vector of its own
+            frame [m], from its size, (3,) [m], and the vector, (3,).
+    """
+
+    make_shape: Callable[[Float], fcl.CollisionGeometry]
+    extent: Callable[[Float, Float], float | np.floating]
+
+
+SOLID_GEOMETRIES: dict[int, SolidGeometry] = {
+    GEOM.mjGEOM_SPHERE: SolidGeometry(
+        make_shape=lambda size: fcl.Sphere(size[0]),
+        extent=lambda size, direction: size[0],
     ),
-    GEOM.mjGEOM_ELLIPSOID: (lambda s: fcl.Ellipsoid(*s), lambda s, way: np.linalg.norm(s * way)),
-    GEOM.mjGEOM_CYLINDER: (
-        lambda s: fcl.Cylinder(s[0], 2 * s[1]),
-        lambda s, way: s[0] * np.hypot(way[0], way[1]) + s[1] * abs(way[2]),
+    GEOM.mjGEOM_CAPSULE: SolidGeometry(
+        make_shape=lambda size: fcl.Capsule(size[0], 2 * size[1]),
+        extent=lambda size, direction: size[0] + size[1] * abs(direction[2]),
     ),
-    GEOM.mjGEOM_BOX: (lambda s: fcl.Box(*(2 * s)), lambda s, way: (s * np.abs(way)).sum()),
+    GEOM.mjGEOM_ELLIPSOID: SolidGeometry(
+        make_shape=lambda size: fcl.Ellipsoid(*size),
+        extent=lambda size, direction: np.linalg.norm(size * direction),
+    ),
+    GEOM.mjGEOM_CYLINDER: SolidGeometry(
+        make_shape=lambda size: fcl.Cylinder(size[0], 2 * size[1]),
+        extent=lambda size, direction: (
+            size[0] * np.hypot(direction[0], direction[1]) + size[1] * abs(direction[2])
+        ),
+    ),
+    GEOM.mjGEOM_BOX: SolidGeometry(
+        make_shape=lambda size: fcl.Box(*(2 * size)),
+        extent=lambda size, direction: (size * np.abs(direction)).sum(),
+    ),
 }
-"""FCL's shape of a solid by its size; how far it reaches along a unit vector of its frame [m]."""
+"""The solid geoms by MuJoCo's geom type."""
 
 
-class PlacedPiece(NamedTuple):
-    """One convex solid, plane, height field, or part of a mesh, where it stands."""
+class PlacedShape(NamedTuple):
+    """One convex solid, plane, height field, or part of a mesh, at its place in the world.
+
+    Attributes:
+        geom: The id of the geom in the scene's model.
+        kind: The kind of shape, such as `CONVEX`.
+        collision_object: FCL's object, at its place.
+        low: The lower corner of the bounding box, (3,) [m]; may be infinite.
+        high: The upper corner of the bounding box, (3,) [m]; may be infinite.
+        hull_points: The corners of a hull, (n, 3) [m]; None for shapes that are no hulls.
+    """
 
     geom: int
     kind: str
-    shape: Any  # FCL's, in its place
-    low: Float  # corners of its box [m]
+    collision_object: fcl.CollisionObject
+    low: Float
     high: Float
-    points: Float | None  # corners of a hull
+    hull_points: Float | None
 
     @property
-    def same_in_mujoco(self) -> bool:
-        """Whether MuJoCo collides the same shape: not surfaces, nor finite planes."""
+    def is_same_in_mujoco(self) -> bool:
+        """Whether MuJoCo collides the same shape; it does not for surfaces and finite planes."""
         return self.kind in (CONVEX, HALF_SPACE)
 
 
-class _Piece(NamedTuple):
-    """What an obstacle is made of, in its geom's frame."""
+class GeomShape(NamedTuple):
+    """A shape in the frame of its geom.
+
+    Attributes:
+        kind: The kind of shape, such as `CONVEX`.
+        geometry: FCL's geometry.
+        geom_attributes: The attributes of the MuJoCo geom that stands for it.
+        points: Corners, (n, 3) [m]; None for solids and half-spaces.
+        triangles: The corners' indices of each triangle, (m, 3), of parts of meshes; else None.
+    """
 
     kind: str
-    shape: Any
-    geom: Json
+    geometry: fcl.CollisionGeometry
+    geom_attributes: Json
     points: Float | None = None
     triangles: Int | None = None
 
 
-class Obstacles:
-    """The geoms that count, but for some, in a pose that doors may change.
+class MeshArrays(NamedTuple):
+    """A mesh of a MuJoCo model, in the frame of its geom.
 
-    They are numbered as the geoms of a MuJoCo model. Behind them it has a box and a cylinder to
-    probe with, and the geoms of `facing`: the triangles of a surface that face up, and those that
-    face down, because where two lie in one place, a ray meets one. `names` are the scene's geoms'.
+    Attributes:
+        vertices: (n, 3) [m].
+        faces: The vertices' indices of each triangle, (m, 3).
+        hull_vertices: The vertices of MuJoCo's convex hull, all vertices if it has none, (k, 3).
     """
 
-    def __init__(self, scene: Scene, data: Any, left_out: Collection[int] = ()) -> None:
+    vertices: Float
+    faces: Int
+    hull_vertices: Float
+
+
+class ClassifiedPart(NamedTuple):
+    """A connected part of a mesh.
+
+    Attributes:
+        kind: `OPEN_SURFACE`, `SOLID`, `CAVITY` or `UNCLEAR`.
+        faces: The vertices' indices of each of its triangles, (m, 3).
+    """
+
+    kind: str
+    faces: Int
+
+
+class Obstacles:
+    """The counted geoms of a scene, in a pose that doors may change.
+
+    An obstacle's id is the id of its geom in `model`. A mesh makes an obstacle of each of its
+    parts. After the obstacles, the model has a box and a cylinder, which serve as probes, and then
+    the geoms of `half_meshes`.
+
+    Args:
+        scene: The scene.
+        data: The pose of the scene's model, with kinematics computed.
+        excluded_geoms: The ids of counted geoms that are left out.
+
+    Attributes:
+        shapes: The shape of each obstacle.
+        geom_names: The names of the scene's geoms, by the id in the scene's model.
+        half_meshes: The ids of up to two geoms of `model` for an obstacle that is a surface: its
+            triangles that face up, and those that face down. A ray meets only one of two triangles
+            that lie in the same place, so rays are cast at both geoms.
+        model: The MuJoCo model of the obstacles.
+        data: The pose of `model`.
+        size: A view of the sizes of the geoms of `model`.
+        pos: A view of the positions of the geoms of `model` [m].
+        mat: A view of the rotations of the geoms of `model`, (n, 9).
+
+    Raises:
+        SceneError: MuJoCo cannot compile a model of the shapes.
+    """
+
+    def __init__(
+        self, scene: Scene, data: mujoco.MjData, excluded_geoms: Collection[int] = ()
+    ) -> None:
         self._scene = scene
         self._spec = mujoco.MjSpec()
-        self.items: list[PlacedPiece] = []
-        self._heights: list[Float] = []  # of height fields
-        self._meshes: dict[tuple[int, str], list[_Piece]] = {}
-        self._halves: dict[tuple[int, bytes], list[str]] = {}
-        self._facing: dict[int, list[Json]] = {}
-        for geom, choice in enumerate(scene.selections):
-            if not choice.counted or geom in left_out:
+        self.shapes: list[PlacedShape] = []
+        self._field_heights: list[Float] = []
+        self._shapes_of_mesh: dict[tuple[int, str], list[GeomShape]] = {}
+        self._half_mesh_names: dict[tuple[int, bytes], list[str]] = {}
+        self._half_mesh_attributes: dict[int, list[Json]] = {}
+        for geom, selection in enumerate(scene.selections):
+            if not selection.counted or geom in excluded_geoms:
                 continue
             mat = data.geom_xmat[geom].reshape(3, 3).copy()
             pos = data.geom_xpos[geom]
             if geom in scene.exact_meshes:  # in the world's frame
                 mat = np.eye(3)
                 pos = np.zeros(3)
-            for piece in self._pieces_of(geom, choice.mesh_mode):
-                self._put(geom, piece, mat, pos)
-        self.names = [report.name for report in scene.geoms]
-        boxes = np.array([(item.low, item.high) for item in self.items]).reshape(-1, 2, 3)
+            for shape in self._shapes_of_geom(geom, selection.mesh_mode):
+                self._place_shape(geom, shape, mat, pos)
+        self.geom_names = [report.name for report in scene.geoms]
+        boxes = np.array([(shape.low, shape.high) for shape in self.shapes]).reshape(-1, 2, 3)
         self._low, self._high = np.ascontiguousarray(boxes.transpose(1, 2, 0))
+
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
-        count = len(self.items) + 2
-        self.facing = dict[int, list[int]]()
-        for number, halves in self._facing.items():
-            self.facing[number] = list(range(count, count + len(halves)))
-            count += len(halves)
-            for half in halves:
-                world.add_geom(**half)
+        num_geoms = len(self.shapes) + 2
+        self.half_meshes = dict[int, list[int]]()
+        for obstacle, half_meshes in self._half_mesh_attributes.items():
+            self.half_meshes[obstacle] = list(range(num_geoms, num_geoms + len(half_meshes)))
+            num_geoms += len(half_meshes)
+            for attributes in half_meshes:
+                world.add_geom(**attributes)
+
         try:
             self.model = model = self._spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             text = " ".join(str(error).split())[:300]
             raise SceneError(f"MuJoCo can't hold the shapes that count: {text}") from error
-        for number, heights in enumerate(self._heights):
-            first = int(model.hfield_adr[number])  # compiling stretched them to 0 to 1
+        # the compiler scales heights to the range from 0 to 1
+        for field, heights in enumerate(self._field_heights):
+            first = int(model.hfield_adr[field])
             model.hfield_data[first : first + heights.size] = heights.ravel()
         self.data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
-        # MuJoCo makes these arrays anew whenever they are asked for
+        # each access to such an attribute makes a new view, which the probes would repeat
         self.size = model.geom_size
         self.pos = self.data.geom_xpos
         self.mat = self.data.geom_xmat
 
-    def name(self, number: int) -> str:
-        """The name of the geom that an obstacle belongs to."""
-        return self.names[self.items[number].geom]
+    def geom_name(self, obstacle: int) -> str:
+        """Return the name of the geom that an obstacle belongs to."""
+        return self.geom_names[self.shapes[obstacle].geom]
 
-    def meeting(self, low: ArrayLike, high: ArrayLike) -> list[int]:
-        """The obstacles whose boxes meet a box, ascending."""
-        meets = (self._low <= np.reshape(high, (3, 1))) & (self._high >= np.reshape(low, (3, 1)))
-        found: list[int] = np.flatnonzero(meets.all(axis=0)).tolist()
-        return found
+    def overlapping(self, low: ArrayLike, high: ArrayLike) -> list[int]:
+        """Return the obstacles whose bounding boxes overlap a box, in ascending order.
 
-    def support(self, number: int, way: Float) -> float:
-        """How far a convex obstacle or a half-space reaches along a unit vector [m]; may be inf."""
-        item = self.items[number]
-        if item.points is not None:
-            return float((item.points @ way).max())
-        pos = self.pos[number]
-        mat = self.mat[number].reshape(3, 3)
-        if item.kind == HALF_SPACE:
-            return float(pos @ way) if way @ mat[:, 2] > 1 - 1e-12 else np.inf
-        kind = int(self.model.geom_type[number])
-        return float(pos @ way + SOLIDS[kind][1](self.size[number], mat.T @ way))
+        Args:
+            low: The lower corner of the box, (3,) [m]; may be infinite.
+            high: The upper corner of the box, (3,) [m]; may be infinite.
+        """
+        overlaps = (self._low <= np.reshape(high, (3, 1))) & (self._high >= np.reshape(low, (3, 1)))
+        obstacles: list[int] = np.flatnonzero(overlaps.all(axis=0)).tolist()
+        return obstacles
 
-    def _pieces_of(self, geom: int, mode: str) -> list[_Piece]:
-        """What a geom of the scene is made of; a mesh may have several parts."""
+    def support(self, obstacle: int, direction: Float) -> float:
+        """Return the support function of a convex obstacle or a half-space.
+
+        Args:
+            obstacle: The obstacle's id.
+            direction: A unit vector in the world's frame, (3,).
+
+        Returns:
+            The largest dot product of the direction with a point of the obstacle [m]; may be
+            infinite.
+        """
+        shape = self.shapes[obstacle]
+        if shape.hull_points is not None:
+            return float((shape.hull_points @ direction).max())
+        pos = self.pos[obstacle]
+        mat = self.mat[obstacle].reshape(3, 3)
+        if shape.kind == HALF_SPACE:
+            is_normal = direction @ mat[:, 2] > LEVEL_NORMAL
+            return float(pos @ direction) if is_normal else np.inf
+        solid = SOLID_GEOMETRIES[int(self.model.geom_type[obstacle])]
+        return float(pos @ direction + solid.extent(self.size[obstacle], mat.T @ direction))
+
+    def _shapes_of_geom(self, geom: int, mesh_mode: str) -> list[GeomShape]:
+        """Return the shapes of a geom of the scene; a mesh may have several parts."""
         model = self._scene.model
-        part = self._scene.exact_meshes.get(geom)
-        kind = int(model.geom_type[geom])
+        exact_mesh = self._scene.exact_meshes.get(geom)
+        geom_type = int(model.geom_type[geom])
         size = model.geom_size[geom].copy()
-        if part is not None:
-            return self._mesh(part.vertices, part.faces.astype(np.int64), part.vertices, mode)
-        if kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_SDF):
-            key = int(model.geom_dataid[geom]), mode
-            if key not in self._meshes:
-                self._meshes[key] = self._mesh(*_mesh_arrays(model, key[0]), mode)
-            return self._meshes[key]
-        if kind == GEOM.mjGEOM_HFIELD:
+        if exact_mesh is not None:
+            vertices = exact_mesh.vertices
+            return self._mesh_shapes(
+                MeshArrays(vertices, exact_mesh.faces.astype(np.int64), vertices), mesh_mode
+            )
+        if geom_type in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_SDF):
+            mesh_id = int(model.geom_dataid[geom])
+            key = (mesh_id, mesh_mode)
+            if key not in self._shapes_of_mesh:
+                arrays = _mesh_arrays(model, mesh_id)
+                self._shapes_of_mesh[key] = self._mesh_shapes(arrays, mesh_mode)
+            return self._shapes_of_mesh[key]
+        if geom_type == GEOM.mjGEOM_HFIELD:
             return [self._height_field(int(model.geom_dataid[geom]))]
-        if kind != GEOM.mjGEOM_PLANE:
-            return [_Piece(CONVEX, SOLIDS[kind][0](size), {"type": kind, "size": size})]
+        if geom_type != GEOM.mjGEOM_PLANE:
+            solid = SOLID_GEOMETRIES[geom_type].make_shape(size)
+            return [GeomShape(CONVEX, solid, {"type": geom_type, "size": size})]
         if (size[:2] <= 0).all():
-            shape = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-            return [_Piece(HALF_SPACE, shape, {"type": kind, "size": [0, 0, 1]})]
-        x, y = np.where(size[:2] > 0, size[:2], FAR)
+            half_space = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+            return [GeomShape(HALF_SPACE, half_space, {"type": geom_type, "size": [0, 0, 1]})]
+        x, y = np.where(size[:2] > 0, size[:2], INFINITE_HALF_SIZE)
         corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-        surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-        return [_Piece(SHEET, surface, {"type": kind, "size": [*size[:2], 1.0]}, corners)]
+        surface = _triangle_surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+        attributes: Json = {"type": geom_type, "size": [*size[:2], 1.0]}
+        return [GeomShape(OPEN_SURFACE, surface, attributes, corners)]
 
-    def _put(self, geom: int, piece: _Piece, mat: Float, pos: Float) -> None:
-        """Place a piece, and in MuJoCo's model what stands for it."""
-        placed = fcl.CollisionObject(piece.shape, fcl.Transform(mat, pos))
+    def _place_shape(self, geom: int, shape: GeomShape, mat: Float, pos: Float) -> None:
+        """Place a shape in the world, and add the geom that stands for it to MuJoCo's model."""
+        collision_object = fcl.CollisionObject(shape.geometry, fcl.Transform(mat, pos))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, mat.ravel())
-        place = {"pos": pos, "quat": quat}
-        self._spec.worldbody.add_geom(**place, **piece.geom)
-        points = None if piece.points is None else piece.points @ mat.T + pos
+        pose = {"pos": pos, "quat": quat}
+        self._spec.worldbody.add_geom(**pose, **shape.geom_attributes)
+
+        points = None if shape.points is None else shape.points @ mat.T + pos
         if points is not None:
             low = points.min(axis=0)
             high = points.max(axis=0)
-        elif piece.kind == HALF_SPACE:
+        elif shape.kind == HALF_SPACE:
             low = np.full(3, -np.inf)
             high = np.full(3, np.inf)
-            if mat[2, 2] > 1 - 1e-12:  # nothing over a level one needs to be asked about
+            if mat[2, 2] > LEVEL_NORMAL:  # a level one ends at its plane
                 high[2] = pos[2]
         else:
-            reach = SOLIDS[piece.geom["type"]][1]
-            size = piece.geom["size"]
-            half = np.array([reach(size, axis) for axis in mat])
-            low = pos - half
-            high = pos + half
-        if piece.triangles is not None and piece.points is not None:
-            # meshes of what faces up of it, and of what faces down
-            key = id(piece.shape), mat[2].tobytes()
-            if key not in self._halves:
-                a, b, c = (piece.points[piece.triangles[:, k]] for k in range(3))
-                normal = np.cross(b - a, c - a)
-                rise = normal @ mat[2]
-                least = UPRIGHT * np.linalg.norm(normal, axis=1)
-                halves = [piece.triangles[rise > least], piece.triangles[rise < -least]]
-                meshes = [_used(piece.points, half) for half in halves if len(half)]
-                self._halves[key] = [self._name_mesh(*mesh) for mesh in meshes]
-            common = place | {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}  # no hulls
-            named = self._halves[key]
-            self._facing[len(self.items)] = [common | {"meshname": half} for half in named]
-        hull = points if piece.kind == CONVEX else None
-        self.items.append(PlacedPiece(geom, piece.kind, placed, low, high, hull))
+            solid = SOLID_GEOMETRIES[shape.geom_attributes["type"]]
+            size = shape.geom_attributes["size"]
+            half_sizes = np.array([solid.extent(size, axis) for axis in mat])
+            low = pos - half_sizes
+            high = pos + half_sizes
 
-    def _mesh(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[_Piece]:
+        if shape.triangles is not None and shape.points is not None:
+            geom_attributes: Json = {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}
+            self._half_mesh_attributes[len(self.shapes)] = [
+                {**pose, **geom_attributes, "meshname": mesh_name}
+                for mesh_name in self._add_half_meshes(shape, shape.points, shape.triangles, mat[2])
+            ]
+        hull_points = points if shape.kind == CONVEX else None
+        self.shapes.append(PlacedShape(geom, shape.kind, collision_object, low, high, hull_points))
+
+    def _add_half_meshes(
+        self, shape: GeomShape, points: Float, triangles: Int, up: Float
+    ) -> list[str]:
+        """Add meshes of the triangles that face up and that face down, and return their names.
+
+        `up` is the world's vertical in the shape's frame. Copies of a mesh that lean alike share
+        the meshes.
+        """
+        key = (id(shape.geometry), up.tobytes())
+        if key not in self._half_mesh_names:
+            a = points[triangles[:, 0]]
+            b = points[triangles[:, 1]]
+            c = points[triangles[:, 2]]
+            normal = np.cross(b - a, c - a)
+            rise = normal @ up
+            min_rise = MIN_NORMAL_Z * np.linalg.norm(normal, axis=1)
+            facing_up = triangles[rise > min_rise]
+            facing_down = triangles[rise < -min_rise]
+            self._half_mesh_names[key] = [
+                self._add_mesh(*_drop_unused_vertices(points, half_mesh))
+                for half_mesh in (facing_up, facing_down)
+                if len(half_mesh)
+            ]
+        return self._half_mesh_names[key]
+
+    def _mesh_shapes(self, mesh: MeshArrays, mode: str) -> list[GeomShape]:
+        """Return the shapes of a mesh: its hull, its surface as a whole, or each of its parts."""
         if mode == "hull":
-            with suppress(QhullError, ValueError):  # a flat one has none
-                hull = trimesh.convex.convex_hull(on_hull)
-                points = np.array(hull.vertices)
-                triangles = np.array(hull.faces, dtype=np.int64)
-                counted = np.insert(triangles, 0, 3, axis=1).ravel()
-                name = self._name_mesh(points, triangles)
-                geom = {"type": GEOM.mjGEOM_MESH, "meshname": name}
-                return [_Piece(CONVEX, fcl.Convex(points, len(triangles), counted), geom, points)]
-        # rays meet its halves; what stands for it in the numbering is never asked
-        stand_in: Json = {"type": GEOM.mjGEOM_SPHERE, "size": [1e-3, 0, 0]}
-        pieces = []
-        for kind, own in [(SHEET, faces)] if mode == "shell" else split_parts(vertices, faces):
-            points, triangles = _used(vertices, own)
-            pieces.append(_Piece(kind, _surface(points, triangles), stand_in, points, triangles))
-        return pieces
+            with suppress(QhullError, ValueError):  # flat meshes have no hull
+                return [self._hull(mesh.hull_vertices)]
+        # rays are cast at the half meshes; this geom only keeps the numbering
+        placeholder: Json = {"type": GEOM.mjGEOM_SPHERE, "size": [1e-3, 0, 0]}
+        if mode == "shell":
+            parts = [ClassifiedPart(OPEN_SURFACE, mesh.faces)]
+        else:
+            parts = split_mesh_parts(mesh.vertices, mesh.faces)
+        shapes = []
+        for part in parts:
+            points, triangles = _drop_unused_vertices(mesh.vertices, part.faces)
+            surface = _triangle_surface(points, triangles)
+            shapes.append(GeomShape(part.kind, surface, placeholder, points, triangles))
+        return shapes
 
-    def _height_field(self, number: int) -> _Piece:
+    def _hull(self, vertices: Float) -> GeomShape:
+        hull = trimesh.convex.convex_hull(vertices)
+        points = np.array(hull.vertices)
+        triangles = np.array(hull.faces, dtype=np.int64)
+        # FCL takes polygons: the number of corners of each, then its corners
+        polygons = np.insert(triangles, 0, 3, axis=1).ravel()
+        mesh_name = self._add_mesh(points, triangles)
+        attributes: Json = {"type": GEOM.mjGEOM_MESH, "meshname": mesh_name}
+        return GeomShape(CONVEX, fcl.Convex(points, len(triangles), polygons), attributes, points)
+
+    def _height_field(self, field: int) -> GeomShape:
+        """Return a height field as a closed surface, and add it to MuJoCo's model."""
         model = self._scene.model
-        rows = int(model.hfield_nrow[number])
-        cols = int(model.hfield_ncol[number])
-        first = int(model.hfield_adr[number])
-        size = model.hfield_size[number]
+        rows = int(model.hfield_nrow[field])
+        cols = int(model.hfield_ncol[field])
+        first = int(model.hfield_adr[field])
+        size = model.hfield_size[field]
         heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols).copy()
-        name = f"field {len(self._heights)}"
-        self._heights.append(heights)
+        name = f"field {len(self._field_heights)}"
+        self._field_heights.append(heights)
         self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
-        geom: Json = {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
-        # its closed surface; squares are halved as MuJoCo's documentation says
+        attributes: Json = {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
+
         x = np.linspace(-size[0], size[0], cols)
         y = np.linspace(-size[1], size[1], rows)
         x, y = np.meshgrid(x, y)
@@ -262,130 +408,187 @@ class Obstacles:
         bottom = np.full_like(x, -size[3])
         points = np.concatenate([np.stack([x, y, z], axis=-1) for z in (top, bottom)])
         points = points.reshape(-1, 3)
+
+        # squares of the top, in the order in which MuJoCo's documentation halves them
         index = np.arange(rows * cols).reshape(rows, cols)
-        under = rows * cols
-        squares = np.stack(
+        num_top_points = rows * cols
+        top_squares = np.stack(
             [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1
         ).reshape(-1, 4)
-        rim = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
-        p = rim[:-1]
-        q = rim[1:]
-        sides = np.stack([p + under, q + under, q, p], axis=-1)
-        quads = np.concatenate([squares, squares[:, ::-1] + under, sides])
-        surface = _surface(points, trimesh.geometry.triangulate_quads(quads))
-        return _Piece(HEIGHT_FIELD, surface, geom, points)
+        bottom_squares = top_squares[:, ::-1] + num_top_points
+        outline = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
+        begin = outline[:-1]
+        end = outline[1:]
+        sides = np.stack([begin + num_top_points, end + num_top_points, end, begin], axis=-1)
+        quads = np.concatenate([top_squares, bottom_squares, sides])
+        surface = _triangle_surface(points, trimesh.geometry.triangulate_quads(quads))
+        return GeomShape(HEIGHT_FIELD, surface, attributes, points)
 
-    def _name_mesh(self, points: Float, triangles: Int) -> str:
+    def _add_mesh(self, points: Float, triangles: Int) -> str:
         """Add a mesh to MuJoCo's model, and return its name."""
         if len(points) < 4:  # MuJoCo takes no fewer
             points = np.concatenate([points, points.mean(axis=0, keepdims=True)])
         name = f"mesh {len(self._spec.meshes)}"
-        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        points = points.ravel()
-        triangles = triangles.ravel()
-        self._spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=shell)
+        self._spec.add_mesh(
+            name=name,
+            uservert=points.ravel(),
+            userface=triangles.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
         return name
 
 
-def _surface(vertices: Float, faces: Int) -> Any:
-    shape = fcl.BVHModel()
-    shape.beginModel(len(vertices), len(faces))
-    shape.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), faces)
-    shape.endModel()
-    return shape
+def _triangle_surface(vertices: Float, faces: Int) -> fcl.BVHModel:
+    """Return FCL's geometry of a surface of triangles."""
+    surface = fcl.BVHModel()
+    surface.beginModel(len(vertices), len(faces))
+    surface.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), faces)
+    surface.endModel()
+    return surface
 
 
-def _find_turned(vertices: Float, faces: Int, edge: Int, way: Int, part: Int) -> Bool:
-    """The triangles that are wound against most of the area of their parts.
+def _find_inverted_faces(vertices: Float, faces: Int, edge: Int, direction: Int, part: Int) -> Bool:
+    """Return which triangles are wound against most of the area of their part.
 
-    Edge and direction are those of each corner. In a graph that has each triangle twice, as it is
-    and turned, neighbours over an edge of two triangles are joined where they wind alike.
+    The graph has two nodes for each triangle: as it is, and inverted. Two triangles that share an
+    edge with no third are joined, in the states in which they are wound alike. The triangles whose
+    nodes are connected with the first one of their part, as they are, are wound as that one.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: The vertices' indices of each triangle, (m, 3).
+        edge: The id of the edge that begins at each corner, (3 m,).
+        direction: Whether the triangle runs through that edge forwards, 1, or backwards, -1.
+        part: The part of the mesh that each triangle belongs to, (m,).
     """
     order = np.argsort(edge, kind="stable")
-    pair = np.stack([order[:-1], order[1:]])[:, np.diff(edge[order]) == 0]
-    pair = pair[:, np.bincount(edge)[edge[pair[0]]] == 2]
-    one, other, count = *pair // 3, len(faces)
-    other = other + count * (way[pair[0]] == way[pair[1]])
-    ends = np.concatenate([[one, other], [one + count, (other + count) % (2 * count)]], axis=1)
-    graph = coo_array((np.ones(ends.shape[1], np.int8), tuple(ends)), (2 * count, 2 * count))
-    label = connected_components(graph, directed=False)[1]
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    corner_pairs = np.stack([order[:-1], order[1:]])[:, np.diff(edge[order]) == 0]
+    is_shared_by_two = np.bincount(edge)[edge[corner_pairs[0]]] == 2
+    corner_pairs = corner_pairs[:, is_shared_by_two]
+    num_faces = len(faces)
+    first_face = corner_pairs[0] // 3
+    # neighbors that run through their edge in the same direction are wound differently
+    is_inverted = direction[corner_pairs[0]] == direction[corner_pairs[1]]
+    second_node = corner_pairs[1] // 3 + num_faces * is_inverted
+    num_nodes = 2 * num_faces
+    begin = np.concatenate([first_face, first_face + num_faces])
+    end = np.concatenate([second_node, (second_node + num_faces) % num_nodes])
+    graph = coo_array((np.ones(len(begin), np.int8), (begin, end)), (num_nodes, num_nodes))
+    component = connected_components(graph, directed=False)[1]
+
+    a = vertices[faces[:, 0]]
+    b = vertices[faces[:, 1]]
+    c = vertices[faces[:, 2]]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    first = label[np.unique(part, return_index=True)[1]][part]
-    differs = label[:count] != first
-    turned = np.bincount(part, np.where(differs, area, -area)) > 0
-    return np.asarray(differs != turned[part])
+    first_component = component[np.unique(part, return_index=True)[1]][part]
+    differs_from_first = component[:num_faces] != first_component
+    first_is_inverted = np.bincount(part, np.where(differs_from_first, area, -area)) > 0
+    return np.asarray(differs_from_first != first_is_inverted[part])
 
 
-def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    """The vertices that faces use, and the faces by these."""
-    used, corners = np.unique(faces, return_inverse=True)
-    return vertices[used], corners.reshape(-1, 3)
+def _drop_unused_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:
+    """Return the vertices that faces use, and the faces as indices of these."""
+    used_vertices, corners = np.unique(faces, return_inverse=True)
+    return vertices[used_vertices], corners.reshape(-1, 3)
 
 
-def _mesh_arrays(model: Any, number: int) -> tuple[Float, Int, Float]:
-    """Vertices and faces of a mesh, and the vertices of MuJoCo's hull of it, geom's frame."""
-    mesh = model.mesh(number)
-    vert = int(mesh.vertadr[0])
-    face = int(mesh.faceadr[0])
-    address = int(mesh.graphadr[0])
-    vertices = model.mesh_vert[vert : vert + int(mesh.vertnum[0])].astype(np.float64)
-    faces = model.mesh_face[face : face + int(mesh.facenum[0])].astype(np.int64)
-    if address < 0:
-        return vertices, faces, vertices
-    # numbers of vertices and faces, edge addresses, then the vertices' ids
-    count = int(model.mesh_graph[address])
-    return vertices, faces, vertices[model.mesh_graph[address + 2 + count :][:count]]
+def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
+    """Read a mesh, and the vertices of its convex hull, from a compiled model."""
+    mesh = model.mesh(mesh_id)
+    first_vertex = int(mesh.vertadr[0])
+    first_face = int(mesh.faceadr[0])
+    graph_address = int(mesh.graphadr[0])
+    num_vertices = int(mesh.vertnum[0])
+    num_faces = int(mesh.facenum[0])
+    vertices = model.mesh_vert[first_vertex : first_vertex + num_vertices].astype(np.float64)
+    faces = model.mesh_face[first_face : first_face + num_faces].astype(np.int64)
+    if graph_address < 0:
+        return MeshArrays(vertices, faces, vertices)
+    # `mesh_graph` holds the numbers of the hull's vertices and faces, the addresses of the
+    # vertices' edges, then the vertices' ids
+    num_hull_vertices = int(model.mesh_graph[graph_address])
+    first_id = graph_address + 2 + num_hull_vertices
+    hull_ids = model.mesh_graph[first_id:][:num_hull_vertices]
+    return MeshArrays(vertices, faces, vertices[hull_ids])
 
 
-def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
-    """The parts of a mesh, by kind and faces; all sheets as one.
+def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
+    """Split a mesh into its connected parts, and classify each by what it encloses.
 
-    A part is what hangs together over edges. It encloses a volume where each of its edges is met
-    as often in one direction as in the other, once triangles that are wound against most of the
-    part's area are turned. With few open edges, it is unclear, and its surface alone is judged.
+    Triangles that share an edge belong to one part; vertices at the same position are one vertex,
+    and triangles with two corners in one position are dropped. A part is closed where triangles
+    run through each of its edges as often in one direction as in the opposite one, after those that
+    are wound against most of the part's area are inverted. A part with few open edges is unclear.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: The vertices' indices of each triangle, (m, 3).
+
+    Returns:
+        The parts that enclose, or may enclose, a volume; then all open surfaces as one part, if
+        there is any.
     """
     _, point = np.unique(vertices, axis=0, return_inverse=True)
     corner = point.reshape(-1)[faces]
-    whole = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
-    faces = faces[whole]
-    corner = corner[whole]
+    has_area = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
+    faces = faces[has_area]
+    corner = corner[has_area]
     if not len(faces):
         return []
     first = corner.ravel()
     second = np.roll(corner, -1, axis=1).ravel()
     ends = np.sort(np.stack([first, second], axis=1), axis=1)
-    _, edge, met = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    _, edge, faces_per_edge = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     edge = edge.reshape(-1)
-    # faces and edges as the nodes of one graph: faces with an edge in common hang together
+
+    # faces and edges are the nodes of one graph: faces with a common edge are connected
     face = np.repeat(np.arange(len(faces)), 3)
-    nodes = len(faces) + len(met)
-    graph = coo_array((np.ones(len(face), np.int8), (face, len(faces) + edge)), (nodes, nodes))
-    count, label = connected_components(graph, directed=False)
-    part, of_edge = np.split(label, [len(faces)])
-    way = np.where(first < second, 1, -1)
-    if np.bincount(edge, way).any():
-        is_open = np.bincount(of_edge, met % 2, count) > 0
-        turned = _find_turned(vertices, faces, edge, way, part) & ~is_open[part]
-        faces = np.where(turned[:, None], faces[:, ::-1], faces)
-        way = np.where(turned[face], -way, way)
-    surplus = np.bincount(edge, way)
-    is_turned = np.bincount(of_edge, surplus != 0, count) > 0
-    open_edges = np.bincount(of_edge, met % 2, count)
-    all_edges = np.bincount(of_edge)
+    num_nodes = len(faces) + len(faces_per_edge)
+    graph = coo_array(
+        (np.ones(len(face), np.int8), (face, len(faces) + edge)), (num_nodes, num_nodes)
+    )
+    num_parts, component = connected_components(graph, directed=False)
+    part = component[: len(faces)]
+    part_of_edge = component[len(faces) :]
+
+    direction = np.where(first < second, 1, -1)
+    if np.bincount(edge, direction).any():
+        has_open_edge = np.bincount(part_of_edge, faces_per_edge % 2, num_parts) > 0
+        inverted = _find_inverted_faces(vertices, faces, edge, direction, part)
+        inverted &= ~has_open_edge[part]
+        faces = np.where(inverted[:, None], faces[:, ::-1], faces)
+        direction = np.where(inverted[face], -direction, direction)
+    imbalance = np.bincount(edge, direction)
+    is_inconsistent = np.bincount(part_of_edge, imbalance != 0, num_parts) > 0
+    num_open_edges = np.bincount(part_of_edge, faces_per_edge % 2, num_parts)
+    num_edges = np.bincount(part_of_edge)
+
     # volume as seen from the first corner of each part [m³], and area [m²]
-    origin = vertices[faces[np.unique(part, return_index=True)[1], 0]][part]
-    a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
+    first_faces = np.unique(part, return_index=True)[1]
+    origin = vertices[faces[first_faces, 0]][part]
+    a = vertices[faces[:, 0]] - origin
+    b = vertices[faces[:, 1]] - origin
+    c = vertices[faces[:, 2]] - origin
     cross = np.cross(b - a, c - a)
     volume = np.bincount(part, (a * cross).sum(axis=1)) / 6
     area = np.bincount(part, np.linalg.norm(cross, axis=1)) / 2
-    kind = np.where(volume > 0, SOLID, CAVITY).astype(object)
-    # an almost closed part may enclose something, with a stray triangle or a membrane
-    kind[is_turned | (open_edges > 0)] = UNCLEAR
-    is_thin = np.abs(volume) <= THINNEST * area
-    kind[(open_edges > MOST_OPEN * all_edges) | (is_thin & ~is_turned)] = SHEET
+
+    kinds = np.where(volume > 0, SOLID, CAVITY).astype(object)
+    # a nearly closed part, with a stray triangle or a membrane, may enclose something
+    kinds[is_inconsistent | (num_open_edges > 0)] = UNCLEAR
+    is_flat = np.abs(volume) <= MAX_SHEET_THICKNESS * area
+    is_open = num_open_edges > MAX_OPEN_EDGES * num_edges
+    kinds[is_open | (is_flat & ~is_inconsistent)] = OPEN_SURFACE
+
     by_part = np.argsort(part, kind="stable")
-    pieces = np.split(faces[by_part], np.cumsum(np.bincount(part))[:-1])
-    sheets = [piece for piece, k in zip(pieces, kind, strict=True) if k == SHEET]
-    parts = [(str(k), piece) for k, piece in zip(kind, pieces, strict=True) if k != SHEET]
-    return [*parts, (SHEET, np.concatenate(sheets))] if sheets else parts
+    faces_of_parts = np.split(faces[by_part], np.cumsum(np.bincount(part))[:-1])
+    open_surfaces = []
+    parts = []
+    for kind, part_faces in zip(kinds, faces_of_parts, strict=True):
+        if kind == OPEN_SURFACE:
+            open_surfaces.append(part_faces)
+        else:
+            parts.append(ClassifiedPart(str(kind), part_faces))
+    if open_surfaces:
+        parts.append(ClassifiedPart(OPEN_SURFACE, np.concatenate(open_surfaces)))
+    return parts

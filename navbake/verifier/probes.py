@@ -1,15 +1,15 @@
-"""What vertical lines meet in a scene, by MuJoCo's rays, and what upright columns touch.
+"""Vertical lines through a scene, by MuJoCo's rays, and contacts of upright prisms with it.
 
-FCL and MuJoCo both say what a column touches. Where they contradict each other, a plane that is
-proved to separate the two shapes decides; MuJoCo's `mj_geomDistance` is off by centimetres in rare
-poses of capsules, and FCL's iteration may end early.
+Both FCL and MuJoCo compute whether a prism touches an obstacle. Where they contradict each other, a
+plane that is proved to separate the two shapes decides: MuJoCo's `mj_geomDistance` is off by
+centimetres in rare poses of capsules, and FCL's iteration may end early.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import fcl
 import mujoco
@@ -19,267 +19,476 @@ from navbake.types import Float, Vector3
 from navbake.verifier.obstacles import CAVITY, CONVEX, HALF_SPACE, HEIGHT_FIELD, SOLID, Obstacles
 
 GEOM = mujoco.mjtGeom
+
 UP = 1
 DOWN = -1
-WAY = {UP: np.array([0.0, 0.0, 1.0]), DOWN: np.array([0.0, 0.0, -1.0])}
-NEXT = 1e-6  # how far behind one hit of a mesh the next one is looked for [m]
-MOST_HITS = 200
-SAME = 1e-5  # surfaces this close together are one [m]
-FACES_UP = 1e-6  # least z of the unit normal of what faces up
-CRACK = 0.03  # width of a crack that is no gap, unless the settings say otherwise [m]
-RIM = 1e-6  # a line this near to an edge may meet it or not [m]
-SPACING = 1 / 3  # of reach: no place within it is farther than this from a line beside
-AROUND = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
-BEYOND = 1.0  # how far from all geometry a line begins [m]
+RAY_DIRECTIONS = {UP: np.array([0.0, 0.0, 1.0]), DOWN: np.array([0.0, 0.0, -1.0])}
+RAY_ADVANCE = 1e-6  # how far behind a hit of a mesh the next ray begins [m]
+RAY_MARGIN = 1.0  # how far outside of an obstacle's bounding box a ray begins [m]
+MAX_HITS = 200  # of a ray with one geom
 
-# a dispute counts as a touch where margins are measured
+SAME_HEIGHT = 1e-5  # surfaces this close together count as one [m]
+MIN_UPWARD_NORMAL_Z = 1e-6  # least z of the unit normal of a surface that faces up
+NORMAL_Z_SLACK = 1e-6  # what rounding may take from the z of a unit normal
+VERTICAL_PLANE_NORMAL_Z = 1e-9  # a plane whose normal's |z| is less is vertical: no line crosses it
+DEFAULT_CRACK_WIDTH = 0.03  # width of a crack that is no gap, if the settings state none [m]
+EDGE_TOLERANCE = 1e-6  # a line this near to an edge of a surface may meet the surface or not [m]
+# a disc with lines at four radii and in all `CIRCLE_DIRECTIONS` has no point that is farther from
+# the nearest line than this share of the disc's radius
+NEARBY_SPACING = 1 / 3
+CIRCLE_DIRECTIONS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
+
+# Contacts between a prism and an obstacle. While a depth or a gap is measured, DISPUTED counts as
+# a touch, as it is true.
 APART = 0
 TOUCHES = 1
 DISPUTED = 2
-SEPARATED = 1e-7  # least width of a gap that a plane proves [m]
-REACH = 1.0  # how far from a column the nearest obstacle is looked for [m]
-HALVINGS = 14  # of an interval of at most `REACH`: to a tenth of a millimetre
+
+MIN_PROVED_GAP = 1e-7  # least gap that a separating plane has to leave [m]: more than rounding
+MAX_MEASURED_GAP = 1.0  # how far from a prism the nearest obstacle is looked for [m]
+NUM_BISECTIONS = 14  # of an interval of at most `MAX_MEASURED_GAP`: to a tenth of a millimetre
+MUJOCO_DISTANCE_LIMIT = 1e-3  # beyond this, MuJoCo need not compute a distance [m]
+WITNESS_DISTANCE_LIMIT = 10.0  # the same where MuJoCo's nearest points are needed [m]
+MIN_DIRECTION_LENGTH = 1e-12  # shorter vectors between points give no direction [m]
 
 
-class Surface(NamedTuple):
-    """A crossing of a vertical line: its height [m], the normal's z, and the obstacle."""
+class RayHit(NamedTuple):
+    """Where a vertical ray meets a geom.
+
+    Attributes:
+        z: The height [m].
+        normal_z: The z of the surface's unit normal.
+    """
 
     z: float
-    up: float
-    number: int
+    normal_z: float
 
 
-class Line(NamedTuple):
-    """What a vertical line meets: crossings, lowest first, and stretches inside of solids [m]."""
+class SurfaceHit(NamedTuple):
+    """A crossing of a vertical line with an obstacle's surface.
 
-    surfaces: list[Surface]
-    solid: list[tuple[float, float]]
+    Attributes:
+        z: The height [m].
+        normal_z: The z of the surface's unit normal.
+        obstacle: The obstacle's id.
+    """
+
+    z: float
+    normal_z: float
+    obstacle: int
+
+
+class HeightRange(NamedTuple):
+    """A range of heights [m]; the lower end may be infinite."""
+
+    low: float
+    high: float
+
+
+class SurfaceCrossings(NamedTuple):
+    """How often the vertical ray up from a point leaves and enters what a surface encloses."""
+
+    num_exits: int
+    num_entries: int
+
+
+class NearestObstacle(NamedTuple):
+    """The obstacle that is nearest to a prism, and its gap to the prism [m]."""
+
+    gap: float
+    obstacle: int
+
+
+class VerticalLine(NamedTuple):
+    """What a vertical line meets.
+
+    Attributes:
+        hits: All crossings with surfaces, lowest first.
+        solid_ranges: The ranges of heights inside of solids, which may overlap.
+    """
+
+    hits: list[SurfaceHit]
+    solid_ranges: list[HeightRange]
 
     def is_inside(self, z: float) -> bool:
-        """Whether a height lies inside of a solid, or is covered by one that stands on it."""
-        return any(low <= z + SAME and high > z + SAME for low, high in self.solid)
+        """Whether a height [m] lies inside of a solid, or a solid stands directly on it."""
+        return any(
+            low <= z + SAME_HEIGHT and high > z + SAME_HEIGHT for low, high in self.solid_ranges
+        )
 
-    def faces_up(self, low: float, high: float) -> bool:
-        """Whether a surface between two heights faces up [m], also inside of a solid."""
-        return any(s.up >= FACES_UP and low <= s.z <= high for s in self.surfaces)
+    def has_upward_hit(self, low: float, high: float) -> bool:
+        """Whether a surface between two heights [m] faces up; it may lie inside of a solid."""
+        return any(
+            hit.normal_z >= MIN_UPWARD_NORMAL_Z and low <= hit.z <= high for hit in self.hits
+        )
 
-    def standable(self, height: float, min_up: float) -> list[Surface]:
-        """The surfaces that one can stand on, lowest first, one of several at one height."""
-        found: list[Surface] = []
-        for surface in self.surfaces:
-            if surface.up < min_up - 1e-6 or self.is_inside(surface.z):
+    def standable_hits(self, agent_height: float, min_normal_z: float) -> list[SurfaceHit]:
+        """Return the surfaces that an agent can stand on, lowest first, one at each height.
+
+        Args:
+            agent_height: The least free height above a surface [m].
+            min_normal_z: The least z of the unit normal of a surface: the cosine of the steepest
+                slope.
+        """
+        standable: list[SurfaceHit] = []
+        for hit in self.hits:
+            if hit.normal_z < min_normal_z - NORMAL_Z_SLACK or self.is_inside(hit.z):
                 continue
-            ceiling = min((s.z for s in self.surfaces if s.z > surface.z + SAME), default=np.inf)
-            is_other = not found or surface.z - found[-1].z > SAME
-            if ceiling - surface.z >= height and is_other:
-                found.append(surface)
-        return found
+            heights_above = (above.z for above in self.hits if above.z > hit.z + SAME_HEIGHT)
+            ceiling = min(heights_above, default=np.inf)
+            is_new_height = not standable or hit.z - standable[-1].z > SAME_HEIGHT
+            if ceiling - hit.z >= agent_height and is_new_height:
+                standable.append(hit)
+        return standable
 
 
-class Column(NamedTuple):
-    """An upright prism: a box or a cylinder, which may be turned round the vertical [m, rad]."""
+class UprightPrism(NamedTuple):
+    """An upright box or cylinder around its centre.
 
-    half_x: float  # of a cylinder both are its radius
+    Attributes:
+        half_x: Half of the box's length, or the cylinder's radius [m].
+        half_y: Half of the box's width, or the cylinder's radius [m].
+        half_z: Half of the height [m].
+        is_round: Whether it is a cylinder.
+        yaw: Rotation about the vertical [rad].
+    """
+
+    half_x: float
     half_y: float
     half_z: float
     is_round: bool
     yaw: float = 0.0
 
 
-def _make(column: Column) -> tuple[Any, Float]:
-    """A column as FCL's object, and its frame."""
-    x, y, z, is_round, yaw = column
-    c = np.cos(yaw)
-    s = np.sin(yaw)
-    mat = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    shape = fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
-    return fcl.CollisionObject(shape, fcl.Transform(mat, np.zeros(3))), mat
+class PlacedPrism(NamedTuple):
+    """An upright prism, and the position of its centre, (3,) [m]."""
+
+    prism: UprightPrism
+    center: Float
 
 
-class Probes:
-    """Casts vertical lines among obstacles, and puts one column after the other there."""
+class PrismObject(NamedTuple):
+    """A prism as FCL's collision object, whose centre may be moved, and its rotation, (3, 3)."""
+
+    collision_object: fcl.CollisionObject
+    rotation: Float
+
+
+def _make_prism_object(prism: UprightPrism) -> PrismObject:
+    cos = np.cos(prism.yaw)
+    sin = np.sin(prism.yaw)
+    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    if prism.is_round:
+        geometry = fcl.Cylinder(prism.half_x, 2 * prism.half_z)
+    else:
+        geometry = fcl.Box(2 * prism.half_x, 2 * prism.half_y, 2 * prism.half_z)
+    transform = fcl.Transform(rotation, np.zeros(3))
+    return PrismObject(fcl.CollisionObject(geometry, transform), rotation)
+
+
+class ObstacleProbe:
+    """Casts vertical lines through obstacles, and computes what upright prisms touch.
+
+    It sizes and moves the probe geoms of the obstacles' MuJoCo model, so an instance serves one
+    thread.
+
+    Args:
+        obstacles: The obstacles.
+
+    Attributes:
+        obstacles: The obstacles.
+    """
 
     def __init__(self, obstacles: Obstacles) -> None:
         self.obstacles = obstacles
-        self._column = Column(0.0, 0.0, 0.0, False)
-        self._made = lru_cache(4096)(_make)
-        self._kind = obstacles.model.geom_type.tolist()
+        # the prism whose size FCL's object and MuJoCo's geom have at present
+        self._prism = UprightPrism(0.0, 0.0, 0.0, False)
+        self._prism_object = lru_cache(4096)(_make_prism_object)
+        self._geom_type = obstacles.model.geom_type.tolist()
         self._normal = np.zeros(3)
-        self._point = np.zeros(3)
+        self._ray_origin = np.zeros(3)
 
-    def line(self, x: float, y: float) -> Line:
-        """All that the vertical line at x, y meets [m]."""
-        surfaces: list[Surface] = []
-        solid: list[tuple[float, float]] = []
-        inside: list[tuple[float, int]] = []
-        for number in self.obstacles.meeting((x, y, -np.inf), (x, y, np.inf)):
-            kind = self.obstacles.items[number].kind
-            found = self._cross(number, x, y)
-            surfaces += found
-            if kind == HALF_SPACE and found and found[0].up > 0:
-                solid.append((-np.inf, found[0].z))
-            elif kind in (CONVEX, HEIGHT_FIELD) and found:
-                solid.append((found[0].z, found[-1].z))
+    def cast_line(self, x: float, y: float) -> VerticalLine:
+        """Return all that the vertical line at world x, y [m] meets."""
+        hits: list[SurfaceHit] = []
+        solid_ranges: list[HeightRange] = []
+        boundaries: list[tuple[float, int]] = []  # heights, and by how much the depth changes there
+        for obstacle in self.obstacles.overlapping((x, y, -np.inf), (x, y, np.inf)):
+            kind = self.obstacles.shapes[obstacle].kind
+            obstacle_hits = self._cross(obstacle, x, y)
+            hits += obstacle_hits
+            if kind == HALF_SPACE and obstacle_hits and obstacle_hits[0].normal_z > 0:
+                solid_ranges.append(HeightRange(-np.inf, obstacle_hits[0].z))
+            elif kind in (CONVEX, HEIGHT_FIELD) and obstacle_hits:
+                solid_ranges.append(HeightRange(obstacle_hits[0].z, obstacle_hits[-1].z))
             elif kind in (SOLID, CAVITY):
-                # what faces down is the underside of something solid, also of what is over a cavity
-                inside += [(surface.z, 1 if surface.up < 0 else -1) for surface in found]
-        # where the line is inside of more solids than cavities
+                # a face that faces down is the underside of a solid, above a cavity as well
+                boundaries += [(hit.z, 1 if hit.normal_z < 0 else -1) for hit in obstacle_hits]
+        # the line is inside where it has entered more solids than cavities
         depth = 0
-        begin = 0.0
-        for z, step in sorted(inside):
-            if depth <= 0 < depth + step:
-                begin = z
-            elif depth > 0 >= depth + step:
-                solid.append((begin, z))
-            depth += step
-        return Line(sorted(surfaces), solid)
+        underside = 0.0
+        for z, change in sorted(boundaries):
+            if depth <= 0 < depth + change:
+                underside = z
+            elif depth > 0 >= depth + change:
+                solid_ranges.append(HeightRange(underside, z))
+            depth += change
+        return VerticalLine(sorted(hits), solid_ranges)
 
-    def faces_up_beside(
-        self, at: Vector3, off: float, reach: float = CRACK, *, min_up: float = np.inf
+    def has_upward_hit_nearby(
+        self,
+        position: Vector3,
+        height_tolerance: float,
+        reach: float = DEFAULT_CRACK_WIDTH,
+        *,
+        min_normal_z: float = np.inf,
     ) -> bool:
-        """Whether a surface faces up within reach of a place [m]: its line may run through a crack.
+        """Return whether a surface near a position faces up: its own line may run through a crack.
 
-        It may be `off` above or below, and more on a slope whose normal's z is at least `min_up`.
+        Args:
+            position: World x, y, z [m].
+            height_tolerance: How far above or below the position the surface may be [m].
+            reach: How far beside the position the surface may be [m].
+            min_normal_z: The least z of the unit normal of slopes, which may be farther above or
+                below, by what they rise between the lines that are cast. No slope may by default.
         """
-        x, y, z = at
-        beyond = np.array([reach + RIM, reach + RIM, off])
-        if not self.obstacles.meeting(at - beyond, at + beyond):
+        x, y, z = position
+        half_size = np.array([reach + EDGE_TOLERANCE, reach + EDGE_TOLERANCE, height_tolerance])
+        if not self.obstacles.overlapping(position - half_size, position + half_size):
             return False
-        for distance, (a, b) in product((RIM, reach / 4, reach / 2, reach), AROUND):
-            for surface in self.line(x + distance * a, y + distance * b).surfaces:
-                if surface.up < FACES_UP:
+        distances = (EDGE_TOLERANCE, reach / 4, reach / 2, reach)
+        for distance, (cos, sin) in product(distances, CIRCLE_DIRECTIONS):
+            for hit in self.cast_line(x + distance * cos, y + distance * sin).hits:
+                if hit.normal_z < MIN_UPWARD_NORMAL_Z:
                     continue
-                slope = np.sqrt(max(1 / surface.up**2 - 1, 0.0)) if surface.up >= min_up else 0.0
-                if abs(surface.z - z) <= off + slope * reach * SPACING:
+                slope = 0.0
+                if hit.normal_z >= min_normal_z:
+                    slope = np.sqrt(max(1 / hit.normal_z**2 - 1, 0.0))
+                if abs(hit.z - z) <= height_tolerance + slope * reach * NEARBY_SPACING:
                     return True
         return False
 
-    def crossings(self, number: int, point: Vector3) -> tuple[int, int]:
-        """How often the way up from a point leaves what is solid of a surface, and enters it."""
-        geoms = self.obstacles.facing.get(number, [number])
-        hits = [up for geom in geoms for _, up in self._hits(geom, *point, UP)]
-        if self._kind[number] == GEOM.mjGEOM_HFIELD:  # its underside is entered first
-            return (len(hits) + 1) // 2, len(hits) // 2
-        return sum(up > 0 for up in hits), sum(up < 0 for up in hits)
+    def count_crossings(self, obstacle: int, point: Vector3) -> SurfaceCrossings:
+        """Count how often the vertical ray up from a point leaves and enters an obstacle.
 
-    def _cross(self, number: int, x: float, y: float) -> list[Surface]:
-        """The crossings with one obstacle, lowest first."""
-        kind = self.obstacles.items[number].kind
-        if kind == HALF_SPACE:
-            pos = self.obstacles.pos[number]
-            normal = self.obstacles.mat[number, 2::3]
-            if abs(normal[2]) < 1e-9:
+        Args:
+            obstacle: The id of a height field or of a part of a mesh.
+            point: Where the ray begins, world x, y, z [m].
+        """
+        geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
+        normals = [hit.normal_z for geom in geoms for hit in self._hits(geom, *point, UP)]
+        if self._geom_type[obstacle] == GEOM.mjGEOM_HFIELD:  # its underside is entered first
+            return SurfaceCrossings((len(normals) + 1) // 2, len(normals) // 2)
+        num_exits = sum(normal_z > 0 for normal_z in normals)
+        num_entries = sum(normal_z < 0 for normal_z in normals)
+        return SurfaceCrossings(num_exits, num_entries)
+
+    def _cross(self, obstacle: int, x: float, y: float) -> list[SurfaceHit]:
+        """Return the crossings of a vertical line with one obstacle, lowest first."""
+        shape = self.obstacles.shapes[obstacle]
+        if shape.kind == HALF_SPACE:
+            pos = self.obstacles.pos[obstacle]
+            normal = self.obstacles.mat[obstacle, 2::3]
+            if abs(normal[2]) < VERTICAL_PLANE_NORMAL_Z:
                 return []
             z = pos[2] - ((x - pos[0]) * normal[0] + (y - pos[1]) * normal[1]) / normal[2]
-            return [Surface(float(z), float(normal[2]), number)]
-        above = float(self.obstacles.items[number].high[2]) + BEYOND
-        below = float(self.obstacles.items[number].low[2]) - BEYOND
-        if kind in (CONVEX, HEIGHT_FIELD):
-            ends = self._ray(number, x, y, below, UP), self._ray(number, x, y, above, DOWN)
-            found = [end for end in ends if end is not None]
+            return [SurfaceHit(float(z), float(normal[2]), obstacle)]
+        above = float(shape.high[2]) + RAY_MARGIN
+        below = float(shape.low[2]) - RAY_MARGIN
+        if shape.kind in (CONVEX, HEIGHT_FIELD):
+            lowest = self._cast_ray(obstacle, x, y, below, UP)
+            highest = self._cast_ray(obstacle, x, y, above, DOWN)
+            hits = [hit for hit in (lowest, highest) if hit is not None]
         else:
-            geoms = self.obstacles.facing.get(number, [number])
-            found = sorted(hit for geom in geoms for hit in self._hits(geom, x, y, above, DOWN))
-        return [Surface(*hit, number) for hit in found]
+            geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
+            hits = sorted(hit for geom in geoms for hit in self._hits(geom, x, y, above, DOWN))
+        return [SurfaceHit(hit.z, hit.normal_z, obstacle) for hit in hits]
 
-    def _hits(self, geom: int, x: float, y: float, z: float, way: int) -> list[tuple[float, float]]:
-        """All that a vertical ray from a point meets of a geom of the model, as `_ray`."""
-        found: list[tuple[float, float]] = []
-        while len(found) < MOST_HITS and (hit := self._ray(geom, x, y, z, way)) is not None:
-            found.append(hit)
-            z = hit[0] + way * NEXT
-        return found
+    def _hits(self, geom: int, x: float, y: float, z: float, direction: int) -> list[RayHit]:
+        """Return all hits of a vertical ray from a point with a geom, nearest first."""
+        hits: list[RayHit] = []
+        while len(hits) < MAX_HITS:
+            hit = self._cast_ray(geom, x, y, z, direction)
+            if hit is None:
+                break
+            hits.append(hit)
+            z = hit.z + direction * RAY_ADVANCE
+        return hits
 
-    def _ray(self, geom: int, x: float, y: float, z: float, way: int) -> tuple[float, float] | None:
-        """Where a vertical ray first meets a geom of the model: z [m], and z of the unit normal."""
-        own = self.obstacles
-        kind = self._kind[geom]
-        self._point[:] = x, y, z
-        ray = self._point, WAY[way]
-        if kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_HFIELD):
-            cast = mujoco.mj_rayMesh if kind == GEOM.mjGEOM_MESH else mujoco.mj_rayHfield
-            distance = cast(own.model, own.data, geom, *ray, self._normal)
+    def _cast_ray(self, geom: int, x: float, y: float, z: float, direction: int) -> RayHit | None:
+        """Return the first hit of a vertical ray from a point with a geom of the model."""
+        obstacles = self.obstacles
+        geom_type = self._geom_type[geom]
+        origin = self._ray_origin
+        origin[:] = x, y, z
+        vector = RAY_DIRECTIONS[direction]
+        normal = self._normal
+        if geom_type == GEOM.mjGEOM_MESH:
+            distance = mujoco.mj_rayMesh(
+                obstacles.model, obstacles.data, geom, origin, vector, normal
+            )
+        elif geom_type == GEOM.mjGEOM_HFIELD:
+            distance = mujoco.mj_rayHfield(
+                obstacles.model, obstacles.data, geom, origin, vector, normal
+            )
         else:
-            place = own.pos[geom], own.mat[geom], own.size[geom]
-            distance = mujoco.mju_rayGeom(*place, *ray, kind, self._normal)
-        return None if distance < 0 else (z + way * distance, float(self._normal[2]))
+            distance = mujoco.mju_rayGeom(
+                obstacles.pos[geom],
+                obstacles.mat[geom],
+                obstacles.size[geom],
+                origin,
+                vector,
+                geom_type,
+                normal,
+            )
+        if distance < 0:
+            return None
+        return RayHit(z + direction * distance, float(normal[2]))
 
-    def touches(self, number: int, column: Column, center: Float, margin: float = 0.0) -> int:
-        """APART, TOUCHES or DISPUTED: how a column at a centre, (3,) [m], stands to an obstacle.
+    def find_contact(
+        self, obstacle: int, prism: UprightPrism, center: Float, margin: float = 0.0
+    ) -> int:
+        """Return whether a prism touches an obstacle.
 
-        It is larger on all sides by a margin [m], or smaller; where nothing is left, it is apart.
+        Args:
+            obstacle: The obstacle's id.
+            prism: The prism.
+            center: The position of the prism's centre, (3,) [m].
+            margin: By how much the prism is enlarged on all sides [m]; a negative margin shrinks
+                it. A prism of which nothing is left is apart from everything.
+
+        Returns:
+            `APART`, `TOUCHES`, or `DISPUTED` where MuJoCo alone finds a touch, and no plane is
+            found that separates the two.
         """
         obstacles = self.obstacles
-        x, y, z = (half + margin for half in column[:3])
-        if min(x, y, z) <= 0:
+        half_x = prism.half_x + margin
+        half_y = prism.half_y + margin
+        half_z = prism.half_z + margin
+        if min(half_x, half_y, half_z) <= 0:
             return APART
-        column = Column(x, y, z, *column[3:])
-        if column != self._column:
-            self._column, (self._object, self._mat) = column, self._made(column)
-            self._geom = geom = len(obstacles.items) + column.is_round
-            size = np.array([x, z, 0.0] if column.is_round else [x, y, z])
-            obstacles.size[geom] = size
-            obstacles.mat[geom] = self._mat.ravel()
-            obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
+        enlarged = UprightPrism(half_x, half_y, half_z, prism.is_round, prism.yaw)
+        if enlarged != self._prism:
+            self._resize(enlarged)
         self._center = obstacles.pos[self._geom] = center
         self._object.setTranslation(center)
-        item = obstacles.items[number]
-        by_fcl = fcl.collide(self._object, item.shape) > 0
-        if not item.same_in_mujoco:
-            return TOUCHES if by_fcl else APART
-        pair = self._geom, number
-        by_mujoco = mujoco.mj_geomDistance(obstacles.model, obstacles.data, *pair, 1e-3, None) <= 0
-        if by_fcl == by_mujoco:
-            return TOUCHES if by_fcl else APART
-        if self._is_separated(number):
+        shape = obstacles.shapes[obstacle]
+        touches_by_fcl = fcl.collide(self._object, shape.collision_object) > 0
+        if not shape.is_same_in_mujoco:
+            return TOUCHES if touches_by_fcl else APART
+        distance = mujoco.mj_geomDistance(
+            obstacles.model, obstacles.data, self._geom, obstacle, MUJOCO_DISTANCE_LIMIT, None
+        )
+        if touches_by_fcl == (distance <= 0):
+            return TOUCHES if touches_by_fcl else APART
+        if self._is_separated(obstacle):
             return APART
-        return TOUCHES if by_fcl else DISPUTED
+        return TOUCHES if touches_by_fcl else DISPUTED
 
-    def _is_separated(self, number: int) -> bool:
-        """Whether one of a few planes provably lies between the column and an obstacle."""
-        ends = np.zeros((2, 3))
+    def _resize(self, prism: UprightPrism) -> None:
+        """Give FCL's object and the probe geom of MuJoCo's model the size of a prism."""
         obstacles = self.obstacles
-        model = obstacles.model
-        data = obstacles.data
-        mujoco.mj_geomDistance(model, data, self._geom, number, 10.0, ends.ravel())
-        result = fcl.DistanceResult()
+        self._prism = prism
+        self._object, self._rotation = self._prism_object(prism)
+        self._geom = geom = len(obstacles.shapes) + prism.is_round
+        if prism.is_round:
+            size = np.array([prism.half_x, prism.half_z, 0.0])
+        else:
+            size = np.array([prism.half_x, prism.half_y, prism.half_z])
+        obstacles.size[geom] = size
+        obstacles.mat[geom] = self._rotation.ravel()
+        obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
+
+    def _is_separated(self, obstacle: int) -> bool:
+        """Whether a plane provably lies between the prism and a convex obstacle.
+
+        By the separating axis theorem, a direction proves it in which the prism's support ends
+        before the obstacle's begins. The candidates are the directions between the nearest points
+        of both libraries and between the centres, and the axes of both shapes.
+        """
+        obstacles = self.obstacles
+        nearest_points = np.zeros((2, 3))
+        mujoco.mj_geomDistance(
+            obstacles.model,
+            obstacles.data,
+            self._geom,
+            obstacle,
+            WITNESS_DISTANCE_LIMIT,
+            nearest_points.ravel(),
+        )
+        fcl_distance = fcl.DistanceResult()
         request = fcl.DistanceRequest(enable_nearest_points=True)
-        fcl.distance(self._object, obstacles.items[number].shape, request, result)
-        middle = obstacles.pos[number] - self._center
-        mat = obstacles.mat[number].reshape(3, 3)
-        ways = [ends[1] - ends[0], np.subtract(*result.nearest_points[::-1])]
-        ways += [middle, middle * [1.0, 1.0, 0.0], *np.eye(3), *-np.eye(3), *self._mat.T]
-        half_x, half_y, half_z, is_round, _ = self._column
-        for way in (*ways, *mat.T, *-mat.T):
-            length = float(np.linalg.norm(way))
-            if 1e-12 < length < np.inf:
-                unit = way / length
-                x, y, z = np.abs(self._mat.T @ unit)
-                across = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
-                end = float(self._center @ unit + across + half_z * z)  # of the column
-                if -obstacles.support(number, -unit) - end > SEPARATED:
-                    return True
+        collision_object = obstacles.shapes[obstacle].collision_object
+        fcl.distance(self._object, collision_object, request, fcl_distance)
+        on_prism, on_obstacle = fcl_distance.nearest_points
+        between_centers = obstacles.pos[obstacle] - self._center
+        obstacle_mat = obstacles.mat[obstacle].reshape(3, 3)
+        candidates = [
+            nearest_points[1] - nearest_points[0],
+            np.subtract(on_obstacle, on_prism),
+            between_centers,
+            between_centers * [1.0, 1.0, 0.0],
+            *np.eye(3),
+            *-np.eye(3),
+            *self._rotation.T,
+            *obstacle_mat.T,
+            *-obstacle_mat.T,
+        ]
+        half_x, half_y, half_z, is_round, _ = self._prism
+        for candidate in candidates:
+            length = float(np.linalg.norm(candidate))
+            if not MIN_DIRECTION_LENGTH < length < np.inf:
+                continue
+            direction = candidate / length
+            x, y, z = np.abs(self._rotation.T @ direction)
+            across = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
+            prism_end = float(self._center @ direction + across + half_z * z)
+            obstacle_begin = -obstacles.support(obstacle, -direction)
+            if obstacle_begin - prism_end > MIN_PROVED_GAP:
+                return True
         return False
 
-    def depth(self, column: Column, center: Float, number: int) -> float:
-        """By how much a column must shrink to leave an obstacle [m], up to half its least size."""
-        return -self._margin(column, center, number, -min(column[:3]), 0.0)
+    def measure_depth(self, prism: UprightPrism, center: Float, obstacle: int) -> float:
+        """Return by how much a prism must shrink on all sides to leave an obstacle [m].
 
-    def nearest(self, column: Column, center: Float) -> tuple[float, int] | None:
-        """By how much a column has to grow to touch anything within `REACH` [m], and what."""
-        reach = np.array(column[:3]) + REACH
+        Args:
+            prism: A prism that touches the obstacle.
+            center: The position of the prism's centre, (3,) [m].
+            obstacle: The obstacle's id.
+
+        Returns:
+            The depth, at most half of the prism's least size.
+        """
+        largest_depth = min(prism.half_x, prism.half_y, prism.half_z)
+        return -self._bisect_margin(prism, center, obstacle, low=-largest_depth, high=0.0)
+
+    def find_nearest(self, prism: UprightPrism, center: Float) -> NearestObstacle | None:
+        """Return the obstacle that a growing prism touches first, and its gap to the prism.
+
+        Args:
+            prism: The prism.
+            center: The position of the prism's centre, (3,) [m].
+
+        Returns:
+            The obstacle; None if there is none within `MAX_MEASURED_GAP`.
+        """
+        reach = np.array([prism.half_x, prism.half_y, prism.half_z]) + MAX_MEASURED_GAP
         nearest = None
-        gap = REACH
-        for number in self.obstacles.meeting(center - reach, center + reach):
-            if self.touches(number, column, center, gap):
-                nearest = number
-                gap = self._margin(column, center, number, 0.0, gap)
-        return None if nearest is None else (gap, nearest)
+        gap = MAX_MEASURED_GAP
+        for obstacle in self.obstacles.overlapping(center - reach, center + reach):
+            if self.find_contact(obstacle, prism, center, gap):
+                gap = self._bisect_margin(prism, center, obstacle, low=0.0, high=gap)
+                nearest = NearestObstacle(gap, obstacle)
+        return nearest
 
-    def _margin(self, column: Column, center: Float, number: int, low: float, high: float) -> float:
-        """The margin by which a column has to grow to touch an obstacle, by bisection [m]."""
-        for _ in range(HALVINGS):
+    def _bisect_margin(
+        self, prism: UprightPrism, center: Float, obstacle: int, low: float, high: float
+    ) -> float:
+        """Return the margin [m] at which a prism begins to touch an obstacle, by bisection."""
+        for _ in range(NUM_BISECTIONS):
             middle = (low + high) / 2
-            is_met = self.touches(number, column, center, middle)
-            low, high = (low, middle) if is_met else (middle, high)
+            if self.find_contact(obstacle, prism, center, middle):
+                high = middle
+            else:
+                low = middle
         return high

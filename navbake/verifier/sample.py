@@ -1,68 +1,102 @@
-"""The agent and the inflation that a grid states, the cells that are looked at, their volumes."""
+"""The agent and inflation that a grid states, the sampled cells, and the volumes over them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.auditor.facts import find_wrong_sizes, is_within, read_inflations
 from navbake.errors import FormatError, QueryError, shorten
-from navbake.navgrid.grid import GridBase, SceneGrid2D
+from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Vector3
-from navbake.verifier.probes import Column
+from navbake.verifier.probes import PlacedPrism, UprightPrism
 from navbake.verifier.report import Finding
 
-SLACK = 1e-5  # that rounding may add to a step [m]
-TINY = 1e-10  # share of a radius by which a square only touches a disc; less than inflation takes
+STEP_SLACK = 1e-5  # what rounding may add to the step between two floors [m]
+# a square that reaches into a disc by a smaller share of the radius only touches it; it is less
+# than what the inflation leaves out
+TOUCHING_SHARE = 1e-10
+DEFAULT_MAX_SLOPE = 45.0  # of grids that state none [degrees]
+PRISM_DIGITS = 6  # of the heights of prisms [m]: to the micrometre, so that few sizes differ
 
 
 class AgentSizes(NamedTuple):
-    """For whom the grid is: height, radius and step as baked [m]."""
+    """The agent that a grid was baked for.
+
+    Attributes:
+        height: [m].
+        radius: [m].
+        step: The highest step that the agent takes [m].
+        min_normal_z: The least z of a floor's unit normal: the cosine of the steepest slope.
+    """
 
     height: float
     radius: float
     step: float
-    min_up: float  # least z of a floor's unit normal
+    min_normal_z: float
 
     @classmethod
-    def of(cls, grid: GridBase) -> AgentSizes:
-        """The agent that a grid states, with the format's defaults for what it doesn't state."""
-        wrong = list(find_wrong_sizes(grid).values())
-        slope = grid.navbake.get("maxSlope", 45.0)
+    def of_grid(cls, grid: GridBase) -> AgentSizes:
+        """Return the agent that a grid states, with the format's defaults for missing sizes.
+
+        Raises:
+            FormatError: the grid states sizes that no agent can have.
+        """
+        problems = list(find_wrong_sizes(grid).values())
+        slope = grid.navbake.get("maxSlope", DEFAULT_MAX_SLOPE)
         if not is_within(slope, 0, 90):
             shown = shorten(repr(slope))
-            wrong.append(f"`maxSlope` is {shown}, which is no slope of 0 to 90 degrees")
-        if wrong:
-            text = f"the grid's metadata: {wrong[0]}: cells can't be judged for such an agent"
+            problems.append(f"`maxSlope` is {shown}, which is no slope of 0 to 90 degrees")
+        if problems:
+            text = f"the grid's metadata: {problems[0]}: cells can't be judged for such an agent"
             raise FormatError(text)
-        min_up = float(np.cos(np.radians(slope)))
-        return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
+        min_normal_z = float(np.cos(np.radians(slope)))
+        return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_normal_z)
 
 
-class Inflated(NamedTuple):
-    """A grid as it is verified, and what was done to it for a larger agent."""
+class InflatedGrid(NamedTuple):
+    """A grid as it is verified, and its inflation.
 
-    grid: Any
-    radius: float | None  # of the cylinder on free cells [m]; None for the baked footprint
-    reach: float  # how far from a closed cell's centre the reason may be [m]
-    by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
-
-
-def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
-    """Inflate a grid for a radius [m]; it stays as it is if None. May add notes.
-
-    One that was inflated for a larger radius, or in the mode ``minos``, is a QueryError.
+    Attributes:
+        grid: The grid, inflated for the radius.
+        radius: The radius of the cylinder that has to fit on free cells [m]; None for the baked
+            footprint.
+        reach: How far from the centre of a closed cell the reason may be that closed it [m]; 0 for
+            a grid that is not inflated.
+        by_centers: Whether any occupied cell in reach is such a reason, as in the mode ``minos``.
     """
-    done, broken = read_inflations(grid)
-    if broken is not None:
+
+    grid: NavGrid
+    radius: float | None
+    reach: float
+    by_centers: bool = False
+
+
+def inflate_for(grid: NavGrid, radius: float | None, notes: list[str]) -> InflatedGrid:
+    """Inflate a grid for a radius, unless it is inflated for that radius already.
+
+    Args:
+        grid: The grid.
+        radius: The radius [m], >= 0; None for the inflation that the grid states.
+        notes: Messages for the user are appended to it.
+
+    Returns:
+        The inflated grid, and how to verify it.
+
+    Raises:
+        QueryError: the grid is inflated for a larger radius, or a radius is asked for a grid that
+            is inflated in the mode ``minos``.
+    """
+    inflations, invalid = read_inflations(grid)
+    if invalid is not None:
         note = "the metadata's `inflation` isn't as navbake writes it"
         notes.append(f"{note}: what it closed has to touch something by itself")
-    largest = max((float(one["radius"]) for one in done), default=0.0)
-    if any(one["mode"] == "minos" for one in done):
+    largest = max((float(inflation["radius"]) for inflation in inflations), default=0.0)
+    if any(inflation["mode"] == "minos" for inflation in inflations):
         if radius is not None:
             raise QueryError(
                 "the grid was inflated in the mode minos, whose cells promise nothing for a "
@@ -70,48 +104,72 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
             )
         note = "inflated in the mode minos, which measures from the centres of cells"
         notes.append(f"{note}: free cells are judged by the baked footprint")
-        return Inflated(grid, None, largest, by_centres=True)
+        return InflatedGrid(grid, None, largest, by_centers=True)
     if radius is None:
-        return Inflated(grid, largest if done else None, largest)
+        return InflatedGrid(grid, largest if inflations else None, largest)
     if radius < largest:
         raise QueryError(
             f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
             f"expected a radius of at least {largest:g} m, or the grid as it was before"
         )
-    inflated = grid if done and radius == largest else grid.inflate(radius)
-    return Inflated(inflated, radius, radius)
+    inflated = grid if inflations and radius == largest else grid.inflate(radius)
+    return InflatedGrid(inflated, radius, radius)
 
 
 @dataclass(frozen=True)
 class LevelSample:
-    """Cells of one level, shape (n,)."""
+    """The sampled cells of one level.
 
-    number: int
+    Attributes:
+        level_id: The level's index, 0 for the lowest.
+        level: The level's grid.
+        rows: Rows of the cells, (n,), ascending.
+        cols: Columns of the cells, (n,).
+        centers: World x and y of the cells' centres, (n, 2) [m].
+        floor: Heights of the floors, (n,) [m], NaN for none.
+        free: Whether an agent can stand there, (n,).
+        occupied: What the occupancy layer says, (n,); an inflation leaves it as baked.
+        has_cell_floors: Whether the grid states a floor for each cell; otherwise all floors are
+            at the level's ground.
+    """
+
+    level_id: int
     level: SceneGrid2D
     rows: Int
     cols: Int
-    xy: Float
-    floor: Float  # NaN for none [m]
-    free: Bool  # whether an agent can stand there
-    occupied: Bool  # as the layer says; an inflation leaves it as baked
-    states_floors: bool  # whether the grid states floors of cells; else all are at the ground
+    centers: Float
+    floor: Float
+    free: Bool
+    occupied: Bool
+    has_cell_floors: bool
 
-    def place(self, k: int) -> Vector3:
-        """The centre of a cell, at its floor, or at the level's ground if it has none [m]."""
-        x, y = self.xy[k].tolist()
-        z = float(self.floor[k])
+    def position(self, cell: int) -> Vector3:
+        """Return the centre of a cell of the sample, at its floor, else at the level's ground."""
+        x, y = self.centers[cell].tolist()
+        z = float(self.floor[cell])
         return x, y, self.level.ground if np.isnan(z) else z
 
     def finding(
-        self, kind: str, k: int, text: str, geom: str | None = None, size: float | None = None
+        self, kind: str, cell: int, text: str, geom: str | None = None, size: float | None = None
     ) -> Finding:
-        """A finding about one of the cells."""
-        cell = int(self.rows[k]), int(self.cols[k])
-        return Finding(kind, self.number, cell, self.place(k), text, geom, size)
+        """Return a finding about one of the cells.
+
+        Args:
+            kind: The kind of finding, a constant of `navbake.verifier.report`.
+            cell: The cell's index in the sample.
+            text: What is wrong.
+            geom: The name of the geom that it is about; None for none.
+            size: A measure of the disagreement [m or m²]; None if it is not measured.
+        """
+        row_col = (int(self.rows[cell]), int(self.cols[cell]))
+        return Finding(kind, self.level_id, row_col, self.position(cell), text, geom, size)
 
 
-def states_floors(level: SceneGrid2D) -> bool:
-    """Whether cells of a level have floors of their own, not the ground that an inflation wrote."""
+def has_cell_floors(level: SceneGrid2D) -> bool:
+    """Return whether a level states floors of its cells, not just the ground.
+
+    An inflation writes the ground into all cells of a grid that another program made.
+    """
     if not level.uses_cell_floors or level.navbake or "inflation" not in level.metadata:
         return level.uses_cell_floors
     floors = level.floor_height[~np.isnan(level.floor_height)]
@@ -119,133 +177,254 @@ def states_floors(level: SceneGrid2D) -> bool:
 
 
 def take_sample(
-    grid: GridBase, number: int | None, seed: int, with_floors: Sequence[bool]
+    grid: GridBase, num_cells: int | None, seed: int, levels_with_floors: Sequence[bool]
 ) -> list[LevelSample]:
-    """Draw cells of all levels, each as likely as any other; all of them if None.
+    """Draw cells of all levels at random, without replacement, each with the same probability.
 
-    `with_floors` is what `states_floors` said of each level before the grid was inflated.
+    Args:
+        grid: The grid.
+        num_cells: How many cells to draw, >= 1; all cells if None or if the grid has fewer.
+        seed: The seed of the random generator, >= 0.
+        levels_with_floors: What `has_cell_floors` returned for each level before the grid was
+            inflated.
+
+    Returns:
+        A sample of each level, which may be empty.
     """
-    sizes = [level.width * level.height for level in grid.levels]
-    chosen = np.arange(sum(sizes))
-    start = np.cumsum([0, *sizes])
-    if number is not None and number < len(chosen):
-        chosen = np.sort(np.random.default_rng(seed).choice(len(chosen), number, replace=False))
+    level_sizes = [level.width * level.height for level in grid.levels]
+    sampled_cells = np.arange(sum(level_sizes))
+    start = np.cumsum([0, *level_sizes])
+    if num_cells is not None and num_cells < len(sampled_cells):
+        rng = np.random.default_rng(seed)
+        sampled_cells = np.sort(rng.choice(len(sampled_cells), num_cells, replace=False))
     samples = []
-    for k, (level, has_own) in enumerate(zip(grid.levels, with_floors, strict=True)):
-        cells = chosen[(chosen >= start[k]) & (chosen < start[k + 1])] - start[k]
+    for level_id, (level, with_floors) in enumerate(
+        zip(grid.levels, levels_with_floors, strict=True)
+    ):
+        is_on_level = (sampled_cells >= start[level_id]) & (sampled_cells < start[level_id + 1])
+        cells = sampled_cells[is_on_level] - start[level_id]
         rows, cols = np.divmod(cells, level.width)
-        floor = level.floor_of(rows, cols) if has_own else np.full(len(cells), level.ground)
-        xy = level.lattice.positions(rows, cols).reshape(-1, 2)
-        free = level.free[rows, cols]
-        occupied = level.occupancy[rows, cols] != 0
-        samples.append(LevelSample(k, level, rows, cols, xy, floor, free, occupied, has_own))
+        floor = level.floor_of(rows, cols) if with_floors else np.full(len(cells), level.ground)
+        samples.append(
+            LevelSample(
+                level_id=level_id,
+                level=level,
+                rows=rows,
+                cols=cols,
+                centers=level.lattice.positions(rows, cols).reshape(-1, 2),
+                floor=floor,
+                free=level.free[rows, cols],
+                occupied=level.occupancy[rows, cols] != 0,
+                has_cell_floors=with_floors,
+            )
+        )
     return samples
 
 
-def shift_between(one: Lattice, two: Lattice) -> tuple[int, int]:
-    """What to add to row and column of a cell on one lattice to have those on another."""
-    down = two.y_max - one.y_max
-    right = one.x_min - two.x_min
-    return round(down / one.cell_size), round(right / one.cell_size)
+class CellShift(NamedTuple):
+    """The rows and columns to add to a cell of one lattice to get the same cell of another."""
+
+    rows: int
+    cols: int
 
 
-class Neighbourhood:
-    """The floors of all levels; cells are closed by what is occupied (`by_centres`) or solid."""
+def shift_between(source: Lattice, target: Lattice) -> CellShift:
+    """Return what to add to a cell's row and column on one lattice to get those on another.
 
-    def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
+    Args:
+        source: The lattice that rows and columns refer to.
+        target: The lattice that they are wanted for, with the same cell size.
+    """
+    down = target.y_max - source.y_max
+    right = source.x_min - target.x_min
+    return CellShift(round(down / source.cell_size), round(right / source.cell_size))
+
+
+class LevelCells(NamedTuple):
+    """What a level has at some cells, which may lie beside it.
+
+    Attributes:
+        level_id: The level's index.
+        floor: Heights of the floors, (n,) [m], NaN for none.
+        closes: Whether the cell may close others when the grid is inflated, (n,).
+        is_inside: Whether the level has such a cell, (n,).
+    """
+
+    level_id: int
+    floor: Float
+    closes: Bool
+    is_inside: Bool
+
+
+class CellNeighborhood:
+    """The floors, and the cells that close others, of all levels of a grid.
+
+    Args:
+        grid: The inflated grid.
+        step: The highest step that the agent takes [m].
+        by_centers: Whether any occupied cell closes its neighbors, as in the mode ``minos``; else
+            those with a solid do.
+    """
+
+    def __init__(self, grid: GridBase, step: float, *, by_centers: bool = False) -> None:
         self._step = step
         self._lattices = [level.lattice for level in grid.levels]
         self._floors = [level.floor for level in grid.levels]
-        # what is a reason has to be blocked itself, so that it is judged in its turn
-        self._occupied = [
-            (level.occupancy != 0) & ~level.free & (by_centres | (level.solid != 0))
+        # a cell that closes others is blocked itself, so that it is verified in its turn
+        self._closing_cells = [
+            (level.occupancy != 0) & ~level.free & (by_centers | (level.solid != 0))
             for level in grid.levels
         ]
 
     def floors_under(
-        self, number: int, rows: Int, cols: Int, floor: Float, radius: float
+        self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float
     ) -> tuple[Float, Float]:
-        """The lowest and highest floor within a step of a disc's own, of any level, (n,) [m]."""
+        """Return the lowest and the highest floor under discs, of any level.
+
+        Floors that are more than a step from the disc's floor are left out.
+
+        Args:
+            level_id: The level of the cells.
+            rows: Rows of the discs' centres, (n,).
+            cols: Columns of the discs' centres, (n,).
+            floor: The floor of each disc, (n,) [m].
+            radius: The discs' radius [m].
+
+        Returns:
+            The lowest and the highest floor of each disc, (n,) [m].
+        """
         low = floor.copy()
         high = floor.copy()
-        for _, there, *_ in self._around(number, rows, cols, radius):
-            near = np.abs(there - floor) <= self._step + SLACK
-            low = np.where(near, np.fmin(low, there), low)
-            high = np.where(near, np.fmax(high, there), high)
+        for cells in self._cells_under(level_id, rows, cols, radius):
+            is_within_step = np.abs(cells.floor - floor) <= self._step + STEP_SLACK
+            low = np.where(is_within_step, np.fmin(low, cells.floor), low)
+            high = np.where(is_within_step, np.fmax(high, cells.floor), high)
         return low, high
 
-    def has_reason(self, number: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
-        """Whether a disc meets what may close its cell: an occupied square, an edge, a ledge.
+    def has_reason(self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
+        """Return whether an inflation had a reason to close cells.
 
-        Beyond a single level nothing was baked, and nothing closes cells.
+        A reason is a square under the disc over the cell that is occupied, has no floor, or whose
+        floor is more than a step away. Beyond the edge of a grid of a single level nothing was
+        baked, and nothing closes cells.
+
+        Args:
+            level_id: The level of the cells.
+            rows: Rows of the cells, (n,).
+            cols: Columns of the cells, (n,).
+            floor: The floors of the cells, (n,) [m].
+            radius: The radius of the inflation [m].
+
+        Returns:
+            Whether there is a reason, (n,).
         """
-        found = np.zeros(len(rows), dtype=np.bool_)
-        for other, there, occupied, inside in self._around(number, rows, cols, radius):
-            if other == number:
-                is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
-                found |= (occupied | is_ledge) & (inside | (len(self._lattices) > 1))
+        has_reason = np.zeros(len(rows), dtype=np.bool_)
+        for cells in self._cells_under(level_id, rows, cols, radius):
+            if cells.level_id == level_id:
+                is_ledge = ~(np.abs(cells.floor - floor) <= self._step - STEP_SLACK)
+                is_baked = cells.is_inside | (len(self._lattices) > 1)
+                has_reason |= (cells.closes | is_ledge) & is_baked
             else:
-                found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
-        return found
+                is_higher = cells.floor > floor + self._step
+                has_reason |= ~np.isnan(cells.floor) & (cells.closes | is_higher)
+        return has_reason
 
-    def _around(
-        self, number: int, rows: Int, cols: Int, radius: float
-    ) -> Iterator[tuple[int, Float, Bool, Bool]]:
-        """What open discs round cells' centres meet, cell by cell: each level, and its `look`."""
-        cell_size = self._lattices[number].cell_size
+    def _cells_under(
+        self, level_id: int, rows: Int, cols: Int, radius: float
+    ) -> Iterator[LevelCells]:
+        """Yield what open discs around cells' centres overlap.
+
+        For each offset from the centre's cell, and for each level, it yields the cells at that
+        offset from all centres.
+        """
+        cell_size = self._lattices[level_id].cell_size
         reach = int(radius / cell_size + 0.5) + 1
-        beyond = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * cell_size
-        is_met = np.hypot(beyond[:, None], beyond) < radius * (1 - TINY)
-        for row, col in (np.argwhere(is_met) - reach).tolist():
-            for other in range(len(self._lattices)):
-                yield other, *self.look(number, other, rows + row, cols + col)
+        # the distance from the centre to the nearest edge of a row or column of cells
+        distance = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * cell_size
+        overlaps = np.hypot(distance[:, None], distance) < radius * (1 - TOUCHING_SHARE)
+        for row, col in (np.argwhere(overlaps) - reach).tolist():
+            for target_level in range(len(self._lattices)):
+                yield self.cells_on_level(level_id, target_level, rows + row, cols + col)
 
-    def look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
-        """Floor (else NaN) and occupancy of another level at cells of one; whether it has them."""
-        two = self._lattices[other]
-        down, right = shift_between(self._lattices[number], two)
-        r = rows + down
-        c = cols + right
-        inside = two.holds(r, c)
-        r = np.where(inside, r, 0)
-        c = np.where(inside, c, 0)
-        floor = np.where(inside, self._floors[other][r, c], np.nan)
-        return floor, inside & self._occupied[other][r, c], inside
+    def cells_on_level(
+        self, source_level: int, target_level: int, rows: Int, cols: Int
+    ) -> LevelCells:
+        """Return what one level has at cells that are stated on the lattice of another level.
+
+        Args:
+            source_level: The level that rows and columns refer to.
+            target_level: The level whose floors are returned.
+            rows: Rows of the cells, (n,); they may lie beside the levels.
+            cols: Columns of the cells, (n,).
+        """
+        lattice = self._lattices[target_level]
+        shift = shift_between(self._lattices[source_level], lattice)
+        target_rows = rows + shift.rows
+        target_cols = cols + shift.cols
+        is_inside = lattice.holds(target_rows, target_cols)
+        target_rows = np.where(is_inside, target_rows, 0)
+        target_cols = np.where(is_inside, target_cols, 0)
+        floor = np.where(is_inside, self._floors[target_level][target_rows, target_cols], np.nan)
+        closes = is_inside & self._closing_cells[target_level][target_rows, target_cols]
+        return LevelCells(target_level, floor, closes, is_inside)
 
 
-class Part(NamedTuple):
-    """One part of the volume over each cell: a square's or a disc's."""
+class CellPrisms(NamedTuple):
+    """A prism over each cell of a sample, all with the same footprint.
 
-    half: float  # half of its edge, or its radius [m]
-    is_round: bool  # whether it is a disc's
-    low: Float  # the heights between which nothing may touch [m]
+    Attributes:
+        half_size: Half of the edge of a square, or the radius of a disc [m].
+        is_round: Whether the footprint is a disc.
+        low: The lower end over each cell, (n,) [m].
+        high: The upper end over each cell, (n,) [m]; it may lie below the lower end.
+    """
+
+    half_size: float
+    is_round: bool
+    low: Float
     high: Float
 
-    def put_over(self, sample: LevelSample, k: int) -> tuple[Column, Float]:
-        """Its column over a cell, to the micrometre, so that few differ; and its centre [m]."""
-        low = self.low[k]
-        high = self.high[k]
-        column = Column(self.half, self.half, round(float(high - low) / 2, 6), self.is_round)
-        return column, np.array([*sample.xy[k], (low + high) / 2])
+    def over_cell(self, sample: LevelSample, cell: int) -> PlacedPrism:
+        """Return the prism over a cell.
+
+        Args:
+            sample: The sample.
+            cell: The cell's index in the sample.
+        """
+        low = self.low[cell]
+        high = self.high[cell]
+        half_height = round(float(high - low) / 2, PRISM_DIGITS)
+        prism = UprightPrism(self.half_size, self.half_size, half_height, self.is_round)
+        return PlacedPrism(prism, np.array([*sample.centers[cell], (low + high) / 2]))
 
 
 def volume_over(
-    sample: LevelSample, body: AgentSizes, around: Neighbourhood, radius: float | None = None
-) -> list[Part]:
-    """The volume over each cell: its square as baked, joined with a disc.
+    sample: LevelSample,
+    agent: AgentSizes,
+    neighborhood: CellNeighborhood,
+    radius: float | None = None,
+) -> list[CellPrisms]:
+    """Return the volume over each cell that has to be empty: the union of a square and a disc.
 
-    The disc is the bake's; or one for the radius of a larger agent [m], between the heights that
-    all floors under it leave free.
+    Args:
+        sample: The cells.
+        agent: The agent that the grid was baked for.
+        neighborhood: The floors of the grid.
+        radius: The radius of a larger agent [m], whose disc reaches between the heights that all
+            floors under it leave free; None for the volume of the bake.
+
+    Returns:
+        One or two prisms over each cell.
     """
     half = sample.level.lattice.cell_size / 2
     floor = sample.floor
-    square = Part(half, False, floor + body.step, floor + body.height)
+    square = CellPrisms(half, False, floor + agent.step, floor + agent.height)
     if radius is None:
-        disc = square._replace(half=body.radius, is_round=True)
-        is_inside = body.radius >= half * np.sqrt(2.0)
-        return ([] if is_inside else [square]) + ([disc] if body.radius > half else [])
+        disc = square._replace(half_size=agent.radius, is_round=True)
+        if agent.radius >= half * np.sqrt(2.0):  # the disc covers the square
+            return [disc]
+        return [square, disc] if agent.radius > half else [square]
     if radius <= half:
         return [square]
-    cells = sample.rows, sample.cols
-    low, high = around.floors_under(sample.number, *cells, floor, radius)
-    return [square, Part(radius, True, high + body.step, low + body.height)]
+    low, high = neighborhood.floors_under(sample.level_id, sample.rows, sample.cols, floor, radius)
+    return [square, CellPrisms(radius, True, high + agent.step, low + agent.height)]

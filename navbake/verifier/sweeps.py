@@ -1,8 +1,8 @@
-"""Whether what agents go along is free: paths, drops and jumps with landings, shafts of lifts."""
+"""Checks of what agents move along: paths, drops and jumps with landings, and shafts of lifts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -13,283 +13,452 @@ import numpy as np
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.errors import FormatError
-from navbake.navgrid.grid import GridBase, NavGrid
+from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Link
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Float, Int
-from navbake.verifier.cells import rounding
-from navbake.verifier.probes import TOUCHES, Column, Probes
+from navbake.verifier.cells import floor_tolerance
+from navbake.verifier.probes import (
+    TOUCHES,
+    HeightRange,
+    ObstacleProbe,
+    PlacedPrism,
+    UprightPrism,
+)
 from navbake.verifier.report import LINK_TOUCHES, NO_LANDING, PATH_TOUCHES, Finding, SweepCounts
-from navbake.verifier.sample import SLACK, AgentSizes, Neighbourhood
+from navbake.verifier.sample import STEP_SLACK, AgentSizes, CellNeighborhood
 
-MOST_TRIES = 20  # a path, to find two places that are apart
-CORNER = 1e-6  # a line is no longer than this in a cell whose corner it runs through [m]
-LEVEL = 1e-4  # pieces whose floors differ by less are swept as one [m]
-CROSSED = ("drop", "jump")  # kinds of links whose way runs straight from stop to stop
-STEP = 0.02  # between the positions of a car that are looked at [m]
+MAX_TRIES_PER_PATH = 20  # to draw a start and a goal that are apart
+MIN_STRETCH_LENGTH = 1e-6  # shorter stretches, at a corner of cells, belong to no cell [m]
+SAME_FLOOR = 1e-4  # stretches whose floors differ by less are swept as one [m]
+STRAIGHT_LINK_KINDS = ("drop", "jump")  # kinds of links that run straight between their stops
+CAR_STEP = 0.02  # distance between the positions of a lift's car that are checked [m]
 
 
-class Stretch(NamedTuple):
-    """A straight part of a path on one floor, from above."""
+class PathStretch(NamedTuple):
+    """A straight part of a path over one floor, seen from above.
 
-    a: Float
-    b: Float
+    Attributes:
+        begin: World x and y of its begin, (2,) [m].
+        end: World x and y of its end, (2,) [m].
+        floor: The height of its floor [m].
+        lowest_floor: The lowest floor under the cylinder that is within a step [m].
+        highest_floor: The highest floor under the cylinder that is within a step [m].
+        level_id: The index of its level.
+    """
+
+    begin: Float
+    end: Float
     floor: float
-    low: float  # the lowest floor under the cylinder, within a step [m]
-    high: float  # and the highest
-    level: int
+    lowest_floor: float
+    highest_floor: float
+    level_id: int
 
 
-class Sweep:
-    """Sweeps a cylinder along paths on a grid that is inflated for it.
+class SweptContact(NamedTuple):
+    """The obstacle that a swept cylinder touches first, and how deep [m]."""
 
-    It is as high as the agent, less a step at its lower end, and has to touch nothing between the
-    heights that all floors under it leave free; what it meets beyond is counted by itself.
+    obstacle: int
+    depth: float
+
+
+class PathContacts(NamedTuple):
+    """What a cylinder touches along a path.
+
+    Attributes:
+        findings: The first touch between the heights that all floors under the cylinder leave free;
+            empty if there is none.
+        touches_near_ends: Whether it touches anything else, within a step of its lower or upper
+            end.
+    """
+
+    findings: list[Finding]
+    touches_near_ends: bool
+
+
+class PathSweep:
+    """Sweeps a cylinder along paths on a grid that is inflated for the cylinder.
+
+    The cylinder is as high as the agent, less a step at its lower end. It has to touch nothing
+    between the heights that all floors under it leave free; what it touches beyond these heights is
+    counted, but is no fault.
+
+    Args:
+        grid: The inflated grid.
+        probe: The obstacles.
+        agent: The agent that the grid was baked for.
+        radius: The cylinder's radius [m].
+        tolerance: By how much the cylinder is shrunk on all sides [m].
     """
 
     def __init__(
-        self, grid: NavGrid, probes: Probes, body: AgentSizes, radius: float, tolerance: float
+        self,
+        grid: NavGrid,
+        probe: ObstacleProbe,
+        agent: AgentSizes,
+        radius: float,
+        tolerance: float,
     ) -> None:
         self._grid = grid
-        self._probes = probes
-        self._body = body
+        self._probe = probe
+        self._agent = agent
         self._radius = radius
         self._tolerance = tolerance
-        self._around = Neighbourhood(grid, body.step)
+        self._neighborhood = CellNeighborhood(grid, agent.step)
 
-    def run(self, number: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
-        """Plan so many paths between random places, and sweep along each."""
+    def run(self, num_paths: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
+        """Plan paths between random places, and sweep the cylinder along each.
+
+        Args:
+            num_paths: How many paths to sweep; fewer if the grid has too few.
+            seed: The seed of the random places.
+
+        Returns:
+            The counts, and a finding for each path that touches something.
+
+        Raises:
+            FormatError: The grid cannot be planned on.
+        """
         counts = SweepCounts(self._radius)
         findings = list[Finding]()
         finder = PathFinder(self._grid)
         rng = np.random.default_rng(seed)
-        for _ in range(number * MOST_TRIES):
-            start = finder.random_point(rng) if counts.paths < number else None
+        for _ in range(num_paths * MAX_TRIES_PER_PATH):
+            start = finder.random_point(rng) if counts.paths < num_paths else None
             if start is None:
                 break
             goal = finder.random_point(rng, reachable_from=start)
             path = None if goal is None else finder.find_path(start, goal)
             if path is None or path.length == 0.0:
                 continue
-            found, beside = self._along(path.positions, path.levels)
+            contacts = self._sweep_path(path.positions, path.levels)
             counts.paths += 1
             counts.length += path.length
-            counts.beside += beside
-            findings += found
+            counts.beside += contacts.touches_near_ends
+            findings += contacts.findings
         counts.touching = len(findings)
         counts.length = round(counts.length, 6)
         return counts, findings
 
-    def _along(self, positions: Float, levels: Int) -> tuple[list[Finding], bool]:
-        """The first touch along a path, and whether it meets anything within a step of its ends."""
-        beside = False
-        step = self._body.step
-        height = self._body.height
-        for piece in self._pieces(positions, levels):
-            sure = piece.high + step, piece.low + height
-            whole = piece.floor + step, piece.floor + height
-            if touched := self._touch(piece, sure):
-                name = self._probes.obstacles.name(touched[0])
-                depth = touched[1] + self._tolerance
-                x, y = ((piece.a + piece.b) / 2).tolist()
-                lattice = self._grid.levels[piece.level].lattice
-                row, col = (int(v) for v in lattice.rows_cols([x, y]))
-                text = f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into "
-                text += f"{name!r}, between {sure[0]:.3f} and {sure[1]:.3f} m"
-                cell = (piece.level, (row, col))
-                place = (x, y, piece.floor)
-                return [Finding(PATH_TOUCHES, *cell, place, text, name, depth)], beside
-            beside = beside or (sure != whole and self._touch(piece, whole) is not None)
-        return [], beside
+    def _sweep_path(self, positions: Float, levels: Int) -> PathContacts:
+        """Sweep the cylinder along a path up to the first touch."""
+        touches_near_ends = False
+        step = self._agent.step
+        height = self._agent.height
+        for stretch in self._split_path(positions, levels):
+            free_range = HeightRange(stretch.highest_floor + step, stretch.lowest_floor + height)
+            full_range = HeightRange(stretch.floor + step, stretch.floor + height)
+            contact = self._sweep_stretch(stretch, free_range)
+            if contact is not None:
+                finding = self._path_finding(stretch, free_range, contact)
+                return PathContacts([finding], touches_near_ends)
+            if not touches_near_ends and free_range != full_range:
+                touches_near_ends = self._sweep_stretch(stretch, full_range) is not None
+        return PathContacts([], touches_near_ends)
 
-    def _pieces(self, positions: Float, levels: Int) -> list[Stretch]:
-        """A path cut where it goes from cell to cell, pieces of one floor put together."""
-        pieces: list[Stretch] = []
+    def _path_finding(
+        self, stretch: PathStretch, heights: HeightRange, contact: SweptContact
+    ) -> Finding:
+        name = self._probe.obstacles.geom_name(contact.obstacle)
+        depth = contact.depth + self._tolerance
+        x, y = ((stretch.begin + stretch.end) / 2).tolist()
+        row, col = self._grid.levels[stretch.level_id].lattice.rows_cols([x, y])
+        text = f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into "
+        text += f"{name!r}, between {heights.low:.3f} and {heights.high:.3f} m"
+        return Finding(
+            PATH_TOUCHES,
+            level=stretch.level_id,
+            cell=(int(row), int(col)),
+            position=(x, y, stretch.floor),
+            text=text,
+            geom=name,
+            size=depth,
+        )
+
+    def _split_path(self, positions: Float, levels: Int) -> list[PathStretch]:
+        """Split a path at the edges of cells, and join the stretches of one floor."""
+        stretches: list[PathStretch] = []
         lattices = [level.lattice for level in self._grid.levels]
-        for k, (a, b) in enumerate(pairwise(positions)):
-            if np.hypot(*(b - a)[:2]) < CORNER:
-                continue  # a step up or down between the floors on both sides
+        for k, (begin, end) in enumerate(pairwise(positions)):
+            if np.hypot(*(end - begin)[:2]) < MIN_STRETCH_LENGTH:
+                continue  # a step up or down between the floors of two cells
             lattice = lattices[int(levels[k])]
-            times = _cuts(lattice, a, b)
-            points = a[:2] + np.outer(times, b[:2] - a[:2])
+            shares = _shares_at_cell_edges(lattice, begin, end)
+            points = begin[:2] + np.outer(shares, end[:2] - begin[:2])
             middles = (points[1:] + points[:-1]) / 2
-            between = (times[1:] + times[:-1]) / 2
-            between = a[2] + between * (b[2] - a[2])
-            on = sorted({int(levels[k]), int(levels[k + 1])})
-            cells = [(number, *lattices[number].rows_cols(middles)) for number in on]
-            # where it goes from one level to another, the nearer of their floors counts
-            found = np.stack([self._around.look(cell[0], *cell)[0] for cell in cells])
-            gaps = np.nan_to_num(np.abs(found - between), nan=np.inf)
-            best = gaps.argmin(axis=0)
-            floor = np.take_along_axis(found, best[None], axis=0)[0]
-            floor = np.where(np.isnan(floor), between, floor)
-            reach = self._radius + lattice.cell_size * np.sqrt(0.5)
-            under = [self._around.floors_under(*cell, floor, reach) for cell in cells]
-            for n, which in enumerate(best.tolist()):
-                low, high = under[which]
-                heights = float(floor[n]), float(low[n]), float(high[n])
-                last = pieces[-1] if n else None
-                if last and last.level == on[which] and np.allclose(last[2:5], heights, 0, LEVEL):
-                    pieces[-1] = last._replace(b=points[n + 1])
-                else:
-                    pieces.append(Stretch(points[n], points[n + 1], *heights, on[which]))
-        return pieces
+            path_heights = (shares[1:] + shares[:-1]) / 2
+            path_heights = begin[2] + path_heights * (end[2] - begin[2])
 
-    def _touch(self, piece: Stretch, band: tuple[float, float]) -> tuple[int, float] | None:
-        """The first obstacle that the cylinder touches on a piece, and how deep [m]."""
-        half_z = (band[1] - band[0]) / 2 - self._tolerance
+            # where the path changes the level, the floor that is nearer to it counts
+            level_ids = sorted({int(levels[k]), int(levels[k + 1])})
+            rows_cols = [lattices[level_id].rows_cols(middles) for level_id in level_ids]
+            level_floors = np.stack(
+                [
+                    self._neighborhood.cells_on_level(level_id, level_id, rows, cols).floor
+                    for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
+                ]
+            )
+            gaps = np.nan_to_num(np.abs(level_floors - path_heights), nan=np.inf)
+            nearest_level = gaps.argmin(axis=0)
+            floor = np.take_along_axis(level_floors, nearest_level[None], axis=0)[0]
+            floor = np.where(np.isnan(floor), path_heights, floor)
+
+            # the cylinder's axis may be half of a cell's diagonal beside the cell's centre
+            reach = self._radius + lattice.cell_size * np.sqrt(0.5)
+            floors_under = [
+                self._neighborhood.floors_under(level_id, rows, cols, floor, reach)
+                for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
+            ]
+            for n, nearest in enumerate(nearest_level.tolist()):
+                lowest_floor, highest_floor = floors_under[nearest]
+                stretch = PathStretch(
+                    begin=points[n],
+                    end=points[n + 1],
+                    floor=float(floor[n]),
+                    lowest_floor=float(lowest_floor[n]),
+                    highest_floor=float(highest_floor[n]),
+                    level_id=level_ids[nearest],
+                )
+                if n and _has_same_floors(stretches[-1], stretch):
+                    stretches[-1] = stretches[-1]._replace(end=stretch.end)
+                else:
+                    stretches.append(stretch)
+        return stretches
+
+    def _sweep_stretch(self, stretch: PathStretch, heights: HeightRange) -> SweptContact | None:
+        """Return what the cylinder touches first on a stretch, between two heights.
+
+        The swept volume is the union of the cylinder at both ends and a box between them.
+        """
+        half_z = (heights.high - heights.low) / 2 - self._tolerance
         radius = self._radius - self._tolerance
-        z = (band[0] + band[1]) / 2
+        z = (heights.low + heights.high) / 2
         if half_z <= 0:
             return None
-        way = piece.b - piece.a
-        middle = (piece.a + piece.b) / 2
-        disc = Column(radius, radius, half_z, True)
-        yaw = float(np.arctan2(way[1], way[0]))
-        between = Column(float(np.hypot(*way)) / 2, radius, half_z, False, yaw)
-        low = np.minimum(piece.a, piece.b) - radius
-        high = np.maximum(piece.a, piece.b) + radius
-        box_low = np.array([*low, z - half_z])
-        box_high = np.array([*high, z + half_z])
-        for number in self._probes.obstacles.meeting(box_low, box_high):
-            for column, at in ((disc, piece.a), (disc, piece.b), (between, middle)):
-                center = np.array([*at, z])
-                if self._probes.touches(number, column, center) == TOUCHES:
-                    return number, self._probes.depth(column, center, number)
+        vector = stretch.end - stretch.begin
+        middle = (stretch.begin + stretch.end) / 2
+        yaw = float(np.arctan2(vector[1], vector[0]))
+        cylinder = UprightPrism(radius, radius, half_z, True)
+        box = UprightPrism(float(np.hypot(*vector)) / 2, radius, half_z, False, yaw)
+        swept_prisms = [
+            PlacedPrism(cylinder, np.array([*stretch.begin, z])),
+            PlacedPrism(cylinder, np.array([*stretch.end, z])),
+            PlacedPrism(box, np.array([*middle, z])),
+        ]
+        low_corner = np.minimum(stretch.begin, stretch.end) - radius
+        high_corner = np.maximum(stretch.begin, stretch.end) + radius
+        obstacles = self._probe.obstacles.overlapping(
+            np.array([*low_corner, z - half_z]), np.array([*high_corner, z + half_z])
+        )
+        for obstacle in obstacles:
+            for prism, center in swept_prisms:
+                if self._probe.find_contact(obstacle, prism, center) == TOUCHES:
+                    depth = self._probe.measure_depth(prism, center, obstacle)
+                    return SweptContact(obstacle, depth)
         return None
 
 
-def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
-    """Where a line goes from cell to cell, as shares of its length from 0 to 1."""
-    times = np.array([0.0, 1.0])
+def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:
+    """Whether two stretches of a straight line can be swept as one."""
+    if stretch.level_id != next_stretch.level_id:
+        return False
+    floors = (stretch.floor, stretch.lowest_floor, stretch.highest_floor)
+    next_floors = (next_stretch.floor, next_stretch.lowest_floor, next_stretch.highest_floor)
+    return np.allclose(floors, next_floors, rtol=0, atol=SAME_FLOOR)
+
+
+def _shares_at_cell_edges(lattice: Lattice, begin: Float, end: Float) -> Float:
+    """Return where a line crosses the edges of cells, as shares of its length from 0 to 1."""
+    shares = np.array([0.0, 1.0])
     corner = np.array([lattice.x_min, lattice.y_max])
-    for first, last in zip(*((p[:2] - corner) / lattice.cell_size for p in (a, b)), strict=True):
+    begin_cell = (begin[:2] - corner) / lattice.cell_size
+    end_cell = (end[:2] - corner) / lattice.cell_size
+    for first, last in zip(begin_cell, end_cell, strict=True):
         edges = np.arange(np.floor(min(first, last)) + 1, np.ceil(max(first, last)))
-        times = np.append(times, (edges - first) / (last - first or 1.0))
-    times = np.unique(times)
-    # a line through a corner of cells is in none of those beside
-    return np.asarray(times[np.diff(times, append=2.0) > CORNER / np.hypot(*(b - a)[:2])])
+        shares = np.append(shares, (edges - first) / (last - first or 1.0))
+    shares = np.unique(shares)
+    # a line through a corner of cells runs through none of the cells beside the corner
+    min_share = MIN_STRETCH_LENGTH / np.hypot(*(end - begin)[:2])
+    return np.asarray(shares[np.diff(shares, append=2.0) > min_share])
 
 
 def check_links(
-    grid: GridBase, scene: Scene, probes: Probes, body: AgentSizes, tolerance: float
+    grid: GridBase, scene: Scene, probe: ObstacleProbe, agent: AgentSizes, tolerance: float
 ) -> tuple[list[Finding], list[str]]:
-    """Check the links of a grid: drops and jumps for the agent, lifts that the bake found.
+    """Check the drops and jumps of a grid, and the lifts that the bake detected.
 
-    The agent's column has to touch nothing over each cell between the stops of a drop or a jump,
-    over the higher of both floors, and down to the landing; whose floor has to be a surface. The
-    car of a lift has to touch nothing on its way between the ends of its joint's range. Returns
-    notes of the lifts whose car isn't found, too.
+    Over each cell between the stops of a drop or a jump, the agent's column has to touch nothing:
+    over the higher of both floors, and down to the landing. The landing's floor has to be a
+    surface. The car of a lift has to touch nothing between the ends of its joint's range. Links
+    that cannot be read are left to the audit.
+
+    Args:
+        grid: The grid.
+        scene: The scene, in the pose that the probe's obstacles were made in.
+        probe: The obstacles.
+        agent: The agent that the grid was baked for.
+        tolerance: By how much columns, and the range of a car, are shrunk [m].
+
+    Returns:
+        The findings, and a note for each lift whose car is not in the scene.
     """
     try:
         links = grid.links
-    except FormatError:  # what an audit reports
+    except FormatError:
         return [], []
     findings = list[Finding]()
     notes = list[str]()
     model = scene.model
-    names = [body_name(model, number) for number in range(model.nbody)] if links else []
+    body_names = [body_name(model, body) for body in range(model.nbody)] if links else []
     for link in links:
-        if link.kind in CROSSED and len(link.stops) == 2:
-            findings += _check_crossing(link, grid, probes, body, tolerance)
+        if link.kind in STRAIGHT_LINK_KINDS and len(link.stops) == 2:
+            findings += _check_crossing(link, grid, probe, agent, tolerance)
         elif link.kind == "lift" and link.auto:
-            # the car is the body of its name, or the one that the bake numbered
+            # the car's body has the link's name, to which the bake may have added a number
             for name in (link.name, link.name.rpartition("#")[0]):
-                car = names.index(name) if name in names else 0
+                car = body_names.index(name) if name in body_names else 0
                 joint = int(model.body_jntadr[car])
                 if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-                    findings += _check_shaft(link, car, grid, scene, probes, tolerance)
+                    findings += _check_shaft(link, car, grid, scene, probe, tolerance)
                     break
             else:
                 notes.append(f"lift {link.name!r} was not checked: no body of its name slides")
     return findings, notes
 
 
+class WalkedPart(NamedTuple):
+    """How far an agent walks along a link before it has to leave the floor.
+
+    Attributes:
+        last_index: The index of the last point on the floor, -1 for none.
+        floor: The height of the floor there [m].
+    """
+
+    last_index: int
+    floor: float
+
+
+def _walk_from_stop(level: SceneGrid2D, points: Float, max_step: float) -> WalkedPart:
+    """Return how far an agent walks from the first of some points, (n, 2), towards the last."""
+    rows, cols = level.lattice.rows_cols(points)
+    is_inside = level.lattice.holds(rows, cols)
+    rows = rows[is_inside]
+    cols = cols[is_inside]
+    floor = level.floor_of(rows, cols)
+    is_step = np.abs(np.diff(floor, prepend=floor[:1])) > max_step + STEP_SLACK
+    is_end = ~level.free[rows, cols] | np.isnan(floor) | is_step
+    last_index = int(np.argmax(np.append(is_end, True))) - 1
+    return WalkedPart(last_index, float(floor[max(last_index, 0)]))
+
+
 def _check_crossing(
-    link: Link, grid: GridBase, probes: Probes, body: AgentSizes, tolerance: float
-) -> Iterator[Finding]:
-    levels = [grid.levels[stop.level] for stop in link.stops]
-    cells = [divmod(s.cell, v.width) for s, v in zip(link.stops, levels, strict=True)]
-    ends = [v.lattice.positions(*cell) for v, cell in zip(levels, cells, strict=True)]
-    cell_size = levels[0].lattice.cell_size
-    count = max(round(float(np.abs(ends[1] - ends[0]).max()) / cell_size), 1)
-    line = ends[0] + np.linspace(0.0, 1.0, count + 1)[:, None] * (ends[1] - ends[0])
-    # up to where, and from where on, one walks on the floors of both ends
-    walks = []
-    for level, places in zip(levels, (line, line[::-1]), strict=True):
-        rows, cols = level.lattice.rows_cols(places)
-        inside = level.lattice.holds(rows, cols)
-        rows = rows[inside]
-        cols = cols[inside]
-        floor = level.floor_of(rows, cols)
-        step = np.abs(np.diff(floor, prepend=floor[:1])) > body.step + SLACK
-        stops = ~level.free[rows, cols] | np.isnan(floor) | step
-        last = int(np.argmax(np.append(stops, True))) - 1
-        walks.append((last, float(floor[max(last, 0)])))
-    (first, start), (back, z) = walks
-    crossed = line[max(first, 0) : len(line) - max(back, 0)]
-    if len(crossed) < 2:  # one walks all the way
-        return
-    top = max(start, z)
-    lows = np.full(len(crossed), top)
-    lows[[0, -1]] = start, z  # over the ends, from their floors on
-    half = cell_size / 2
-    for (x, y), low in zip(crossed.tolist(), lows.tolist(), strict=True):
-        band = low + body.step + tolerance, top + body.height - tolerance
-        center = np.array([x, y, sum(band) / 2])
-        half_z = (band[1] - band[0]) / 2
-        columns = [Column(half, half, half_z, False)]
-        columns += [Column(body.radius, body.radius, half_z, True)] if body.radius > half else []
-        reach = np.array([max(half, body.radius)] * 2 + [half_z])
-        for number in probes.obstacles.meeting(center - reach, center + reach):
-            if any(probes.touches(number, c, center, -tolerance) == TOUCHES for c in columns):
-                name = probes.obstacles.name(number)
+    link: Link, grid: GridBase, probe: ObstacleProbe, agent: AgentSizes, tolerance: float
+) -> list[Finding]:
+    """Check that a drop or a jump touches nothing, and lands on a surface."""
+    stop_positions = []
+    for stop in link.stops:
+        level = grid.levels[stop.level]
+        row, col = divmod(stop.cell, level.width)
+        stop_positions.append(level.lattice.positions(row, col))
+    start_position, end_position = stop_positions
+    start_level = grid.levels[link.stops[0].level]
+    end_level = grid.levels[link.stops[1].level]
+    cell_size = start_level.lattice.cell_size
+    vector = end_position - start_position
+    num_cells = max(round(float(np.abs(vector).max()) / cell_size), 1)
+    points = start_position + np.linspace(0.0, 1.0, num_cells + 1)[:, None] * vector
+
+    start = _walk_from_stop(start_level, points, agent.step)
+    landing = _walk_from_stop(end_level, points[::-1], agent.step)
+    crossed = points[max(start.last_index, 0) : len(points) - max(landing.last_index, 0)]
+    if len(crossed) < 2:  # the agent walks from stop to stop
+        return []
+
+    higher_floor = max(start.floor, landing.floor)
+    floors = np.full(len(crossed), higher_floor)
+    floors[0] = start.floor
+    floors[-1] = landing.floor
+    half_cell = cell_size / 2
+    for (x, y), floor in zip(crossed.tolist(), floors.tolist(), strict=True):
+        low = floor + agent.step + tolerance
+        high = higher_floor + agent.height - tolerance
+        half_z = (high - low) / 2
+        center = np.array([x, y, (low + high) / 2])
+        prisms = [UprightPrism(half_cell, half_cell, half_z, False)]
+        if agent.radius > half_cell:
+            prisms.append(UprightPrism(agent.radius, agent.radius, half_z, True))
+        half_width = max(half_cell, agent.radius)
+        half_size = np.array([half_width, half_width, half_z])
+        for obstacle in probe.obstacles.overlapping(center - half_size, center + half_size):
+            if any(
+                probe.find_contact(obstacle, prism, center, -tolerance) == TOUCHES
+                for prism in prisms
+            ):
+                name = probe.obstacles.geom_name(obstacle)
                 text = f"{link.kind} {link.name!r} runs into {name!r}"
-                yield _finding(LINK_TOUCHES, link, grid, (x, y, low), text, name)
-                return
+                return [_link_finding(LINK_TOUCHES, link, grid, (x, y, floor), text, name)]
+
     x, y = crossed[-1].tolist()
-    off = rounding(x, y, z)
-    found = probes.line(x, y).faces_up(z - off, z + off)
-    if not (found or probes.faces_up_beside((x, y, z), off)):
-        text = f"{link.kind} {link.name!r} lands at {z:.3f} m, where no surface is"
-        yield _finding(NO_LANDING, link, grid, (x, y, z), text, None)
+    z = landing.floor
+    height_tolerance = floor_tolerance(x, y, z)
+    line = probe.cast_line(x, y)
+    if line.has_upward_hit(z - height_tolerance, z + height_tolerance):
+        return []
+    if probe.has_upward_hit_nearby((x, y, z), height_tolerance):
+        return []
+    text = f"{link.kind} {link.name!r} lands at {z:.3f} m, where no surface is"
+    return [_link_finding(NO_LANDING, link, grid, (x, y, z), text, None)]
 
 
 def _check_shaft(
-    link: Link, body: int, grid: GridBase, scene: Scene, probes: Probes, tolerance: float
-) -> Iterator[Finding]:
-    """Move the car over its range, and ask FCL what it meets on the way."""
+    link: Link, car: int, grid: GridBase, scene: Scene, probe: ObstacleProbe, tolerance: float
+) -> list[Finding]:
+    """Move a lift's car over its joint's range, and check by FCL that it touches nothing."""
+    findings = list[Finding]()
     model = scene.model
-    obstacles = probes.obstacles
+    obstacles = probe.obstacles
     up = np.array([0.0, 0.0, 1.0])
-    joint = int(model.body_jntadr[body])
-    own = geoms_of_bodies(model, body, int(find_subtree_ends(model)[body])).tolist()
-    axis = float(scene.data.xaxis[joint, 2])
-    now = float(scene.data.qpos[model.jnt_qposadr[joint]])
-    low, high = sorted(axis * (end - now) for end in model.jnt_range[joint])
-    # what it rests on, or reaches, at the ends of its way is no obstacle
-    moves = np.linspace(low + tolerance, high - tolerance, max(int((high - low) / STEP), 1) + 1)
-    for item in (item for item in obstacles.items if item.geom in own):
-        near = obstacles.meeting(item.low + up * moves[0], item.high + up * moves[-1])
-        others = [number for number in near if obstacles.items[number].geom not in own]
-        start = np.array(item.shape.getTranslation())
-        for move, number in product(moves.tolist(), others):
-            item.shape.setTranslation(start + up * move)
-            if fcl.collide(item.shape, obstacles.items[number].shape) > 0:
-                name = obstacles.name(number)
+    joint = int(model.body_jntadr[car])
+    car_geoms = geoms_of_bodies(model, car, int(find_subtree_ends(model)[car])).tolist()
+    axis_z = float(scene.data.xaxis[joint, 2])
+    joint_position = float(scene.data.qpos[model.jnt_qposadr[joint]])
+    low, high = sorted(axis_z * (end - joint_position) for end in model.jnt_range[joint])
+    # what the car rests on or reaches at the ends of its range is no obstacle
+    num_moves = max(int((high - low) / CAR_STEP), 1) + 1
+    moves = np.linspace(low + tolerance, high - tolerance, num_moves)
+    for car_shape in obstacles.shapes:
+        if car_shape.geom not in car_geoms:
+            continue
+        shaft_obstacles = [
+            obstacle
+            for obstacle in obstacles.overlapping(
+                car_shape.low + up * moves[0], car_shape.high + up * moves[-1]
+            )
+            if obstacles.shapes[obstacle].geom not in car_geoms
+        ]
+        car_object = car_shape.collision_object
+        modelled_position = np.array(car_object.getTranslation())
+        for move, obstacle in product(moves.tolist(), shaft_obstacles):
+            car_object.setTranslation(modelled_position + up * move)
+            if fcl.collide(car_object, obstacles.shapes[obstacle].collision_object) > 0:
+                name = obstacles.geom_name(obstacle)
                 text = f"the car of {link.kind} {link.name!r} runs into {name!r}, "
-                place = (item.low + item.high) / 2 + up * move
                 text += f"moved by {move:.2f} m"
-                yield _finding(LINK_TOUCHES, link, grid, place.tolist(), text, name)
+                position = (car_shape.low + car_shape.high) / 2 + up * move
+                findings.append(
+                    _link_finding(LINK_TOUCHES, link, grid, position.tolist(), text, name)
+                )
                 break
-        item.shape.setTranslation(start)
+        car_object.setTranslation(modelled_position)
+    return findings
 
 
-def _finding(
-    kind: str, link: Link, grid: GridBase, at: Sequence[float], text: str, geom: str | None
+def _link_finding(
+    kind: str, link: Link, grid: GridBase, position: Sequence[float], text: str, geom: str | None
 ) -> Finding:
+    """Return a finding about a link, at the cell of its first stop."""
     stop = link.stops[0]
     cell = divmod(stop.cell, grid.levels[stop.level].width)
-    x, y, z = (float(value) for value in at)
-    return Finding(kind, stop.level, cell, (x, y, z), text, geom)
+    x, y, z = position
+    return Finding(kind, stop.level, cell, (float(x), float(y), float(z)), text, geom)

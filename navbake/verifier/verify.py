@@ -17,18 +17,18 @@ from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.verifier.cells import FloorCheck, OccupancyCheck
 from navbake.verifier.obstacles import UNCLEAR, Obstacles
-from navbake.verifier.probes import Probes
+from navbake.verifier.probes import ObstacleProbe
 from navbake.verifier.report import Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
     AgentSizes,
-    Neighbourhood,
+    CellNeighborhood,
+    has_cell_floors,
     inflate_for,
-    states_floors,
     take_sample,
     volume_over,
 )
 from navbake.verifier.source import SceneSource, find_source, pose_doors
-from navbake.verifier.sweeps import Sweep, check_links
+from navbake.verifier.sweeps import PathSweep, check_links
 
 SAMPLE = 100_000  # cells that are looked at unless told otherwise
 TOLERANCE = 1e-4  # what touches by less than this touches by rounding [m]
@@ -115,7 +115,7 @@ def verify_scene(
     Notes come first in the report. Raises as `verify`.
     """
     content: Any = grid.without_blocks()
-    body = AgentSizes.of(content)
+    body = AgentSizes.of_grid(content)
     notes = list(notes)
     doors = pose_doors(scene, content)
     most = min(content.levels[0].lattice.cell_size, body.height - body.step) / 4
@@ -124,7 +124,7 @@ def verify_scene(
             f"expected a tolerance of at most {most:g} m, got {tolerance:g}: volumes are made "
             "smaller by it on all sides, and half of a cell's width and of the height has to stay"
         )
-    with_floors = [states_floors(level) for level in content.levels]
+    with_floors = [has_cell_floors(level) for level in content.levels]
     content, cylinder, reach, by_centres = inflate_for(content, radius, notes)
     if reach > 0 and config is not None and config.grid.bounds is not None:
         note = "`grid.bounds` cut the grid, which knows nothing of what lies beyond"
@@ -135,23 +135,23 @@ def verify_scene(
     levels = []
     obstacles = Obstacles(scene, doors.data, doors.removed)
     findings = list[Finding]()
-    probes = Probes(obstacles)
+    probes = ObstacleProbe(obstacles)
     check = OccupancyCheck(probes, body, tolerance, reach)
-    around = Neighbourhood(content, body.step, by_centres=by_centres)
+    around = CellNeighborhood(content, body.step, by_centers=by_centres)
     floors = None
     if all(with_floors):
         fixed = Obstacles(scene, doors.data, doors.no_floors) if doors.no_floors else obstacles
-        floors = FloorCheck(content, Probes(fixed), body, config)
+        floors = FloorCheck(content, ObstacleProbe(fixed), body, config)
     samples = take_sample(content, sample, seed, with_floors)
     for own, name in zip(samples, content.level_names, strict=True):
         levels.append(counts := LevelCounts(name, cells=len(own.rows)))
         # what an inflation closed for a reason; all else has to touch something by itself
         excused = (reach > 0) & ~own.free & ~own.occupied & ~np.isnan(own.floor)
         closed = own.rows[excused], own.cols[excused], own.floor[excused]
-        excused[excused] = around.has_reason(own.number, *closed, reach)
+        excused[excused] = around.has_reason(own.level_id, *closed, reach)
         findings += check.check_free(own, counts, volume_over(own, body, around, cylinder))
         findings += check.check_blocked(own, counts, volume_over(own, body, around), excused)
-        findings += [] if floors is None else floors.run(own, counts)
+        findings += [] if floors is None else floors.check(own, counts)
     of_links, unchecked = check_links(grid, scene, probes, body, tolerance)
     findings += of_links
     notes += unchecked
@@ -160,11 +160,11 @@ def verify_scene(
             "the grid states no floors of cells, so cells are judged over their level's ground: "
             "free ones need a floor within a step of it, and lost places aren't looked for"
         )
-    elif floors.num_left:
+    elif floors.num_ignored_regions:
         notes.append(
-            f"{count_of(floors.num_left, 'place')} to stand, {floors.area_left:.1f} m² in all, on "
-            "no level: no steps lead there; too small for a floor, or the top of furniture, of a "
-            "shelf, or of a roof"
+            f"{count_of(floors.num_ignored_regions, 'place')} to stand, "
+            f"{floors.ignored_area:.1f} m² in all, on no level: no steps lead there; too small for "
+            "a floor, or the top of furniture, of a shelf, or of a roof"
         )
     if check.num_groundless:
         why = "the scene has no place to stand there within a step of their level's ground"
@@ -176,7 +176,7 @@ def verify_scene(
     elif paths:
         inflated = content if cylinder is not None else content.inflate(width)
         try:
-            swept, touching = Sweep(inflated, probes, body, width, tolerance).run(paths, seed)
+            swept, touching = PathSweep(inflated, probes, body, width, tolerance).run(paths, seed)
             findings += touching
             if swept.paths < paths:
                 notes.append(f"only {swept.paths} paths were found between random places")
@@ -186,13 +186,13 @@ def verify_scene(
     report = VerifyReport(
         content.scene_id, num_cells, seed, tolerance, cylinder, levels, swept, findings, notes
     )
-    surfaces = {item.geom for item in obstacles.items if not item.same_in_mujoco}
+    surfaces = {item.geom for item in obstacles.shapes if not item.is_same_in_mujoco}
     if surfaces:
-        names = sorted(obstacles.names[geom] for geom in surfaces)
+        names = sorted(obstacles.geom_names[geom] for geom in surfaces)
         more = f" and {len(names) - 1} more count" if names[1:] else " counts"
         why = "where MuJoCo collides hulls, infinite planes or nothing: FCL and MuJoCo's rays judge"
         notes.append(f"{names[0]!r}{more} by the surface, {why} alone")
-    if any(item.kind == UNCLEAR for item in obstacles.items):
+    if any(item.kind == UNCLEAR for item in obstacles.shapes):
         notes.append("some meshes are nearly closed: what lies inside of them isn't judged")
     if report.total.disputed:
         note = f"MuJoCo and FCL contradict each other over {report.total.disputed} cells"

@@ -14,7 +14,7 @@ from navbake.errors import FormatError
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
-from navbake.verifier.cells import MEASURED
+from navbake.verifier.cells import MAX_MEASURED_FINDINGS
 from verified_scenes import copy_of, kinds_at, mesh_room, walls, write
 
 
@@ -151,9 +151,12 @@ def test_a_map_that_is_all_wrong_is_counted(kind, room):
     report = navbake.verify(wrong, config)
     found = list(report.of_kind(kind))
     counts = report.levels[0]
-    assert len(found) == (counts.free_touches if is_free else counts.blocked_apart) > 2 * MEASURED
+    num_faults = counts.free_touches if is_free else counts.blocked_apart
+    assert len(found) == num_faults
+    assert num_faults > 2 * MAX_MEASURED_FINDINGS
     sizes = [one.size for one in found]
-    assert None not in sizes[:MEASURED] and set(sizes[MEASURED:]) == {None}
+    assert None not in sizes[:MAX_MEASURED_FINDINGS]
+    assert set(sizes[MAX_MEASURED_FINDINGS:]) == {None}
 
 
 def test_says_how_far_a_blocked_cell_is_from_the_nearest_geom(room):

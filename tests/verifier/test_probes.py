@@ -8,8 +8,8 @@ import pytest
 
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
-from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, Obstacles, split_parts
-from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes
+from navbake.verifier.obstacles import CAVITY, OPEN_SURFACE, SOLID, Obstacles, split_mesh_parts
+from navbake.verifier.probes import APART, DISPUTED, TOUCHES, ObstacleProbe, UprightPrism
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
 
@@ -40,15 +40,15 @@ def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
     rng = np.random.default_rng(SIZES[kind] + is_round)
     things = random_things(rng, kind, 25)
     obstacles = obstacles_of(tmp_path, scene_xml(things))
-    probes, seen = Probes(obstacles), set()
+    probes, seen = ObstacleProbe(obstacles), set()
     half, half_z = 0.1, 0.445
-    column = Column(half, half, half_z, is_round)
+    column = UprightPrism(half, half, half_z, is_round)
     for number, thing in enumerate(things):
         at = np.array(thing.pos) + rng.uniform(-0.7, 0.7, (60, 3))
         prisms = Prisms(at[:, 0], at[:, 1], at[:, 2] - half_z, at[:, 2] + half_z, half, is_round)
         exact = body_meets_prisms(part_of(thing), prisms)
         for center, state in zip(at, exact, strict=True):
-            answer = probes.touches(number, column, center)
+            answer = probes.find_contact(number, column, center)
             seen.add(answer)
             assert answer != DISPUTED
             assert state != FREE or answer == APART
@@ -59,34 +59,35 @@ def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
 def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, monkeypatch):
     """MuJoCo's distance is made to be wrong, as it is in rare poses of capsules."""
     thing = Thing("capsule", (0.1, 0.4), (0.0, 0.0, 1.0))
-    probes = Probes(obstacles := obstacles_of(tmp_path, scene_xml([thing])))
-    column, near = Column(0.1, 0.1, 0.4, False), np.array([0.3, 0.0, 1.0])
-    assert probes.touches(0, column, near) == APART
+    probes = ObstacleProbe(obstacles := obstacles_of(tmp_path, scene_xml([thing])))
+    column, near = UprightPrism(0.1, 0.1, 0.4, False), np.array([0.3, 0.0, 1.0])
+    assert probes.find_contact(0, column, near) == APART
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: -0.01)
-    assert probes.touches(0, column, near) == APART  # proved
+    assert probes.find_contact(0, column, near) == APART  # proved
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: 0.01)
     # nothing separates them
-    assert probes.touches(0, column, np.array([0.1, 0.0, 1.0])) == TOUCHES
+    assert probes.find_contact(0, column, np.array([0.1, 0.0, 1.0])) == TOUCHES
     way = np.array([1.0, 0.0, 0.0])
     assert obstacles.support(0, way) == pytest.approx(0.1)
 
 
 def test_depth_is_how_far_a_column_has_to_shrink(tmp_path):
     obstacles = obstacles_of(tmp_path, scene_xml([Thing("box", (0.5, 0.5, 0.5), (0.0, 0.0, 0.5))]))
-    column, center = Column(0.1, 0.1, 0.4, False), np.array([0.58, 0.0, 0.5])
-    assert Probes(obstacles).depth(column, center, 0) == pytest.approx(0.02, abs=1e-4)
+    column, center = UprightPrism(0.1, 0.1, 0.4, False), np.array([0.58, 0.0, 0.5])
+    depth = ObstacleProbe(obstacles).measure_depth(column, center, 0)
+    assert depth == pytest.approx(0.02, abs=1e-4)
 
 
 def test_lines_cross_what_exact_geometry_crosses(tmp_path):
     rng = np.random.default_rng(5)
     things = [thing for kind in SIZES for thing in random_things(rng, kind, 5)]
-    probes = Probes(obstacles_of(tmp_path, scene_xml(things)))
+    probes = ObstacleProbe(obstacles_of(tmp_path, scene_xml(things)))
     for x, y in rng.uniform(-1, 1, (200, 2)):
         ends = []
         for thing in things:
             line = part_of(thing).cross(np.array([x]), np.array([y]))
             ends += [] if np.isnan(line.low[0]) else [line.low[0], line.high[0]]
-        found = [surface.z for surface in probes.line(x, y).surfaces]
+        found = [hit.z for hit in probes.cast_line(x, y).hits]
         np.testing.assert_allclose(found, sorted(ends), atol=1e-6)
 
 
@@ -98,15 +99,16 @@ def test_transparent_geoms_planes_and_hulls_count_as_in_the_bake(tmp_path):
     <geom name="glass" type="box" size="0.5 0.5 0.1" pos="3 0 1" rgba="1 1 1 0"/>
     <geom name="hull" type="mesh" mesh="m" pos="6 0 1"/></worldbody></mujoco>"""
     obstacles = obstacles_of(tmp_path, xml)
-    probes = Probes(obstacles)
-    names = [obstacles.name(s.number) for s in probes.line(3.0, 0.0).surfaces]
+    probes = ObstacleProbe(obstacles)
+    names = [obstacles.geom_name(hit.obstacle) for hit in probes.cast_line(3.0, 0.0).hits]
     assert names == ["ground", "glass", "glass"]
-    low, upper = (s.z for s in probes.line(6.2, 0.2).surfaces[1:])
-    assert (low, upper) == (pytest.approx(1.0, abs=1e-5), pytest.approx(1.6, abs=1e-5))
-    assert probes.line(6.2, 0.2).is_inside(1.3) and not probes.line(6.2, 0.2).is_inside(1.7)
+    heights = [hit.z for hit in probes.cast_line(6.2, 0.2).hits[1:]]
+    assert heights == pytest.approx([1.0, 1.6], abs=1e-5)
+    line = probes.cast_line(6.2, 0.2)
+    assert line.is_inside(1.3) and not line.is_inside(1.7)
     for z, expected in ((0.39, TOUCHES), (0.41, APART)):
-        column, at = Column(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z])
-        assert probes.touches(0, column, at) == expected
+        column, at = UprightPrism(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z])
+        assert probes.find_contact(0, column, at) == expected
 
 
 # ---------------------------------------------------------------- meshes
@@ -121,14 +123,14 @@ CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], 
     [
         (BOX, [SOLID]),
         ([face[::-1] for face in BOX], [CAVITY]),
-        (BOX[:-2], [SHEET]),
+        (BOX[:-2], [OPEN_SURFACE]),
         ([BOX[0][::-1], *BOX[1:]], [SOLID]),  # one triangle is turned
         ([*BOX, *(tuple(v + 8 for v in face[::-1]) for face in BOX)], [CAVITY, SOLID]),
-        ([*BOX, *(tuple(v + 8 for v in face) for face in BOX[:3])], [SHEET, SOLID]),
+        ([*BOX, *(tuple(v + 8 for v in face) for face in BOX[:3])], [OPEN_SURFACE, SOLID]),
     ],
 )
 def test_parts_of_meshes_by_what_they_enclose(faces, kinds):
     points = np.concatenate([CORNERS, CORNERS / 2 + 0.25])
-    parts = split_parts(points, np.array(faces))
+    parts = split_mesh_parts(points, np.array(faces))
     assert sorted(kind for kind, _ in parts) == kinds
     assert sum(len(own) for _, own in parts) == len(faces)

@@ -15,7 +15,7 @@ from door_scenes import world as door_world
 from navbake.errors import ConfigError, QueryError
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
-from navbake.verifier.probes import TOUCHES, Probes
+from navbake.verifier.probes import TOUCHES, ObstacleProbe
 from verified_scenes import ROOM, copy_of, mesh_room, of_room, write
 
 # ---------------------------------------------------------------- what is true
@@ -259,7 +259,7 @@ def test_the_setting_has_a_range(tmp_path, sample):
 
 def test_a_bake_warns_where_it_disagrees(tmp_path, monkeypatch):
     """MuJoCo and FCL are made to find everything touching."""
-    monkeypatch.setattr(Probes, "touches", lambda *_: TOUCHES)
+    monkeypatch.setattr(ObstacleProbe, "find_contact", lambda *_: TOUCHES)
     with pytest.warns(
         navbake.BakeWarning, match=r"verify: MuJoCo and FCL disagree .* at \d+ places"
     ):
