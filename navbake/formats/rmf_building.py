@@ -1,8 +1,8 @@
 """Grids as buildings of Open-RMF's traffic editor (``.building.yaml``), in metres.
 
-A level has its floor as polygons with holes, walls along the outlines of what is wall, doors with
-their way of moving, the lanes of a graph of routes, and the building the lifts whose cars are
-known. A level is flat, at the height of most of its floor; what is up to 1 m off is laid flat, too.
+A level has its floor as polygons with holes, walls along the outlines of wall cells, doors that
+swing or slide, and the lanes of a graph of routes; the building has the lifts with a car. A level
+is flat, at the height of most of its floor; floors up to 1 m off that are laid flat, too.
 Stairs, furniture, rooms and other links have no place in the format and are left out.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``. Its scenes are read by
@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -28,78 +28,109 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
 from navbake.navgrid.rooms import Door
-from navbake.types import Json
+from navbake.types import Float, Json
 from navbake.yaml_text import encode_yaml
+
+if TYPE_CHECKING:
+    from shapely import LinearRing
+    from shapely.geometry.base import BaseGeometry
 
 shapely = lazy("shapely")
 routes = lazy("navbake.routes.build")
 
 LOG = logging.getLogger(__name__)
-WALL = 0.1  # thickness that simulators give walls [m]
-GAP = 0.1  # of a lift's shaft round its car, in which there are no walls [m]
-DECIMALS = 4
+WALL_THICKNESS = 0.1  # that simulators give walls [m]
+SHAFT_GAP = 0.1  # between a lift's car and the walls of its shaft [m]
+DECIMALS = 4  # of coordinates
 # types of values in the format
 TEXT = 1
-WHOLE = 2
+INTEGER = 2
 REAL = 3
-TRUE = 4
-FLAT = 1.0  # how far a floor that is laid flat may be off the elevation [m]
-SLIDES = 0.25  # share of a door's width that an open leaf may stand off its line if it slides
+BOOLEAN = 4
+MAX_HEIGHT_OFF = 1.0  # by which a floor may be off the elevation if it is laid flat [m]
+MAX_SLIDE_OFFSET = 0.25  # share of a door's width that a sliding leaf may stand off its line
 
 
-class _Level:
-    """The vertices and edges of one level."""
+class _BuildingLevel:
+    """A level of the building while it is made: its entry, and the numbers of its vertices."""
 
     def __init__(self, elevation: float) -> None:
-        self.numbers: dict[tuple[float, float, str], int] = {}
-        kinds = ("doors", "floors", "holes", "lanes", "walls")
-        self.content: Json = {"elevation": round(elevation, DECIMALS), **{k: [] for k in kinds}}
+        self._vertex_numbers: dict[tuple[float, float, str], int] = {}
+        self.elevation = round(elevation, DECIMALS)
+        self.doors: list[list[object]] = []
+        self.floors: list[Json] = []
+        self.holes: list[Json] = []
+        self.lanes: list[list[object]] = []
+        self.walls: list[list[object]] = []
 
-    def vertex(self, x: float, y: float, name: str = "") -> int:
-        place = rounded(x, DECIMALS), rounded(y, DECIMALS), name
-        return self.numbers.setdefault(place, len(self.numbers))
+    def add_vertex(self, x: float, y: float, name: str = "") -> int:
+        """Return the number of the vertex at x, y [m], and add it if it is new."""
+        vertex = (rounded(x, DECIMALS), rounded(y, DECIMALS), name)
+        return self._vertex_numbers.setdefault(vertex, len(self._vertex_numbers))
+
+    def to_json(self) -> Json:
+        """Return the level's entry in the file."""
+        return {
+            "elevation": self.elevation,
+            "doors": self.doors,
+            "floors": self.floors,
+            "holes": self.holes,
+            "lanes": self.lanes,
+            "walls": self.walls,
+            "vertices": [[x, y, 0, name, {}] for x, y, name in self._vertex_numbers],
+        }
 
 
 def encode_building(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid as a building; raises a MissingDependencyError without shapely."""
+    """Encode a grid as a building; logs a warning of links and areas that it has no place for.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+
+    Returns:
+        The file's content by its path.
+
+    Raises:
+        MissingDependencyError: shapely is not installed.
+    """
     import_extra("shapely")
-    names = list(grid.level_names)
-    if len({*names}) < len(names):
-        names = [f"level {number}" for number in range(len(names))]
-    levels = [_Level(_elevation(level)) for level in grid.levels]
+    level_names = list(grid.level_names)
+    if len({*level_names}) < len(level_names):
+        level_names = [f"level {number}" for number in range(len(level_names))]
+    levels = [_BuildingLevel(_find_elevation(scene)) for scene in grid.levels]
     lifts = [link for link in grid.links if link.kind == "lift"]
-    for number, (level, own) in enumerate(zip(grid.levels, levels, strict=True)):
-        with np.errstate(invalid="ignore"):
-            is_floor = np.abs(level.floor - own.content["elevation"]) <= FLAT
-        for rings in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
-            for k, ring in enumerate(rings):
-                vertices = [own.vertex(x, y) for x, y in ring.tolist()]
-                part = {"parameters": {}, "vertices": vertices}
-                own.content["holes" if k else "floors"].append(part)
-        _add_walls(own, grid, number, lifts)
-        doors = {door.id: door for door in grid.doors}
-        for line in _join_leaves(find_door_lines(grid, number)):
-            own.content["doors"].append(_door(own, line, doors, level, number))
+    doors = {door.id: door for door in grid.doors}
+    for number, (scene, level) in enumerate(zip(grid.levels, levels, strict=True)):
+        _add_floors(level, scene)
+        _add_walls(level, grid, number, lifts)
+        for name, leaves in _join_leaves(find_door_lines(grid, number)).items():
+            level.doors.append(_make_door(level, name, leaves, doors, scene, number))
     _add_lanes(levels, grid)
-    known = {link.name: _lift(link, grid, names) for link in lifts if link.car is not None}
-    lost = [f"the link {link.name!r}" for link in grid.links if link.name not in known]
-    lost += ["steps between levels"] if len(grid.step_array) else []
-    lost += ["areas"] if grid.areas else []
-    if lost:
-        LOG.warning("buildings of Open-RMF have no place for %s: left out", ", ".join(lost))
-    for own in levels:
-        own.content["vertices"] = [[x, y, 0, name, {}] for x, y, name in own.numbers]
+    lift_entries = {
+        link.name: _make_lift(link, link.car, grid, level_names)
+        for link in lifts
+        if link.car is not None
+    }
+
+    omitted = [f"the link {link.name!r}" for link in grid.links if link.name not in lift_entries]
+    if len(grid.step_array):
+        omitted.append("steps between levels")
+    if grid.areas:
+        omitted.append("areas")
+    if omitted:
+        LOG.warning("buildings of Open-RMF have no place for %s: left out", ", ".join(omitted))
     content = {
         "building_name": grid.scene_id or "building",
         "coordinate_system": "cartesian_meters",
-        "levels": {name: own.content for name, own in zip(names, levels, strict=True)},
-        "lifts": known,
+        "levels": {name: level.to_json() for name, level in zip(level_names, levels, strict=True)},
+        "lifts": lift_entries,
     }
     return {path: encode_yaml(content)}
 
 
-def _elevation(level: SceneGrid2D) -> float:
-    """The height of most of a level's free floor, to a centimetre; else its ground [m]."""
+def _find_elevation(level: SceneGrid2D) -> float:
+    """Return the most frequent height of a level's free floor, to a centimetre; else its ground."""
     floor = level.floor[level.free & ~np.isnan(level.floor)]
     if not len(floor):
         return level.ground
@@ -107,57 +138,84 @@ def _elevation(level: SceneGrid2D) -> float:
     return float(heights[count.argmax()])
 
 
-def _add_walls(own: _Level, grid: NavGrid, number: int, lifts: Iterable[Link]) -> None:
-    """Add walls along the outlines of what is wall, half their thickness inside of it."""
-    level = grid.levels[number]
-    named = np.zeros(level.shape, dtype=np.bool_)
-    for cell, entry in level.user_data.items():
-        named.flat[cell] = bool(entry.get("walls"))
-    walls = level.solid != 0
-    walls &= named if named.any() else ~np.isnan(level.floor)
-    walls &= ~doorway_cells(grid, number, blocked=False)
-    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
-    for car in filter(None, (link.car for link in lifts)):
-        along, aside = _to_car(car, x, y)
-        walls &= (abs(along) > car[3] / 2 + GAP) | (abs(aside) > car[4] / 2 + GAP)
-    parts = trace_polygons(walls.astype(np.uint8), level.lattice).get(1, [])
-    for rings in parts:
-        area = shapely.Polygon(rings[0], rings[1:]).simplify(level.lattice.cell_size / 2)
-        for ring in _inside(area, level.lattice.cell_size):
-            corners = [own.vertex(x, y) for x, y in ring.coords]
-            pairs = [pair for pair in pairwise(corners) if pair[0] != pair[1]]
-            own.content["walls"] += [[*pair, {}] for pair in pairs]
+def _add_floors(level: _BuildingLevel, scene: SceneGrid2D) -> None:
+    """Add the floor of a level as polygons, and the holes in them."""
+    with np.errstate(invalid="ignore"):
+        is_floor = np.abs(scene.floor - level.elevation) <= MAX_HEIGHT_OFF
+    for rings in trace_polygons(is_floor.astype(np.uint8), scene.lattice).get(1, []):
+        for k, ring in enumerate(rings):
+            vertices = [level.add_vertex(x, y) for x, y in ring.tolist()]
+            polygons = level.holes if k else level.floors
+            polygons.append({"parameters": {}, "vertices": vertices})
 
 
-def _inside(area: Any, cell_size: float) -> Iterator[Any]:
-    """Rings inside of an area: half a wall and half a cell, less where it is narrower than that.
+def _add_walls(level: _BuildingLevel, grid: NavGrid, number: int, lifts: Iterable[Link]) -> None:
+    """Add walls along the outlines of wall cells, half their thickness inside of these."""
+    scene = grid.levels[number]
+    has_wall_name = np.zeros(scene.shape, dtype=np.bool_)
+    for cell, entry in scene.user_data.items():
+        has_wall_name.flat[cell] = bool(entry.get("walls"))
+    # without names of walls, all that stands on a floor is one
+    is_wall = scene.solid != 0
+    is_wall &= has_wall_name if has_wall_name.any() else ~np.isnan(scene.floor)
+    is_wall &= ~doorway_cells(grid, number, blocked=False)
+    x, y = np.meshgrid(scene.lattice.center_x(), scene.lattice.center_y())
+    for link in lifts:
+        if not link.car:
+            continue
+        _, _, _, width, depth = link.car
+        along, aside = _to_car_frame(link.car, x, y)
+        is_wall &= (abs(along) > width / 2 + SHAFT_GAP) | (abs(aside) > depth / 2 + SHAFT_GAP)
+    cell_size = scene.lattice.cell_size
+    for rings in trace_polygons(is_wall.astype(np.uint8), scene.lattice).get(1, []):
+        area = shapely.Polygon(rings[0], rings[1:]).simplify(cell_size / 2)
+        for ring in _inset_rings(area, cell_size):
+            vertices = [level.add_vertex(x, y) for x, y in ring.coords]
+            for start, end in pairwise(vertices):
+                if start != end:
+                    level.walls.append([start, end, {}])
+
+
+def _inset_rings(area: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
+    """Yield rings half a wall and half a cell inside of an area; less where it is narrower.
 
     A blocked cell is one that a wall touches, so walls end half a cell inside of them on average.
     """
-    left = [area]
-    full = (WALL + cell_size) / 2
-    for inset in (full, 0.95 * full, 0.75 * full, full / 2, full / 4, 0.0):
-        parts = left
-        left = []
+    remaining_parts = [area]
+    full_inset = (WALL_THICKNESS + cell_size) / 2
+    for share in (1.0, 0.95, 0.75, 0.5, 0.25, 0.0):
+        inset = share * full_inset
+        parts = remaining_parts
+        remaining_parts = []
         for part in parts:
             inner = part.buffer(-inset, join_style="mitre")
             for polygon in shapely.get_parts(inner):
-                yield from (polygon.exterior, *polygon.interiors)
-            rest = part.difference(inner.buffer(1.05 * inset, join_style="mitre"))
-            left += [one for one in shapely.get_parts(rest) if one.area > cell_size**2]
+                yield polygon.exterior
+                yield from polygon.interiors
+            # what the walls do not cover is tried again with a smaller inset
+            uncovered = part.difference(inner.buffer(1.05 * inset, join_style="mitre"))
+            remaining_parts += [
+                piece for piece in shapely.get_parts(uncovered) if piece.area > cell_size**2
+            ]
 
 
-def _to_car(car: tuple[float, ...], x: Any, y: Any) -> tuple[Any, Any]:
-    """World x and y in the frame of a lift's car [m]."""
-    cos = math.cos(car[2])
-    sin = math.sin(car[2])
-    dx = x - car[0]
-    dy = y - car[1]
+Coordinates = TypeVar("Coordinates", float, Float)
+
+
+def _to_car_frame(
+    car: tuple[float, float, float, float, float], x: Coordinates, y: Coordinates
+) -> tuple[Coordinates, Coordinates]:
+    """Convert world x and y to the frame of a lift's car [m]."""
+    car_x, car_y, yaw, _, _ = car
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
+    dx = x - car_x
+    dy = y - car_y
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
-def _join_leaves(lines: Iterable[DoorLine]) -> list[tuple[str, list[DoorLine]]]:
-    """Doors by name, with their leaves: ``NAME_right`` and ``NAME_left`` are one door's."""
+def _join_leaves(lines: Iterable[DoorLine]) -> dict[str, list[DoorLine]]:
+    """Return the leaves of each door by its name; ``NAME_right`` and ``NAME_left`` are of NAME."""
     lines = list(lines)
     ids = {line.id for line in lines}
     doors: dict[str, list[DoorLine]] = {}
@@ -165,100 +223,126 @@ def _join_leaves(lines: Iterable[DoorLine]) -> list[tuple[str, list[DoorLine]]]:
         stem, _, side = line.id.rpartition("_")
         is_leaf = side in ("right", "left") and {f"{stem}_right", f"{stem}_left"} <= ids
         doors.setdefault(stem if is_leaf else line.id, []).append(line)
-    return list(doors.items())
+    return doors
 
 
-def _door(
-    own: _Level,
-    line: tuple[str, list[DoorLine]],
+def _make_door(
+    level: _BuildingLevel,
+    name: str,
+    leaves: list[DoorLine],
     doors: dict[str, Door],
-    level: SceneGrid2D,
+    scene: SceneGrid2D,
     number: int,
-) -> list[Any]:
-    """The edge of a door, from its hinge: how it moves is read from the cells of its open leaf."""
-    name, leaves = line
+) -> list[object]:
+    """Make the edge of a door, from its hinge on.
+
+    Whether it swings or slides, and to which side, follows from the cells of its open leaf.
+    """
+    # from end to end of all leaves
     ends = np.array([end for leaf in leaves for end in (leaf.start, leaf.end)])
-    apart = np.linalg.norm(ends[:, None] - ends[None], axis=2)
-    start, end = ends[list(np.unravel_index(int(apart.argmax()), apart.shape))]
+    distances = np.linalg.norm(ends[:, None] - ends[None], axis=2)
+    start, end = ends[list(np.unravel_index(int(distances.argmax()), distances.shape))]
     width = float(np.hypot(*(end - start)))
-    back = (start - end) / max(width, 1e-9)
-    aside = np.array([-back[1], back[0]])
+    backward = (start - end) / max(width, 1e-9)
+    sideward = np.array([-backward[1], backward[0]])
+
     is_double = len(leaves) > 1
-    kind = "hinged"
+    motion = "hinged"
     direction = 1
     axis = "start"
-    first = doors[leaves[0].id]
-    cells = first.solid_in("open", number + 1)[number]
-    cells = cells if len(cells) else first.cells_in("open", number + 1)[number]
-    opened = level.lattice.positions(*np.divmod(cells, level.width))
+    door = doors[leaves[0].id]
+    open_cells = door.solid_in("open", number + 1)[number]
+    if not len(open_cells):
+        open_cells = door.cells_in("open", number + 1)[number]
+    positions = scene.lattice.positions(*np.divmod(open_cells, scene.width))
     # without open cells it slides into a wall, but for one that may swing out of the grid
-    if not len(opened) and "open" in first.cells and None not in first.rooms:
-        kind = "sliding"
-    elif len(opened):
-        off = (opened - (start + end) / 2).mean(axis=0)
-        direction = 1 if off @ aside >= 0 else -1
-        if abs(off @ aside) < SLIDES * width / len(leaves):
-            kind = "sliding"
+    if not len(positions) and "open" in door.cells and None not in door.rooms:
+        motion = "sliding"
+    elif len(positions):
+        offset = (positions - (start + end) / 2).mean(axis=0)
+        direction = 1 if offset @ sideward >= 0 else -1
+        if abs(offset @ sideward) < MAX_SLIDE_OFFSET * width / len(leaves):
+            motion = "sliding"
         if not is_double:
-            axis = "start" if off @ back >= 0 else "end"
+            axis = "start" if offset @ backward >= 0 else "end"
     values = {
         "name": [TEXT, name],
-        "type": [TEXT, f"double_{kind}" if is_double else kind],
+        "type": [TEXT, f"double_{motion}" if is_double else motion],
         "motion_axis": [TEXT, axis],
         "motion_degrees": [REAL, 90.0],
-        "motion_direction": [WHOLE, direction if axis == "start" else -direction],
+        "motion_direction": [INTEGER, direction if axis == "start" else -direction],
         "right_left_ratio": [REAL, 1.0],
     }
-    return [own.vertex(*start), own.vertex(*end), values]
+    return [level.add_vertex(*start), level.add_vertex(*end), values]
 
 
-def _add_lanes(levels: list[_Level], grid: NavGrid) -> None:
+def _add_lanes(levels: list[_BuildingLevel], grid: NavGrid) -> None:
     """Add the lanes of the grid's graph of routes on each level."""
     graph = routes.make_routes(grid)
     for lane in graph.lanes:
-        ends = [graph.nodes[end] for end in (lane.start, lane.end)]
-        if ends[0].level != ends[1].level or lane.link is not None:
+        start = graph.nodes[lane.start]
+        end = graph.nodes[lane.end]
+        if start.level != end.level or lane.link is not None:
             continue
-        own = levels[ends[0].level]
-        one, other = (own.vertex(*node.position[:2], node.name) for node in ends)
-        values = {"bidirectional": [TRUE, lane.two_way], "graph_idx": [WHOLE, 0]}
+        level = levels[start.level]
+        start_vertex = level.add_vertex(start.position[0], start.position[1], start.name)
+        end_vertex = level.add_vertex(end.position[0], end.position[1], end.name)
+        values = {"bidirectional": [BOOLEAN, lane.two_way], "graph_idx": [INTEGER, 0]}
         if lane.speed is not None:
             values["speed_limit"] = [REAL, lane.speed]
-        own.content["lanes"].append([one, other, values])
+        level.lanes.append([start_vertex, end_vertex, values])
 
 
-def _lift(link: Link, grid: NavGrid, names: list[str]) -> Json:
-    """The entry of a lift: its car, and a door at each side with a stop."""
-    assert link.car is not None
-    x, y, yaw, width, depth = link.car
+def _make_lift(
+    link: Link,
+    car: tuple[float, float, float, float, float],
+    grid: NavGrid,
+    level_names: list[str],
+) -> Json:
+    """Make the entry of a lift: its car, and a door at each side with a stop."""
+    x, y, yaw, width, depth = car
     doors: Json = {}
     level_doors: dict[str, list[str]] = {}
-    initial = None
+    initial_level = None
     for stop in link.stops:
-        along, aside = _to_car(link.car, *stop.position[:2])
+        along, aside = _to_car_frame(car, stop.position[0], stop.position[1])
         if abs(along) - width / 2 >= abs(aside) - depth / 2:
-            at = (math.copysign(width / 2, along), 0.0)
-            turn = math.pi / 2
             side = "right" if along > 0 else "left"
+            door_x = math.copysign(width / 2, along)
+            door_y = 0.0
+            door_yaw = math.pi / 2
+            side_length = depth
         else:
-            at = (0.0, math.copysign(depth / 2, aside))
-            turn = 0.0
             side = "front" if aside > 0 else "back"
-        opening = min(link.width or 1.0, (depth if turn else width) - 2 * GAP)
+            door_x = 0.0
+            door_y = math.copysign(depth / 2, aside)
+            door_yaw = 0.0
+            side_length = width
+        door_width = min(link.width or 1.0, side_length - 2 * SHAFT_GAP)
         doors[side] = {
-            "door_type": 2, "x": round(at[0], DECIMALS), "y": round(at[1], DECIMALS),
-            "width": round(opening, DECIMALS), "motion_axis_orientation": round(turn, 6),
-        }  # fmt: skip
-        listed = level_doors.setdefault(names[stop.level], [])
-        listed += [] if side in listed else [side]
-        level = grid.levels[stop.level]
-        cell = level.lattice.rows_cols(np.array([x, y]))
-        if initial is None and np.isfinite(level.floor[tuple(cell)]):
-            initial = names[stop.level]
+            "door_type": 2,
+            "x": round(door_x, DECIMALS),
+            "y": round(door_y, DECIMALS),
+            "width": round(door_width, DECIMALS),
+            "motion_axis_orientation": round(door_yaw, 6),
+        }
+        sides = level_doors.setdefault(level_names[stop.level], [])
+        if side not in sides:
+            sides.append(side)
+        # the car stands on the first level that has a floor in the shaft
+        scene = grid.levels[stop.level]
+        row, col = scene.lattice.rows_cols(np.array([x, y]))
+        if initial_level is None and np.isfinite(scene.floor[row, col]):
+            initial_level = level_names[stop.level]
     return {
-        "x": x, "y": y, "yaw": yaw, "width": width, "depth": depth,
-        "initial_floor_name": initial or next(iter(level_doors)),
-        "lowest_floor": names[min(stop.level for stop in link.stops)],
-        "highest_floor": names[max(stop.level for stop in link.stops)],
-        "level_doors": level_doors, "doors": doors,
-    }  # fmt: skip
+        "x": x,
+        "y": y,
+        "yaw": yaw,
+        "width": width,
+        "depth": depth,
+        "initial_floor_name": initial_level or next(iter(level_doors)),
+        "lowest_floor": level_names[min(stop.level for stop in link.stops)],
+        "highest_floor": level_names[max(stop.level for stop in link.stops)],
+        "level_doors": level_doors,
+        "doors": doors,
+    }
