@@ -56,10 +56,10 @@ KERNELS: list[Any] = []
 # Functions that allocate no arrays do without reference counts, which cost a fifth of a bake of
 # 100 rooms: an option that numba has but does not document. Their callers keep the arrays alive.
 _OPTIONS = getattr(getattr(numba.core, "options", None), "DefaultOptions", None)
-NO_REFCOUNT: Any = {"_nrt": False} if hasattr(_OPTIONS, "_nrt") else {}
+NO_REFCOUNT: dict[str, Any] = {"_nrt": False} if hasattr(_OPTIONS, "_nrt") else {}
 # As in numpy, a division by zero raises nothing; no function is called by ctypes
-OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
-SUBKERNEL_OPTIONS: Any = {"no_cpython_wrapper": True, **OPTIONS}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+SUBKERNEL_OPTIONS: dict[str, Any] = {"no_cpython_wrapper": True, **OPTIONS}
 
 Result = TypeVar("Result")
 _config_lock = threading.Lock()

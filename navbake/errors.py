@@ -103,5 +103,10 @@ def printable(message: str) -> str:
 
 
 def count_of(count: int, noun: str) -> str:
-    """Write a count with its noun, in the plural unless it is 1: ``1 door``, ``3 doors``."""
+    """Write a count with its noun, in the plural unless it is 1: ``1 door``, ``3 doors``.
+
+    Args:
+        count: The count.
+        noun: The noun in the singular, whose plural ends in s.
+    """
     return f"{count} {noun}{'' if count == 1 else 's'}"

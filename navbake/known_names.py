@@ -23,15 +23,17 @@ def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[st
     Returns:
         The names, the nearest first.
     """
-    by_folded = {known.casefold(): known for known in reversed(list(dict.fromkeys(candidates)))}
+    # reversed, so that of names that differ in capitals alone the first one counts
+    names = reversed(list(dict.fromkeys(candidates)))
+    by_folded = {candidate.casefold(): candidate for candidate in names}
     folded = str(name).casefold()
     close = get_close_matches(folded, by_folded, n=most, cutoff=CLOSE_MATCH)
-    close += [known for known in by_folded if _is_one_edit(folded, known)]
+    close += [candidate for candidate in by_folded if _is_one_edit(folded, candidate)]
     words = _words(folded)
-    with_all_words = [known for known in by_folded if words and words <= _words(known)]
+    with_all_words = [candidate for candidate in by_folded if words and words <= _words(candidate)]
     with_all_words.sort(key=len)
     nearest = dict.fromkeys([*close, *with_all_words])  # each once, in this order
-    return [by_folded[known] for known in nearest][:most]
+    return [by_folded[candidate] for candidate in nearest][:most]
 
 
 def suggest(
@@ -49,7 +51,7 @@ def suggest(
     folded = str(name).casefold()
     near = find_near(name, names)
     if not near:
-        near = [known for known in names if _is_two_edits(folded, known.casefold())]
+        near = [candidate for candidate in names if _is_two_edits(folded, candidate.casefold())]
     question = f"did you mean {near[0]!r}? " if near else ""
     more = f", and {len(names) - limit} more" if len(names) > limit else ""
     return f"{question}{owner} has {', '.join(names[:limit]) or 'none'}{more}"

@@ -11,7 +11,7 @@ import yaml
 
 from navbake.errors import ConfigError
 
-if TYPE_CHECKING:  # loads numpy
+if TYPE_CHECKING:  # it loads numpy
     from navbake.types import JsonValue
 
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots

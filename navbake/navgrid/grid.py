@@ -297,7 +297,7 @@ class DerivedWeights:
         level.__dict__["weights"] = None if weights is self else weights
 
 
-DERIVED: Any = DerivedWeights()
+DERIVED = cast("NDArray[Any]", DerivedWeights())
 """Stands for the weights of a level: 1 where its occupancy is 0, inf elsewhere."""
 
 
@@ -350,7 +350,12 @@ class SceneGrid2D(GridBase):
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return another level in place of this one, with other metadata unless they are None."""
+        """Return another level in place of this one.
+
+        Args:
+            levels: The new level, as the only one.
+            metadata: The new metadata; None for those of the level.
+        """
         (level,) = levels
         changed = level if metadata is None else level.with_layers(metadata=metadata)
         return cast("Self", changed)

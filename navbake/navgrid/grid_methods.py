@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, cast, overload
 
 import numpy as np
@@ -438,9 +439,9 @@ class GridMethods:
 
     def tensors(
         self,
-        xp: Any = np,
+        xp: ModuleType = np,
         *,
-        device: Any = None,
+        device: object = None,
         dtype: str | None = None,
         goals: Sequence[paths.Goal] = (),
         max_drop: float = 0.5,

@@ -51,7 +51,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
-def cells_of_areas(grid: GridBase, values: Sequence[Any], outside: Any) -> NDArray[Any]:
+def cells_of_areas(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
     """Spread a value of each area over its cells.
 
     Args:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -143,7 +143,13 @@ class Lattice(NamedTuple):
         y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
-    def holds(self, rows: Any, cols: Any) -> Any:
+    @overload
+    def holds(self, rows: int, cols: int) -> bool: ...
+
+    @overload
+    def holds(self, rows: Int, cols: Int) -> Bool: ...
+
+    def holds(self, rows: int | Int, cols: int | Int) -> bool | Bool:
         """Whether cells lie on the lattice.
 
         Args:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Annotated, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -71,7 +71,7 @@ class Agent:
         return to_entry(self, "name")
 
 
-def parse_agents(entries: object) -> dict[str, Agent]:
+def parse_agents(entries: JsonValue) -> dict[str, Agent]:
     """Check and convert ``metadata.navbake.agents``; None is no agent.
 
     Returns:
@@ -82,8 +82,7 @@ def parse_agents(entries: object) -> dict[str, Agent]:
     """
     by_name: dict[str, Json] = read_table(entries or {}, dict[Name, Json], AGENTS)
     with_names = {name: {**entry, "name": name} for name, entry in by_name.items()}
-    agents: dict[str, Agent] = read_table(with_names, dict[str, Agent], AGENTS)
-    return agents
+    return read_table(with_names, dict[str, Agent], AGENTS)
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ class _AreaEntry(msgspec.Struct):
     agents: tuple[str, ...] | None = None
 
 
-def parse_areas(entries: object) -> tuple[Area, ...]:
+def parse_areas(entries: JsonValue) -> tuple[Area, ...]:
     """Check and convert ``metadata.navbake.areas``; None is no area.
 
     Raises:
@@ -317,16 +316,16 @@ class _StopsEntry(msgspec.Struct):
     positions: list[Vector3]
 
 
-def _parse_entries(entries: object) -> list[Row | _StopsEntry]:
+def _parse_entries(entries: JsonValue) -> list[Row | _StopsEntry]:
     """Convert a table of links: its steps, and the stops of its named links, in its order."""
     separate = unflatten(entries or [])
     has_links = isinstance(separate, list) and any(isinstance(entry, dict) for entry in separate)
-    kind: Any = list[Row | _StopsEntry] if has_links else list[Row]
-    parsed: list[Row | _StopsEntry] = read_table(separate, kind, LINKS)
-    return parsed
+    if has_links:
+        return read_table(separate, list[Row | _StopsEntry], LINKS)
+    return [*read_table(separate, list[Row], LINKS)]
 
 
-def parse_steps(entries: object, cell_counts: Sequence[int]) -> Int:
+def parse_steps(entries: JsonValue, cell_counts: Sequence[int]) -> Int:
     """Check and convert the steps of ``metadata.navbake.links``.
 
     Args:

@@ -1,8 +1,10 @@
 """A grid's metadata about its attributes and its single levels, and how its tables are parsed."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import msgspec
 from numpy.typing import NDArray
@@ -10,11 +12,13 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.types import Json, JsonValue
 
-Kind = TypeVar("Kind")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Name = Annotated[str, msgspec.Meta(min_length=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e10)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
+Table = TypeVar("Table")
 Arrays = Mapping[str, NDArray[Any]]
 
 # Other names that the original client has for datatypes; source: sstk's `TypeUtils.js`
@@ -59,7 +63,7 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     return list(described.values())
 
 
-def read_table(entries: object, kind: type[Kind], place: str) -> Kind:
+def read_table(entries: JsonValue, kind: type[Table], place: str) -> Table:
     """Convert a table of a file to a type.
 
     Args:
@@ -80,7 +84,7 @@ def read_table(entries: object, kind: type[Kind], place: str) -> Kind:
         raise FormatError(f"{text[0].lower()}{text[1:]}", place=faulty_place) from error
 
 
-def to_entry(record: Any, *left_out: str) -> Json:
+def to_entry(record: DataclassInstance, *left_out: str) -> Json:
     """Return the fields of a dataclass as JSON, without those that are None.
 
     Args:
@@ -129,7 +133,7 @@ def cut_levels(levels: list[Json], level: int) -> list[Json]:
 
 def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
     """Return the steps within a level, and the named links with two or more stops on it."""
-    cut: list[Any] = []
+    cut: list[JsonValue] = []
     for entry in unflatten(links):
         if isinstance(entry, dict):
             stops = []
@@ -182,7 +186,7 @@ def cut_doors(doors: list[Json], level: int) -> list[Json]:
     return cut
 
 
-CUTTERS: dict[str, Callable[[Any, int], Any]] = {
+CUTTERS: dict[str, Callable[[JsonValue, int], JsonValue]] = {
     "levels": cut_levels,
     "links": cut_links,
     "rooms": cut_rooms,
