@@ -6,6 +6,7 @@ moved. The grid's occupancy joins what they block, what stands blocks, and what 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -91,6 +92,13 @@ class MovableOccupants(NamedTuple):
     blocked: list[Bool]
     blocked_squares: list[Bool] | None
     num_blocked_alone: Int
+
+    @property
+    def occupied(self) -> list[Bool]:
+        """`blocked`, by its name before 0.4."""
+        text = "`stages.occupants.occupied` is called `stages.occupants.blocked` since 0.4"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return self.blocked
 
 
 class MovableContext(NamedTuple):

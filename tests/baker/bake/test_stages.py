@@ -69,6 +69,14 @@ def test_the_stages_of_a_crate_on_a_floor(tmp_path):
     assert stages.occupants.blocked[0].sum() == 25
 
 
+def test_names_of_stages_before_0_4_stay(tmp_path):
+    """`contents` without a word, as timings have it; `occupied` with one that names the new one."""
+    stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.5, 0.5, 0.5)))
+    assert stages.contents is stages.standing_occupants
+    with pytest.warns(DeprecationWarning, match=r"stages\.occupants\.blocked"):
+        assert stages.occupants.occupied is stages.occupants.blocked
+
+
 def test_columns_can_be_looked_at_where_there_is_no_floor(tmp_path):
     stages = stages_of_xml(tmp_path, world(box("ball", 0, 0, 0, 0.5, 0.5, 0.5)))
     assert len(stages.columns.z) == 2 * 25
