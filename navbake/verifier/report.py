@@ -1,4 +1,4 @@
-"""What a verification found: counts by level, and each disagreement with its place."""
+"""The report of a verification: counts of each level, and each disagreement with its position."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from navbake.types import Json, Vector3
 
+# Kinds of findings
 FREE_TOUCHES = "free cell touches"
 BLOCKED_APART = "blocked cell touches nothing"
 NO_FLOOR = "free cell without floor"
@@ -17,97 +18,152 @@ PLACE_LOST = "place lost"
 PATH_TOUCHES = "path touches"
 LINK_TOUCHES = "link touches"
 NO_LANDING = "link without landing"
-MOST_FINDINGS = 10_000  # that are listed; all are counted
+MAX_LISTED_FINDINGS = 10_000  # in the JSON of a report; all are counted
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One place where a grid and its scene disagree."""
+    """One disagreement between a grid and its scene.
 
-    kind: str  # one of this module's names in capitals, such as `FREE_TOUCHES`
-    level: int  # 0 is the lowest; of a lost place, the one where it was looked for
-    cell: tuple[int, int] | None  # row and column on it, None where it has no such cell
-    position: Vector3  # world x, y, z [m]
-    text: str  # what is wrong, in words
-    geom: str | None = None  # the geom that it is about, None for none
-    # depth of a touch, gap, offset of a floor [m], or area of a lost place [m²]; None: not measured
+    Attributes:
+        kind: A constant of this module, such as `FREE_TOUCHES`.
+        level: The level's index, 0 for the lowest; of a lost place, the level that was checked
+            when it was noticed.
+        cell: Row and column on the level; None where the level has no such cell.
+        position: World x, y, z [m].
+        text: What is wrong.
+        geom: The name of the geom that it is about; None for none.
+        size: The depth of a touch, the gap beside a blocked cell or the offset of a floor [m], or
+            the area of a lost place [m²]; None where it was not measured.
+    """
+
+    kind: str
+    level: int
+    cell: tuple[int, int] | None
+    position: Vector3
+    text: str
+    geom: str | None = None
     size: float | None = None
 
     def to_json(self) -> Json:
-        """The finding as JSON."""
+        """Return the finding as a JSON object, with numbers rounded to the micrometre."""
         size = None if self.size is None else round(self.size, 6)
-        position = [round(v, 6) for v in self.position]
-        cell = self.cell and list(self.cell)
+        position = [round(coordinate, 6) for coordinate in self.position]
+        cell = None if self.cell is None else list(self.cell)
         return {**vars(self), "cell": cell, "position": position, "size": size}
 
 
 @dataclass
 class LevelCounts:
-    """How often cells agree with the scene: a name has what the grid says, then the scene."""
+    """How often the cells of a level agree with the scene.
 
-    name: str  # the level's
-    cells: int = 0  # that were looked at
+    In a name of two states, the first is the grid's, the second the scene's.
+
+    Attributes:
+        name: The level's name.
+        cells: The cells that were checked.
+        free_free: Free cells over which nothing is touched.
+        blocked_blocked: Blocked cells where something is touched, or which have no floor.
+        free_touches: Free cells where something is touched.
+        blocked_apart: Blocked cells where nothing is touched.
+        disputed: Cells over which MuJoCo and FCL contradict each other and nothing proves either
+            right; they are no faults.
+        floors: The floors that were checked.
+        floors_off: Floors where no geom has a surface.
+        in_cracks: Floors whose surface lies beside the cell's centre.
+        lost: Places to stand that no level has.
+    """
+
+    name: str
+    cells: int = 0
     free_free: int = 0
-    blocked_blocked: int = 0  # something touches there, or there is no floor
+    blocked_blocked: int = 0
     free_touches: int = 0
     blocked_apart: int = 0
-    disputed: int = 0  # MuJoCo and FCL contradict each other, and no proof settles it: no fault
-    floors: int = 0  # that were looked at
-    floors_off: int = 0  # where no geom has a surface
-    in_cracks: int = 0  # whose surface lies beside the cell's centre
-    lost: int = 0  # places to stand that no level has
+    disputed: int = 0
+    floors: int = 0
+    floors_off: int = 0
+    in_cracks: int = 0
+    lost: int = 0
 
 
 @dataclass
 class SweepCounts:
-    """What came of sweeping a cylinder along paths."""
+    """The counts of a cylinder that was swept along paths.
 
-    radius: float  # of the cylinder [m]
+    Attributes:
+        radius: The cylinder's radius [m].
+        paths: How many paths were swept.
+        length: Their length in all [m].
+        touching: How many of them touch something.
+        beside: How many of them touch something only within a step of the cylinder's lower or
+            upper end, where neighboring cells with other floors promise nothing; no faults.
+    """
+
+    radius: float
     paths: int = 0
-    length: float = 0.0  # of all [m]
-    touching: int = 0  # paths that touch something
-    # paths that meet, within a step of the lower or the upper end of the cylinder, what cells with
-    # other floors leave open; that is known, and no fault
+    length: float = 0.0
+    touching: int = 0
     beside: int = 0
 
 
 @dataclass
 class VerifyReport:
-    """What a verification found."""
+    """The result of a verification.
+
+    Attributes:
+        scene_id: The grid's scene.
+        num_cells: The number of cells of all levels.
+        seed: The seed of the sample and of the paths.
+        tolerance: Touches that are less deep are put down to rounding [m].
+        radius: The radius of the cylinder on free cells [m]; None for the baked footprint.
+        levels: The counts of each level, lowest first.
+        sweeps: The counts of the paths; None where no paths were swept.
+        findings: All disagreements, sorted by level and cell.
+        notes: What was left out, or was checked by one of the two libraries alone.
+
+    Example:
+        >>> report = navbake.verify("house.grid.json", "house.yaml")
+        >>> for finding in report.findings:
+        ...     print(finding.position, finding.text)
+    """
 
     scene_id: str | None
-    num_cells: int  # of all levels
-    seed: int  # of the sample
-    tolerance: float  # what touches by less than this touches by rounding [m]
-    radius: float | None = None  # of the cylinder on free cells [m]; None for the baked footprint
-    levels: list[LevelCounts] = field(default_factory=list)  # lowest level first
-    sweeps: SweepCounts | None = None  # None where no paths were swept
-    findings: list[Finding] = field(default_factory=list)  # by level and cell
-    # what was left out, or is judged by one of the two libraries alone
+    num_cells: int
+    seed: int
+    tolerance: float
+    radius: float | None = None
+    levels: list[LevelCounts] = field(default_factory=list)
+    sweeps: SweepCounts | None = None
+    findings: list[Finding] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
-        """Whether the grid and the scene agree everywhere that was looked at."""
+        """Whether the grid and the scene agree in all that was checked."""
         return not self.findings
 
     @property
     def checked(self) -> int:
-        """How many cells were looked at."""
+        """The number of cells that were checked."""
         return sum(level.cells for level in self.levels)
 
     def of_kind(self, kind: str) -> Iterator[Finding]:
-        """The findings of one kind, such as `FREE_TOUCHES`."""
+        """Iterate over the findings of one kind, such as `FREE_TOUCHES`."""
         return (finding for finding in self.findings if finding.kind == kind)
 
     @property
     def total(self) -> LevelCounts:
         """The sums over all levels."""
-        columns = zip(*(list(vars(level).values())[1:] for level in self.levels), strict=True)
-        return LevelCounts("all", *map(sum, columns))
+        total = LevelCounts("all")
+        for level in self.levels:
+            for name, count in vars(level).items():
+                if name != "name":
+                    setattr(total, name, getattr(total, name) + count)
+        return total
 
     def to_json(self) -> Json:
-        """The report as JSON, findings up to `MOST_FINDINGS` of them."""
+        """Return the report as a JSON object, with up to `MAX_LISTED_FINDINGS` findings."""
         return {
             "ok": self.ok,
             "sceneId": self.scene_id,
@@ -119,12 +175,12 @@ class VerifyReport:
             "levels": [dict(vars(level)) for level in self.levels],
             "sweeps": None if self.sweeps is None else dict(vars(self.sweeps)),
             "numFindings": len(self.findings),
-            "findings": [finding.to_json() for finding in self.findings[:MOST_FINDINGS]],
+            "findings": [finding.to_json() for finding in self.findings[:MAX_LISTED_FINDINGS]],
             "notes": list(self.notes),
         }
 
     @property
     def digest(self) -> str:
-        """Sha256 of the report's canonical JSON, 64 hex digits."""
+        """The SHA-256 of the report's canonical JSON, 64 hex digits."""
         text = json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

@@ -27,153 +27,205 @@ from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.grid import GridBase
 from navbake.navgrid.rooms import Door
 
-SCENES = "scenes"  # a folder in which scenes often are, as those of the samples
+SCENES_FOLDER = "scenes"  # a folder in which scenes often are, as those of the samples
+DEFAULT_HINGE_RANGE = np.pi / 2  # of a door's hinge without a range [rad]
+DEFAULT_SLIDE_RANGE = 1.0  # of a sliding door without a range [m]
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
 """Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene in memory."""
 
 
 class NoSceneError(QueryError):
-    """The grid names no scene, or the scene that it names isn't where it is looked for."""
+    """Raised when a grid names no scene, or the file that it names is in none of the folders."""
 
 
 def find_source(
     grid: GridBase,
-    given: SceneSource | None,
+    source: SceneSource | None,
     grid_path: Path | None,
     *,
     force: bool,
-    data: Any = None,
+    data: mujoco.MjData | None = None,
 ) -> tuple[Scene, BakeConfig | None, list[str]]:
-    """Load the scene of a grid: the one that is given, or the one that the grid names.
+    """Load the scene of a grid.
 
-    A scene file, and a scene in memory, gets the settings that the grid states. `data` is the pose
-    of a scene in memory; as the settings say if None.
+    A scene file, or a scene in memory, is loaded with the settings that the grid states.
+
+    Args:
+        grid: The grid.
+        source: The scene or its settings; None for the file that the grid names.
+        grid_path: The file of the grid, beside which the scene is looked for; None for a grid in
+            memory.
+        force: Whether to accept a scene that is not the one of the bake.
+        data: The pose of a scene in memory; None for the pose that the settings state.
 
     Returns:
-        The scene; the settings of the bake, None where the grid was baked with others; and what the
-        user should know of them.
+        The scene; the settings of the bake, None if the scene's settings are others than those;
+        and notes for the user.
 
     Raises:
-        QueryError: no scene is given or found; or it isn't the grid's, unless `force` is set.
+        NoSceneError: no source is given, and the grid names no scene that exists.
+        QueryError: the scene's file does not exist, or it is not the grid's and `force` is False.
+        ConfigError: the settings are wrong, or `data` is given without a model.
+        SceneError: the scene cannot be read.
     """
-    stated = grid.navbake.get("settings")
-    stated = stated if isinstance(stated, dict) else {}
-    own = stated.get("scene")
-    own = own if isinstance(own, dict) else {}
-    if given is None:
-        given = _find_file(grid, own.get("path"), grid_path)
-    is_file = isinstance(given, str | PathLike) and not is_settings(given)
-    opened = None
-    in_memory = is_in_memory(given)
+    stated_settings = grid.navbake.get("settings")
+    if not isinstance(stated_settings, dict):
+        stated_settings = {}
+    stated_scene = stated_settings.get("scene")
+    if not isinstance(stated_scene, dict):
+        stated_scene = {}
+    if source is None:
+        source = _find_file(grid, stated_scene.get("path"), grid_path)
+    is_file = isinstance(source, str | PathLike) and not is_settings(source)
+    in_memory = is_in_memory(source)
     if data is not None:
         if not in_memory:
             text = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
             raise ConfigError(text)
-        own = {key: own[key] for key in own if key not in ("keyframe", "joints")}
+        stated_scene = {
+            key: setting
+            for key, setting in stated_scene.items()
+            if key not in ("keyframe", "joints")
+        }
+
+    scene_model = None
     if in_memory or is_file:
-        path = memory_path(name_of(given)) if in_memory else Path(str(given))
+        path = memory_path(name_of(source)) if in_memory else Path(str(source))
         if is_file and not path.exists():
             raise QueryError(f"no scene at {path}: it may have moved; give its path")
         try:
-            config = parse_config({**stated, "scene": {**own, "path": path}})
-        except ConfigError:  # of another version
+            config = parse_config({**stated_settings, "scene": {**stated_scene, "path": path}})
+        except ConfigError:  # the settings of another version
             config = parse_config({"scene": {"path": path}}, str(path))
-        opened = load_from_memory(given, data, config.scene) if in_memory else None
+        if in_memory:
+            scene_model = load_from_memory(source, data, config.scene)
     else:
-        config = as_config(given)
-    scene = load_scene(config, scene_model=opened)
+        config = as_config(source)
+    scene = load_scene(config, scene_model=scene_model)
+
     notes = []
-    digest = grid.navbake.get("sceneDigest")
-    version = grid.navbake.get("mujoco", "another version")
-    if digest is None:
+    bake_digest = grid.navbake.get("sceneDigest")
+    if bake_digest is None:
         notes.append("the grid has no digest of its scene, so nothing says that it is this one")
-    elif digest != scene.digest:
-        why = f"their digests differ; the bake's MuJoCo was {version}"
+    elif bake_digest != scene.digest:
+        mujoco_version = grid.navbake.get("mujoco", "another version")
+        reason = f"their digests differ; the bake's MuJoCo was {mujoco_version}"
         note = f"{config.scene.path} isn't the scene that the grid was baked from"
-        notes.append(f"{note}, or stands in another pose ({why})")
+        notes.append(f"{note}, or stands in another pose ({reason})")
         if not force:
             raise QueryError(f"{notes[0]}: --force, or force=True, compares them anyway")
-    are_known = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
-    are_known |= bool(stated) and (in_memory or is_file)
-    if grid.navbake and not are_known:
+    has_bake_settings = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
+    if stated_settings and (in_memory or is_file):
+        has_bake_settings = True
+    if grid.navbake and not has_bake_settings:
         notes.append("the settings are others than those of the bake (their digests differ)")
-    return scene, config if grid.navbake and are_known else None, notes
+    bake_config = config if grid.navbake and has_bake_settings else None
+    return scene, bake_config, notes
 
 
-def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
-    """The stated scene's file: beside the grid, in the current folder, or in ``scenes`` there."""
-    whose = grid.scene_id or "the grid"
-    if not isinstance(stated, str) or not stated:
-        text = f"{whose} doesn't say which scene it was baked from"
+def _find_file(grid: GridBase, stated_path: object, grid_path: Path | None) -> Path:
+    """Find the file of a grid's scene by its name.
+
+    It is looked for beside the grid, in the current folder, and in ``scenes`` in both.
+    """
+    grid_name = grid.scene_id or "the grid"
+    if not isinstance(stated_path, str) or not stated_path:
+        text = f"{grid_name} doesn't say which scene it was baked from"
         raise NoSceneError(f"{text}: give the scene, or the settings of its bake")
-    name = Path(stated).name
+    name = Path(stated_path).name
     folders = dict.fromkeys([grid_path.parent if grid_path else Path(), Path()])
     for folder in folders:
-        for place in (folder / name, folder / SCENES / name):
-            if os.path.isfile(place):
-                return place
-    names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
+        for path in (folder / name, folder / SCENES_FOLDER / name):
+            if os.path.isfile(path):
+                return path
+    folder_names = [
+        str(folder) if str(folder) != "." else "the current folder" for folder in folders
+    ]
     raise NoSceneError(
-        f"the scene {name} that {whose} was baked from isn't in {' or '.join(names)}, nor in "
-        f"{SCENES!r} there: give its path, or the settings of its bake (--scene)"
+        f"the scene {name} that {grid_name} was baked from isn't in {' or '.join(folder_names)}, "
+        f"nor in {SCENES_FOLDER!r} there: give its path, or the settings of its bake (--scene)"
     )
 
 
-HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-
-
 class DoorPose(NamedTuple):
-    """How the doors stand."""
+    """The pose of a scene whose doors stand as a grid states.
 
-    data: Any  # with the doors' joints moved
-    removed: set[int]  # ids of the geoms of removed doors
-    no_floors: set[int]  # ids of the geoms that make no floor: doors', and what can move
-    unknown: list[str]  # ids of doors that the scene doesn't have
+    Attributes:
+        data: The pose, with kinematics computed.
+        removed: The ids of the geoms of removed doors.
+        no_floors: The ids of the geoms that carry no floor: those of doors, and those that can
+            move, except cars of lifts.
+        unknown: The ids of doors that the scene does not have.
+    """
+
+    data: mujoco.MjData
+    removed: set[int]
+    no_floors: set[int]
+    unknown: list[str]
 
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
-    """Move the doors of a scene into the states that a grid states."""
+    """Move the doors of a scene into the states that a grid states.
+
+    Args:
+        scene: The scene, which stays as it is.
+        grid: The grid, whose doors are named as bodies of the scene.
+
+    Returns:
+        The pose, and which geoms are removed or carry no floor.
+    """
     model = scene.model
     data = copy.copy(scene.data)
-    numbered = [(body_name(model, body), body) for body in range(1, model.nbody)]
-    # doors whose name others share state their number, too
-    bodies = dict(numbered) | {f"{name} (body {body})": body for name, body in numbered}
-    ends = find_subtree_ends(model)
+    names = [(body_name(model, body), body) for body in range(1, model.nbody)]
+    # doors that share their name with others are named with the body's number, too
+    numbered_names = {f"{name} (body {body})": body for name, body in names}
+    bodies = dict(names) | numbered_names
+    subtree_ends = find_subtree_ends(model)
     removed = set[int]()
     unknown = list[str]()
     no_floors = set(np.flatnonzero(~scene.is_structure).tolist())
-    # a grid doesn't state how its lifts were found; their cars carry floors
     for link in grid.links:
-        if link.kind == "lift" and (body := bodies.get(link.name)) is not None:
-            no_floors -= set(geoms_of_bodies(model, body, int(ends[body])).tolist())
+        # the cars of lifts carry floors; that a body is a car shows by its name alone
+        car = bodies.get(link.name) if link.kind == "lift" else None
+        if car is not None:
+            no_floors -= set(geoms_of_bodies(model, car, int(subtree_ends[car])).tolist())
     for door in grid.doors:
-        if (body := bodies.get(door.id)) is None:
+        body = bodies.get(door.id)
+        if body is None:
             unknown.append(door.id)
             continue
-        own = set(geoms_of_bodies(model, body, int(ends[body])).tolist())
-        no_floors |= own
+        door_geoms = set(geoms_of_bodies(model, body, int(subtree_ends[body])).tolist())
+        no_floors |= door_geoms
         if door.state == "removed":
-            removed |= own
-        elif (position := _position(model, body, door)) is not None:
+            removed |= door_geoms
+            continue
+        position = _joint_position(model, body, door)
+        if position is not None:
             data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = position
     mujoco.mj_kinematics(model, data)
     return DoorPose(data, removed, no_floors, unknown)
 
 
-def _position(model: Any, body: int, door: Door) -> float | None:
-    """Where its hinge or slide is in the door's state [rad or m]; None as it is modelled.
+def _joint_position(model: mujoco.MjModel, body: int, door: Door) -> float | None:
+    """Return where the door's hinge or slide stands in the door's state [rad or m].
 
-    Closed is 0 or next to it, open the end farther from it; without a range, 90 degrees or 1 m.
+    A closed door stands at 0 or at the end of the range nearest to 0, an open one at the end that
+    is farther from there. None for a door that stands as it is modelled.
     """
     joint = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:
         return None
-    if (kind := int(model.jnt_type[joint])) not in (HINGE, SLIDE):
+    joint_type = int(model.jnt_type[joint])
+    if joint_type not in (HINGE, SLIDE):
         return None
     low = 0.0
-    high = np.pi / 2 if kind == HINGE else 1.0
+    high = DEFAULT_HINGE_RANGE if joint_type == HINGE else DEFAULT_SLIDE_RANGE
     if model.jnt_limited[joint]:
         low, high = model.jnt_range[joint].tolist()
     closed = min(max(0.0, low), high)
-    return closed if door.state == "closed" else max(high, low, key=lambda end: abs(end - closed))
+    if door.state == "closed":
+        return closed
+    return max(high, low, key=lambda end: abs(end - closed))

@@ -1,4 +1,4 @@
-"""Compares a grid with its scene, by MuJoCo and FCL, and with nothing of what baked it."""
+"""Comparison of a grid with its scene by MuJoCo and FCL, independent of the code that baked it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from navbake.baker.scene.scene import Scene
@@ -15,6 +16,7 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import FormatError, QueryError, count_of
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
+from navbake.types import Bool
 from navbake.verifier.cells import FloorCheck, OccupancyCheck
 from navbake.verifier.obstacles import UNCLEAR, Obstacles
 from navbake.verifier.probes import ObstacleProbe
@@ -22,6 +24,7 @@ from navbake.verifier.report import Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
     AgentSizes,
     CellNeighborhood,
+    LevelSample,
     has_cell_floors,
     inflate_for,
     take_sample,
@@ -30,72 +33,103 @@ from navbake.verifier.sample import (
 from navbake.verifier.source import SceneSource, find_source, pose_doors
 from navbake.verifier.sweeps import PathSweep, check_links
 
-SAMPLE = 100_000  # cells that are looked at unless told otherwise
-TOLERANCE = 1e-4  # what touches by less than this touches by rounding [m]
+DEFAULT_SAMPLE = 100_000  # cells that are checked
+DEFAULT_TOLERANCE = 1e-4  # touches that are less deep come from rounding [m]
 
 
 def verify(
     grid: NavGrid | str | PathLike[str],
     scene: SceneSource | None = None,
     *,
-    sample: int | None = SAMPLE,
+    sample: int | None = DEFAULT_SAMPLE,
     seed: int = 0,
     radius: float | None = None,
     paths: int = 0,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     force: bool = False,
-    data: Any = None,
+    data: mujoco.MjData | None = None,
 ) -> VerifyReport:
     """Compare a grid with its scene, cell by cell.
 
-    MuJoCo and FCL say what the volume over a cell touches, and MuJoCo's rays whether each floor is
-    a surface, and whether a place to stand is on no level. It shares the loading of the scene
-    alone with the code that baked the grid. `docs/verify.md` says what agreement means.
+    MuJoCo and FCL compute what the volume over a cell touches. MuJoCo's rays show whether each
+    floor is a surface, and whether the scene has a place to stand that is on no level. Only the
+    loading of the scene is shared with the code that baked the grid. `docs/verify.md` describes
+    what agreement means.
 
     Args:
-        grid: a grid of one or several levels, or the path of its file.
-        scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene
-            in memory (mujoco.MjModel, MjSpec, trimesh.Scene, Trimesh); None for the file that the
+        grid: A grid of one or several levels, or the path of its file.
+        scene: Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene
+            in memory (mujoco.MjModel, MjSpec, trimesh.Scene, Trimesh). If None, the file that the
             grid names, beside the grid or in the current folder, or in ``scenes`` there.
-        sample: how many cells to look at, >= 1, drawn from those of all levels; all if None.
-        seed: of the sample and of the paths.
-        radius: of the cylinder that stands on free cells [m], and runs along paths: that of the
-            grid's inflation if None, else the baked footprint. A grid that isn't inflated, or for
-            a smaller radius, is inflated for it.
-        paths: how many paths to plan and to sweep a cylinder along.
-        tolerance: what touches by less than this touches by rounding [m], > 0, and at most a
-            quarter of a cell's edge and of the height that is judged.
-        force: compare with a scene that isn't the one that was baked.
-        data: the mujoco.MjData with the pose of a model or spec; the pose that the grid states,
-            a keyframe and joints, if None.
+        sample: The number of cells to check, >= 1, drawn from those of all levels; None for all.
+        seed: The seed of the sample and of the paths, >= 0.
+        radius: The radius of the cylinder that has to fit on free cells [m], >= 0, and that is
+            swept along paths. If None, that of the grid's inflation, else the baked footprint. A
+            grid that is not inflated, or for a smaller radius, is inflated for it.
+        paths: The number of paths to plan, and to sweep the cylinder along, >= 0.
+        tolerance: Touches that are less deep are put down to rounding [m], > 0; at most a quarter
+            of a cell's edge, and of the height of the volume over a cell.
+        force: Whether to compare the grid with a scene that is not the one of its bake.
+        data: The pose of a model or spec. If None, the pose that the grid states: a keyframe and
+            joints.
+
+    Returns:
+        The counts of each level, and each disagreement with its position.
 
     Raises:
-        QueryError: there is no scene, or it isn't the grid's; an option is out of its range, or
-            the radius below that of the grid's inflation.
-        SceneError, ConfigError, FormatError: the scene, settings or grid can't be read, or the
-            grid's metadata state sizes that no agent can have.
+        QueryError: there is no scene, or it is not the grid's; an argument is out of its range, or
+            the radius is smaller than that of the grid's inflation.
+        SceneError: the scene cannot be read.
+        ConfigError: the settings are wrong.
+        FormatError: the grid cannot be read, or its metadata states sizes that no agent can have.
+
+    Example:
+        >>> report = navbake.verify("house.grid.json", "house.yaml", paths=100)
+        >>> report.ok
+        True
     """
-    whole = int | np.integer
-    number = int | float | np.integer | np.floating
-    asked: list[tuple[Any, Any, float, str]] = [
-        (sample, whole, 1, "a sample of at least 1 cell"),
-        (seed, whole, 0, "a whole number >= 0 as seed"),
-        (paths, whole, 0, "a number of paths >= 0"),
-        (radius, number, 0, "a radius >= 0 m"),
-        (tolerance, number, math.ulp(0.0), "a tolerance > 0 m"),
-    ]
-    for value, kind, least, expected in asked:
-        if value is None and expected.startswith(("a sample", "a radius")):
-            continue  # all cells, the grid's own radius
-        is_number = isinstance(value, kind) and not isinstance(value, bool)
-        if not (is_number and least <= value < np.inf):
-            raise QueryError(f"expected {expected}, got {value!r}")
+    _check_arguments(sample=sample, seed=seed, radius=radius, paths=paths, tolerance=tolerance)
     path = None if isinstance(grid, GridBase) else Path(grid)
-    content: Any = grid if path is None else read_navgrid(path)
-    found, config, notes = find_source(content, scene, path, force=force, data=data)
-    options: Any = {"sample": sample, "seed": seed, "radius": radius, "paths": paths}
-    options |= {"tolerance": tolerance, "notes": notes}
-    return verify_scene(content, found, config, **options)
+    # a grid of one level has the same attributes as a grid of several
+    nav_grid: Any = grid if path is None else read_navgrid(path)
+    loaded_scene, config, notes = find_source(nav_grid, scene, path, force=force, data=data)
+    return verify_scene(
+        nav_grid,
+        loaded_scene,
+        config,
+        sample=sample,
+        seed=seed,
+        radius=radius,
+        paths=paths,
+        tolerance=tolerance,
+        notes=notes,
+    )
+
+
+def _check_arguments(
+    *,
+    sample: int | None,
+    seed: int,
+    radius: float | None,
+    paths: int,
+    tolerance: float,
+) -> None:
+    """Raise a QueryError for the first argument of `verify` that is out of its range."""
+    if sample is not None:
+        _check_number(sample, "a sample of at least 1 cell", least=1, is_whole=True)
+    _check_number(seed, "a whole number >= 0 as seed", least=0, is_whole=True)
+    _check_number(paths, "a number of paths >= 0", least=0, is_whole=True)
+    if radius is not None:
+        _check_number(radius, "a radius >= 0 m", least=0)
+    _check_number(tolerance, "a tolerance > 0 m", least=math.ulp(0.0))
+
+
+def _check_number(number: object, expected: str, *, least: float, is_whole: bool = False) -> None:
+    """Raise a QueryError unless an argument is a finite number, of at least some size."""
+    types = (int, np.integer) if is_whole else (int, float, np.integer, np.floating)
+    is_number = isinstance(number, types) and not isinstance(number, bool)
+    if not is_number or not least <= number < np.inf:  # type: ignore[operator]
+        raise QueryError(f"expected {expected}, got {number!r}")
 
 
 def verify_scene(
@@ -103,105 +137,170 @@ def verify_scene(
     scene: Scene,
     config: BakeConfig | None,
     *,
-    sample: int | None = SAMPLE,
+    sample: int | None = DEFAULT_SAMPLE,
     seed: int = 0,
     radius: float | None = None,
     paths: int = 0,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     notes: Sequence[str] = (),
 ) -> VerifyReport:
-    """Compare a grid with a loaded scene, with the settings of the bake, where they are known.
+    """Compare a grid with a loaded scene.
 
-    Notes come first in the report. Raises as `verify`.
+    Args:
+        grid: The grid.
+        scene: The scene.
+        config: The settings of the bake; None if they are unknown.
+        sample: As in `verify`.
+        seed: As in `verify`.
+        radius: As in `verify`.
+        paths: As in `verify`.
+        tolerance: As in `verify`.
+        notes: Messages for the user, which come first in the report.
+
+    Returns:
+        The counts of each level, and each disagreement with its position.
+
+    Raises:
+        QueryError: The tolerance is too large, or the radius is smaller than that of the grid's
+            inflation.
+        SceneError: MuJoCo cannot hold the scene's shapes.
+        FormatError: The grid's metadata states sizes that no agent can have.
     """
-    content: Any = grid.without_blocks()
-    body = AgentSizes.of_grid(content)
+    # without what was blocked at run time; the type of one level and of several differs
+    baked_grid: Any = grid.without_blocks()
+    agent = AgentSizes.of_grid(baked_grid)
     notes = list(notes)
-    doors = pose_doors(scene, content)
-    most = min(content.levels[0].lattice.cell_size, body.height - body.step) / 4
-    if tolerance > most:
+    doors = pose_doors(scene, baked_grid)
+    cell_size = baked_grid.levels[0].lattice.cell_size
+    max_tolerance = min(cell_size, agent.height - agent.step) / 4
+    if tolerance > max_tolerance:
         raise QueryError(
-            f"expected a tolerance of at most {most:g} m, got {tolerance:g}: volumes are made "
-            "smaller by it on all sides, and half of a cell's width and of the height has to stay"
+            f"expected a tolerance of at most {max_tolerance:g} m, got {tolerance:g}: volumes are "
+            "made smaller by it on all sides, and half of a cell's width and of the height has to "
+            "stay"
         )
-    with_floors = [has_cell_floors(level) for level in content.levels]
-    content, cylinder, reach, by_centres = inflate_for(content, radius, notes)
-    if reach > 0 and config is not None and config.grid.bounds is not None:
+    levels_with_floors = [has_cell_floors(level) for level in baked_grid.levels]
+    inflated = inflate_for(baked_grid, radius, notes)
+    verified_grid = inflated.grid
+    if inflated.reach > 0 and config is not None and config.grid.bounds is not None:
         note = "`grid.bounds` cut the grid, which knows nothing of what lies beyond"
         notes.append(f"{note}: a larger agent's cylinder may touch it")
     if grid.is_blocked:
         notes.append("what was blocked at run time is left out")
-    num_cells = sum(level.width * level.height for level in content.levels)
-    levels = []
+
     obstacles = Obstacles(scene, doors.data, doors.removed)
+    probe = ObstacleProbe(obstacles)
+    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflated.reach)
+    floor_check = None
+    if all(levels_with_floors):
+        floor_obstacles = obstacles
+        if doors.no_floors:
+            floor_obstacles = Obstacles(scene, doors.data, doors.no_floors)
+        floor_check = FloorCheck(verified_grid, ObstacleProbe(floor_obstacles), agent, config)
+    neighborhood = CellNeighborhood(verified_grid, agent.step, by_centers=inflated.by_centers)
+    samples = take_sample(verified_grid, sample, seed, levels_with_floors)
+    levels = list[LevelCounts]()
     findings = list[Finding]()
-    probes = ObstacleProbe(obstacles)
-    check = OccupancyCheck(probes, body, tolerance, reach)
-    around = CellNeighborhood(content, body.step, by_centers=by_centres)
-    floors = None
-    if all(with_floors):
-        fixed = Obstacles(scene, doors.data, doors.no_floors) if doors.no_floors else obstacles
-        floors = FloorCheck(content, ObstacleProbe(fixed), body, config)
-    samples = take_sample(content, sample, seed, with_floors)
-    for own, name in zip(samples, content.level_names, strict=True):
-        levels.append(counts := LevelCounts(name, cells=len(own.rows)))
-        # what an inflation closed for a reason; all else has to touch something by itself
-        excused = (reach > 0) & ~own.free & ~own.occupied & ~np.isnan(own.floor)
-        closed = own.rows[excused], own.cols[excused], own.floor[excused]
-        excused[excused] = around.has_reason(own.level_id, *closed, reach)
-        findings += check.check_free(own, counts, volume_over(own, body, around, cylinder))
-        findings += check.check_blocked(own, counts, volume_over(own, body, around), excused)
-        findings += [] if floors is None else floors.check(own, counts)
-    of_links, unchecked = check_links(grid, scene, probes, body, tolerance)
-    findings += of_links
-    notes += unchecked
-    if floors is None:
+    for level_sample, name in zip(samples, verified_grid.level_names, strict=True):
+        counts = LevelCounts(name, cells=len(level_sample.rows))
+        levels.append(counts)
+        free_volume = volume_over(level_sample, agent, neighborhood, inflated.radius)
+        findings += occupancy_check.check_free(level_sample, counts, free_volume)
+        baked_volume = volume_over(level_sample, agent, neighborhood)
+        excused = _cells_closed_with_reason(level_sample, neighborhood, inflated.reach)
+        findings += occupancy_check.check_blocked(level_sample, counts, baked_volume, excused)
+        if floor_check is not None:
+            findings += floor_check.check(level_sample, counts)
+    link_findings, link_notes = check_links(grid, scene, probe, agent, tolerance)
+    findings += link_findings
+    notes += link_notes
+    notes += _notes_of_checks(floor_check, occupancy_check)
+
+    sweep_counts = None
+    sweep_radius = agent.radius if inflated.radius is None else inflated.radius
+    if paths and sweep_radius <= tolerance:
+        notes.append("no paths were swept: the agent's radius isn't above the tolerance")
+    elif paths:
+        swept_grid = verified_grid
+        if inflated.radius is None:
+            swept_grid = verified_grid.inflate(sweep_radius)
+        try:
+            sweep = PathSweep(swept_grid, probe, agent, sweep_radius, tolerance)
+            sweep_counts, path_findings = sweep.run(paths, seed)
+            findings += path_findings
+            if sweep_counts.paths < paths:
+                notes.append(f"only {sweep_counts.paths} paths were found between random places")
+        except FormatError as error:
+            notes.append(f"no paths were swept: {error}")
+
+    findings.sort(key=lambda finding: (finding.level, finding.cell or (-1, -1), finding.kind))
+    report = VerifyReport(
+        scene_id=verified_grid.scene_id,
+        num_cells=sum(level.width * level.height for level in verified_grid.levels),
+        seed=seed,
+        tolerance=tolerance,
+        radius=inflated.radius,
+        levels=levels,
+        sweeps=sweep_counts,
+        findings=findings,
+        notes=notes,
+    )
+    notes += _notes_of_obstacles(obstacles, report.total.disputed)
+    if doors.unknown:
+        notes.append(f"the scene has no doors {', '.join(map(repr, doors.unknown[:5]))}")
+    if not verified_grid.navbake:
+        sizes = f"radius {verified_grid.agent_radius:g} m, step {verified_grid.max_step:g} m"
+        note = f"the grid is of another program: an agent of {verified_grid.agent_height:g} m"
+        notes.append(f"{note}, {sizes}")
+    return report
+
+
+def _cells_closed_with_reason(
+    sample: LevelSample, neighborhood: CellNeighborhood, reach: float
+) -> Bool:
+    """Return which cells an inflation closed with a reason; any other has to touch something."""
+    closed = (reach > 0) & ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
+    closed[closed] = neighborhood.has_reason(
+        sample.level_id, sample.rows[closed], sample.cols[closed], sample.floor[closed], reach
+    )
+    return np.asarray(closed)
+
+
+def _notes_of_checks(floor_check: FloorCheck | None, occupancy_check: OccupancyCheck) -> list[str]:
+    """Return notes about the cells and places that the checks left out."""
+    notes = []
+    if floor_check is None:
         notes.append(
             "the grid states no floors of cells, so cells are judged over their level's ground: "
             "free ones need a floor within a step of it, and lost places aren't looked for"
         )
-    elif floors.num_ignored_regions:
+    elif floor_check.num_ignored_regions:
         notes.append(
-            f"{count_of(floors.num_ignored_regions, 'place')} to stand, "
-            f"{floors.ignored_area:.1f} m² in all, on no level: no steps lead there; too small for "
-            "a floor, or the top of furniture, of a shelf, or of a roof"
+            f"{count_of(floor_check.num_ignored_regions, 'place')} to stand, "
+            f"{floor_check.ignored_area:.1f} m² in all, on no level: no steps lead there; too "
+            "small for a floor, or the top of furniture, of a shelf, or of a roof"
         )
-    if check.num_groundless:
-        why = "the scene has no place to stand there within a step of their level's ground"
-        notes.append(f"{check.num_groundless} blocked cells touch nothing, but {why}")
-    swept = None
-    width = body.radius if cylinder is None else cylinder
-    if paths and width <= tolerance:
-        notes.append("no paths were swept: the agent's radius isn't above the tolerance")
-    elif paths:
-        inflated = content if cylinder is not None else content.inflate(width)
-        try:
-            swept, touching = PathSweep(inflated, probes, body, width, tolerance).run(paths, seed)
-            findings += touching
-            if swept.paths < paths:
-                notes.append(f"only {swept.paths} paths were found between random places")
-        except FormatError as error:
-            notes.append(f"no paths were swept: {error}")
-    findings.sort(key=lambda found: (found.level, found.cell or (-1, -1), found.kind))
-    report = VerifyReport(
-        content.scene_id, num_cells, seed, tolerance, cylinder, levels, swept, findings, notes
-    )
-    surfaces = {item.geom for item in obstacles.shapes if not item.is_same_in_mujoco}
-    if surfaces:
-        names = sorted(obstacles.geom_names[geom] for geom in surfaces)
-        more = f" and {len(names) - 1} more count" if names[1:] else " counts"
-        why = "where MuJoCo collides hulls, infinite planes or nothing: FCL and MuJoCo's rays judge"
-        notes.append(f"{names[0]!r}{more} by the surface, {why} alone")
-    if any(item.kind == UNCLEAR for item in obstacles.shapes):
+    if occupancy_check.num_groundless:
+        reason = "the scene has no place to stand there within a step of their level's ground"
+        notes.append(f"{occupancy_check.num_groundless} blocked cells touch nothing, but {reason}")
+    return notes
+
+
+def _notes_of_obstacles(obstacles: Obstacles, num_disputed: int) -> list[str]:
+    """Return notes about the obstacles that only one of the two libraries checks reliably."""
+    notes = []
+    surface_geoms = {shape.geom for shape in obstacles.shapes if not shape.is_same_in_mujoco}
+    if surface_geoms:
+        names = sorted(obstacles.geom_names[geom] for geom in surface_geoms)
+        subject = f"{names[0]!r} counts"
+        if len(names) > 1:
+            subject = f"{names[0]!r} and {len(names) - 1} more count"
+        reason = "where MuJoCo collides hulls, infinite planes or nothing"
+        notes.append(f"{subject} by the surface, {reason}: FCL and MuJoCo's rays judge alone")
+    if any(shape.kind == UNCLEAR for shape in obstacles.shapes):
         notes.append("some meshes are nearly closed: what lies inside of them isn't judged")
-    if report.total.disputed:
-        note = f"MuJoCo and FCL contradict each other over {report.total.disputed} cells"
-        why = "or they lie in meshes that are nearly closed"
-        notes.append(f"{note}, {why}: these cells aren't counted")
-    if doors.unknown:
-        notes.append(f"the scene has no doors {', '.join(map(repr, doors.unknown[:5]))}")
-    if not content.navbake:
-        sizes = f"radius {content.agent_radius:g} m, step {content.max_step:g} m"
-        note = f"the grid is of another program: an agent of {content.agent_height:g} m"
-        notes.append(f"{note}, {sizes}")
-    return report
+    if num_disputed:
+        note = f"MuJoCo and FCL contradict each other over {num_disputed} cells"
+        reason = "or they lie in meshes that are nearly closed"
+        notes.append(f"{note}, {reason}: these cells aren't counted")
+    return notes
