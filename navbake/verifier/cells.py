@@ -256,7 +256,8 @@ class FloorCheck:
         if start is None:
             return []
         hit = self._standable_at(row, col)[start.surface]
-        position = (*self._center(row, col), hit.z)
+        x, y = self._center(row, col)
+        standing_position = (x, y, hit.z)
         if not is_step:
             if start in self._searched_places or self._has_floor(row, col, hit.z):
                 return []
@@ -267,7 +268,7 @@ class FloorCheck:
             ]
             if surroundings.count(None) >= 2:
                 return []
-            if not self._is_certain(*position):
+            if not self._is_certain(x, y, hit.z):
                 return []
 
         region = self._search(start)
@@ -282,7 +283,7 @@ class FloorCheck:
         geom = self._probe.obstacles.geom_name(hit.obstacle)
         text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {reason}"
         finding = sample.finding(report.PLACE_LOST, cell, text, geom, round(area, 6))
-        return [replace(finding, position=position)]
+        return [replace(finding, position=standing_position)]
 
     def _is_step_from_free_cell(self, row: int, col: int, z: float) -> bool:
         """Whether a free cell beside a place has a floor, and a surface there, a step away."""
