@@ -7,12 +7,8 @@ call as an import, and lists what each command may load.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
-from types import MethodType
-from typing import Any, Generic, TypeVar
-
-Result = TypeVar("Result")
+from typing import Any
 
 
 class lazy:
@@ -35,14 +31,3 @@ def resolve(where: str) -> Any:
     """Import the object ``name`` of a module, given as ``module:name``."""
     module, _, name = where.partition(":")
     return getattr(import_module(module), name)
-
-
-class Method(Generic[Result]):
-    """A function at ``module:name`` that takes the object first, as a method of its class."""
-
-    def __init__(self, where: str) -> None:
-        self.where = where
-
-    def __get__(self, instance: object, owner: type | None = None) -> Callable[..., Result]:
-        function: Callable[..., Result] = resolve(self.where)
-        return function if instance is None else MethodType(function, instance)

@@ -26,6 +26,8 @@ REVEALED = {
     "grid.block(disc=((1.0, 2.0, 0.0), 0.3))": "AddedObstacle",
     "grid.tensors()": "GridTensors",
     "grid.routes()": "RouteGraph",
+    'grid.routes().save("routes.geojson")': "list[Path]",
+    "grid.routes().audit(grid)": "AuditReport",
     "grid.plot()": "Image",
     'grid.plot("house.svg", layers=["rooms"])': "Path",
     'grid.to_nav2("map.yaml", level=0, radius=0.3)': "list[Path]",
@@ -111,6 +113,7 @@ def test_no_type_is_any(revealed):
 CLASSES = [
     navbake.SceneGrid2D,
     navbake.MultiLevelGrid,
+    navbake.PathFinder,
     navbake.VoxelGrid,
     navbake.ExploredMap,
 ]

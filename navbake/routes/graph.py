@@ -11,7 +11,8 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.lazy import Method, lazy
+from navbake.lazy import lazy
+from navbake.routes.graph_methods import RouteGraphMethods
 from navbake.types import Float, Json, Vector3
 
 csgraph = lazy("scipy.sparse.csgraph")
@@ -52,7 +53,7 @@ class Lane:
 
 
 @dataclass(frozen=True)
-class RouteGraph:
+class RouteGraph(RouteGraphMethods):
     """A graph of routes of one agent."""
 
     nodes: tuple[Node, ...]
@@ -62,9 +63,6 @@ class RouteGraph:
     agent: str | None = None  #: The agent's name.
     radius: float = 0.0  #: Of the agent [m].
     speed: float = 1.0  #: The agent's [m/s].
-
-    save = Method[list[Any]]("navbake.formats.route_files:write_routes")
-    audit = Method[Any]("navbake.auditor.routes:audit_routes")
 
     def __repr__(self) -> str:
         one_way = sum(not lane.two_way for lane in self.lanes)

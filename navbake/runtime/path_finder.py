@@ -4,6 +4,8 @@
 code. All of them take a `navbake.runtime.search.Search`.
 """
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Sequence

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.lazy import Method, lazy
+from navbake.lazy import lazy, resolve
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAMES, UserData, names_in
@@ -57,7 +57,11 @@ class Path:
     stops: Int
     grid: NavGrid | None = None  #: The grid of the search.
 
-    _repr_png_ = Method[bytes | None]("navbake.views.notebook:draw_path")
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture of the path as PNG, which notebooks show; None without a grid."""
+        # pictures import this module
+        picture: bytes | None = resolve("navbake.views.notebook:draw_path")(self)
+        return picture
 
     def __repr__(self) -> str:
         text = f"Path({self.length:.2f} m, cost {self.cost:.2f}, {len(self.positions)} points"
