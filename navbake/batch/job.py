@@ -113,7 +113,7 @@ def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[Scene]:
             scene = _describe(plan, config, mirror)
             if copy_all and mirror.url_of(config.inputs[0]):
                 for path in find_inputs(
-                    config.inputs[0], mirror, looks=True, folders=config.scene.model_path
+                    config.inputs[0], mirror, with_textures=True, folders=config.scene.model_path
                 ):
                     mirror.ensure_local(path)
             yield scene

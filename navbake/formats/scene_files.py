@@ -8,8 +8,9 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 from urllib.parse import unquote
 
 from navbake.errors import SceneError
@@ -22,25 +23,30 @@ USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})
 STAGE_SUFFIXES = USD_SUFFIXES | {".usdz"}  # which holds all of its files
 # environment variables with the folders of Gazebo's models, today's first
 MODEL_PATHS = (
-    *("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH"),
-    *("GAZEBO_RESOURCE_PATH", "SDF_PATH"),
+    "GZ_SIM_RESOURCE_PATH",
+    "IGN_GAZEBO_RESOURCE_PATH",
+    "GAZEBO_MODEL_PATH",
+    "GAZEBO_RESOURCE_PATH",
+    "SDF_PATH",
 )
 URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
-MATERIAL = ".material"  # ending of a script of Ogre's, of looks
+MATERIAL = ".material"  # ending of a script of Ogre's, which changes the appearance alone
 # in a folder of a model of Gazebo
 MODEL_CONFIG = "model.config"
 MODEL_SDF = "model.sdf"
 # in a model.config, the version of SDF of a file, and its name
 SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
-MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
-LOOKS = ("texture", "skin")  # elements that change a scene's looks, but no cell
-# attributes of a compiler that name folders; of looks as well
-FOLDERS = ("meshdir", "assetdir")
-LOOK_FOLDERS = (*FOLDERS, "texturedir")
-# attributes that name a file, in MJCF and in URDF that it attaches; of looks as well: a cube has
-# one a side
-NAMES = ("file", "filename")
-LOOK_NAMES = (*NAMES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+MODEL_ELEMENTS = ("include", "model", "attach")  # whose file is XML, whatever its name
+TEXTURE_ELEMENTS = ("texture", "skin")  # that change a scene's appearance, but no cell
+# attributes of a compiler that name folders, without and with those of textures
+FOLDER_ATTRIBUTES = ("meshdir", "assetdir")
+ALL_FOLDER_ATTRIBUTES = (*FOLDER_ATTRIBUTES, "texturedir")
+# attributes that name a file, in MJCF and in URDF that it attaches, without and with those of the
+# sides of a cube's texture
+FILE_ATTRIBUTES = ("file", "filename")
+ALL_FILE_ATTRIBUTES = (
+    *FILE_ATTRIBUTES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback",
+)  # fmt: skip
 # for files that MuJoCo's XML parser (TinyXML-2) accepts and Python's refuses (`--` in a comment,
 # bytes of any encoding)
 COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
@@ -49,10 +55,12 @@ ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
 def scene_suffix(path: str | os.PathLike[str]) -> str:
-    """The ending that says what kind of scene a file is: ``.xml``, ``.building.yaml``, …."""
+    """Return the ending that says what kind of scene a file is: ``.xml``, ``.building.yaml``, …."""
     name = os.path.basename(os.fsdecode(path)).lower()
-    whole = next((suffix for suffix in BUILDING_SUFFIXES if name.endswith(suffix)), None)
-    return whole or os.path.splitext(name)[1]
+    for suffix in BUILDING_SUFFIXES:
+        if name.endswith(suffix):
+            return suffix
+    return os.path.splitext(name)[1]
 
 
 class FileAccess(Protocol):
@@ -62,7 +70,7 @@ class FileAccess(Protocol):
         """Whether there is such a regular file."""
 
     def ensure_local(self, path: Path) -> None:
-        """Make an existing file ready for reading."""
+        """Copy an existing file to this machine, unless that is done."""
 
 
 def check_inputs(scene: Path) -> None:
@@ -70,21 +78,29 @@ def check_inputs(scene: Path) -> None:
 
     These are a scene's path that is not UTF-8, and pipes and devices, on which it would wait for
     ever.
+
+    Raises:
+        SceneError: there is such an input.
     """
     if os.fsencode(scene).decode(errors="replace") != str(scene):
-        raise SceneError(f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it")
-    find_inputs(scene, looks=True)
+        message = f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it"
+        raise SceneError(message, path=str(scene), expected="a path in UTF-8", hint="rename it")
+    find_inputs(scene, with_textures=True)
 
 
-_Element = tuple[str, dict[str, str]]  # tag and attributes
+class _Element(NamedTuple):
+    """An element of an XML file."""
+
+    tag: str
+    attributes: dict[str, str]
 
 
 def find_inputs(
     scene: Path,
     files: FileAccess | None = None,
     *,
-    looks: bool = False,
-    missing: bool = False,
+    with_textures: bool = False,
+    with_missing: bool = False,
     folders: Sequence[Path] = (),
 ) -> list[Path]:
     """List the existing files of a scene: itself, then sorted.
@@ -92,229 +108,305 @@ def find_inputs(
     In MJCF these are all files that an element refers to, also in included files and attached
     models. A name's folder depends on the compiler's settings and on MuJoCo's version, so files in
     all possible folders count: one too many costs a bake, one too few leaves a stale grid. In URDF
-    they are the meshes, in glTF the buffers, in SDF models, meshes and height fields (`folders` are
-    those of models, see `list_sdf_paths`), in USD all layers.
+    they are the meshes, in glTF the buffers, in SDF models, meshes and height fields, in USD all
+    layers.
 
-    `looks` includes textures and skins, `missing` all possible places of each missing file. Raises
-    a SceneError for a pipe or a device of this machine, which would block its reader.
+    Args:
+        scene: the scene's file.
+        files: access to the files if they are not on this machine.
+        with_textures: include textures and skins.
+        with_missing: include all possible paths of each missing file.
+        folders: folders of the models of an SDF, see `list_sdf_paths`.
+
+    Returns:
+        The scene's path, then those of the others, sorted.
+
+    Raises:
+        SceneError: an input is a pipe or a device of this machine, which would block its reader.
     """
 
-    def has(path: Path) -> bool:
+    def exists(path: Path) -> bool:
         if files is not None:
             return files.has(path)
         try:
             check_regular(path)
         except OSError as error:
-            raise SceneError(f"cannot read {path}: {error.strerror}") from error
+            message = f"cannot read {path}: {error.strerror}"
+            raise SceneError(message, path=str(path)) from error
         return os.path.isfile(path)
 
     def read(path: Path) -> bytes:
-        """The content of a file; empty if it can't be read."""
-        if has(path):
+        """Return the content of a file; empty if it can't be read."""
+        if exists(path):
             with suppress(OSError):
                 if files is not None:
                     files.ensure_local(path)
                 return path.read_bytes()
         return b""
 
-    elements = _parse_elements(read(scene)) if scene.suffix.lower() in XML_SUFFIXES else []
-    found: set[Path] = set()
+    inputs: set[Path] = set()
 
-    def choose(places: Iterable[Path], first: bool = False) -> None:
-        places = list(places)
-        there = [place for place in places if has(place)]
-        found.update((there[:1] if first else there) or (places if missing else []))
+    def add_existing(candidates: Iterable[Path], only_first: bool = False) -> None:
+        """Add those of a file's possible paths that exist; all if none does and `with_missing`."""
+        candidates = list(candidates)
+        existing = [path for path in candidates if exists(path)]
+        if existing:
+            inputs.update(existing[:1] if only_first else existing)
+        elif with_missing:
+            inputs.update(candidates)
 
-    if elements and elements[0][0] == "robot":
-        for tag, attributes in elements:
-            if tag == "mesh":
-                choose(list_mesh_paths(scene, attributes.get("filename", "")), first=True)
-    else:
-        for places in _places_in_mjcf(scene, elements, read, looks):
-            choose(places)
     suffix = scene.suffix.lower()
+    elements = _parse_elements(read(scene)) if suffix in XML_SUFFIXES else []
+    if elements and elements[0].tag == "robot":
+        for element in elements:
+            if element.tag == "mesh":
+                name = element.attributes.get("filename", "")
+                add_existing(list_mesh_paths(scene, name), only_first=True)
+    else:
+        for candidates in _list_mjcf_paths(scene, elements, read, with_textures):
+            add_existing(candidates)
     if suffix in SDF_SUFFIXES | USD_SUFFIXES:
-        left = [scene]
-        seen = set[Path]()
-        while left:
-            file = left.pop()
-            if file in seen:
+        unread = [scene]
+        read_files = set[Path]()
+        while unread:
+            file = unread.pop()
+            if file in read_files:
                 continue
-            seen.add(file)
+            read_files.add(file)
             content = COMMENT.sub(b"", read(file))
             if suffix in USD_SUFFIXES:
-                names = _layers_of(file) if content else []
-                named = [
-                    [file.parent / name]
-                    for name in names
-                    if looks or scene_suffix(name) in STAGE_SUFFIXES
-                ]
+                candidate_lists = _list_usd_paths(file, with_textures) if content else []
             else:
-                uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
-                named = [
-                    _model_places(list_sdf_paths(uri, file, folders))
-                    for uri in uris
-                    if looks or not uri.endswith(MATERIAL)
-                ]
-                if file.name == MODEL_CONFIG:
-                    named = [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
-            for places in named:
-                choose(places)
-                left += [place for place in places if has(place)]
-    for mesh in [scene, *found]:
+                candidate_lists = _list_sdf_inputs(file, content, folders, with_textures)
+            for candidates in candidate_lists:
+                add_existing(candidates)
+                unread += [path for path in candidates if exists(path)]
+    for mesh in [scene, *inputs]:
         if mesh.suffix.lower() == ".gltf":
-            for uri in _buffer_names(read(mesh)):
-                choose(mesh.parent / name for name in {uri, uri.strip(), unquote(uri)})
-    return [scene, *sorted(found - {scene})]
+            for uri in _list_buffer_names(read(mesh)):
+                names = {uri, uri.strip(), unquote(uri)}
+                add_existing(mesh.parent / name for name in names)
+    return [scene, *sorted(inputs - {scene})]
 
 
-def list_mesh_paths(urdf: Path, name: str) -> Iterator[Path]:
-    """The possible places of a URDF's mesh, first to last.
-
-    As written, then from the URDF's folder up by the tail of its path, the longest first:
-    that finds ``package://pkg/meshes/a.dae`` without ROS.
-    """
-    bare = Path(name.split("://", 1)[-1])
-    folders = [urdf.parent, *urdf.absolute().parent.parents]
-    for first in range(len(bare.parts)):
-        for folder in folders:
-            yield folder.joinpath(*bare.parts[first:])
-
-
-def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
-    """The possible places of what an SDF file names, first to last.
-
-    Beside the file, unless it is ``model://…`` or the like; in the folders, then in those of the
-    environment variables `MODEL_PATHS`; then in the folders above the file, and in their
-    ``models``. So a checkout of a world with its models needs no variable.
-    """
-    scheme, _, name = uri.rpartition("://")
-    bare = Path(name.lstrip("/") if scheme not in ("", "file") else name)
-    if scheme in ("", "file"):
-        yield file.parent / bare
-    elif scheme in ("http", "https"):  # of Fuel, by the model's own name
-        bare = Path(bare.name)
-    yield from (folder / bare for folder in folders)
-    listed = (os.environ.get(name, "").split(os.pathsep) for name in MODEL_PATHS)
-    yield from (Path(folder) / bare for of_one in listed for folder in of_one if folder)
-    for above in file.absolute().parents:
-        yield from (above / bare, above / "models" / bare)
-
-
-def find_model_file(place: Path) -> Path:
-    """The SDF file of a model's folder, the latest in its model.config; a file itself."""
-    if not place.is_dir():
-        return place
-    config = place / MODEL_CONFIG
-    content = COMMENT.sub(b"", config.read_bytes()) if config.is_file() else b""
-
-    def version(named: tuple[bytes, bytes]) -> list[int]:
-        return [int(word) for word in named[0].split(b".") if word]
-
-    named = SDF_NAME.findall(content)
-    return place / (max(named, key=version)[1].decode() if named else MODEL_SDF)
-
-
-def _model_places(places: Iterable[Path]) -> list[Path]:
-    """The possible files of what stands at some places, which may be folders of models."""
+def _list_usd_paths(layer: Path, with_textures: bool) -> list[list[Path]]:
+    """Return for each file that a layer of USD names its only possible path."""
     return [
-        path
-        for place in places
-        for path in ([place] if place.suffix else [place / MODEL_CONFIG, place / MODEL_SDF])
+        [layer.parent / name]
+        for name in _list_layer_names(layer)
+        if with_textures or scene_suffix(name) in STAGE_SUFFIXES
     ]
 
 
-def _layers_of(layer: Path) -> list[str]:
-    """The layers and textures that a layer of USD names, without those in stores.
+def _list_sdf_inputs(
+    file: Path, content: bytes, folders: Sequence[Path], with_textures: bool
+) -> list[list[Path]]:
+    """Return for each file that an SDF, or a model.config, names its possible paths."""
+    if file.name == MODEL_CONFIG:
+        return [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
+    uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
+    return [
+        _list_model_files(list_sdf_paths(uri, file, folders))
+        for uri in uris
+        if with_textures or not uri.endswith(MATERIAL)
+    ]
 
-    None without usd-core.
+
+def list_mesh_paths(urdf: Path, name: str) -> Iterator[Path]:
+    """Yield the possible paths of a URDF's mesh, in the order of search.
+
+    They are the path as written, then its tails, the longest first, each below the URDF's folder
+    and the folders above that: this finds ``package://pkg/meshes/a.dae`` without ROS.
+
+    Args:
+        urdf: the URDF.
+        name: the mesh's name in it.
+    """
+    mesh_path = Path(name.split("://", 1)[-1])
+    folders = [urdf.parent, *urdf.absolute().parent.parents]
+    for first in range(len(mesh_path.parts)):
+        for folder in folders:
+            yield folder.joinpath(*mesh_path.parts[first:])
+
+
+def list_sdf_paths(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
+    """Yield the possible paths of a file that an SDF names, in the order of search.
+
+    They are beside the SDF, unless the name is ``model://…`` or the like; in the folders, then in
+    those of the environment variables `MODEL_PATHS`; then in the folders above the SDF, and in
+    their ``models``. So a checkout of a world with its models needs no variable.
+
+    Args:
+        uri: the name in the SDF.
+        file: the SDF.
+        folders: folders of models, from the settings.
+    """
+    scheme, _, name = uri.rpartition("://")
+    is_beside = scheme in ("", "file")
+    path = Path(name if is_beside else name.lstrip("/"))
+    if is_beside:
+        yield file.parent / path
+    elif scheme in ("http", "https"):  # a model of Fuel, by its name alone
+        path = Path(path.name)
+    for folder in folders:
+        yield folder / path
+    for variable in MODEL_PATHS:
+        for folder_name in os.environ.get(variable, "").split(os.pathsep):
+            if folder_name:
+                yield Path(folder_name) / path
+    for parent in file.absolute().parents:
+        yield parent / path
+        yield parent / "models" / path
+
+
+def find_model_file(path: Path) -> Path:
+    """Return the SDF of a model's folder, by the latest version in its model.config.
+
+    A path that is no folder is returned as it is.
+    """
+    if not path.is_dir():
+        return path
+    config = path / MODEL_CONFIG
+    content = COMMENT.sub(b"", config.read_bytes()) if config.is_file() else b""
+    entries: list[tuple[bytes, bytes]] = SDF_NAME.findall(content)
+    if not entries:
+        return path / MODEL_SDF
+
+    def parse_version(entry: tuple[bytes, bytes]) -> list[int]:
+        version, _ = entry
+        return [int(word) for word in version.split(b".") if word]
+
+    _, latest_name = max(entries, key=parse_version)
+    return path / latest_name.decode()
+
+
+def _list_model_files(paths: Iterable[Path]) -> list[Path]:
+    """Return files by their paths, and of paths without a suffix the files of a model's folder."""
+    files = []
+    for path in paths:
+        if path.suffix:
+            files.append(path)
+        else:
+            files.append(path / MODEL_CONFIG)
+            files.append(path / MODEL_SDF)
+    return files
+
+
+def _list_layer_names(layer: Path) -> list[str]:
+    """Return the names of layers and textures in a layer of USD, without those in stores.
+
+    Without usd-core there are none.
     """
     with suppress(ImportError):
         from pxr import Tf, UsdUtils  # of the extra [usd]
 
-        quiet = UsdUtils.CoalescingDiagnosticDelegate()
+        diagnostics = UsdUtils.CoalescingDiagnosticDelegate()  # keeps them off stderr
         with suppress(Tf.ErrorException):  # whoever reads the layer says what is wrong
-            named = UsdUtils.ExtractExternalReferences(str(layer))
-            return [name for names in named for name in names if "://" not in name]
-        quiet.TakeUncoalescedDiagnostics()
+            name_lists = UsdUtils.ExtractExternalReferences(str(layer))
+            return [name for name in chain.from_iterable(name_lists) if "://" not in name]
+        diagnostics.TakeUncoalescedDiagnostics()
     return []
 
 
-def _places_in_mjcf(
-    scene: Path, elements: list[_Element], read: Callable[[Path], bytes], looks: bool
+class _MjcfFile(NamedTuple):
+    """A file of a model, to be searched for names of files."""
+
+    path: Path
+    elements: list[_Element]
+    model_folder: Path  # of the model's main file, which includes others
+
+
+def _list_mjcf_paths(
+    scene: Path, elements: list[_Element], read: Callable[[Path], bytes], with_textures: bool
 ) -> list[list[Path]]:
-    """For each file in MJCF, its possible places."""
-    named: list[tuple[list[Path], str]] = []  # possible folders of the name, and the name
-    folders = {""}
-    left = [(scene, elements, scene.parent)]
-    seen = set[tuple[str, ...]]()
-    while left:
-        file, own, home = left.pop()
-        # another model: its file, and the folders of its names
-        identity = tuple(map(os.path.realpath, (file, file.parent, home)))
-        if identity in seen:
+    """Return for each file that MJCF names its possible paths."""
+    folder_attributes = ALL_FOLDER_ATTRIBUTES if with_textures else FOLDER_ATTRIBUTES
+    file_attributes = ALL_FILE_ATTRIBUTES if with_textures else FILE_ATTRIBUTES
+    names: list[tuple[list[Path], str]] = []  # each after the folders that it may be relative to
+    compiler_folders = {""}
+    unread = [_MjcfFile(scene, elements, scene.parent)]
+    read_files = set[tuple[str, ...]]()
+    while unread:
+        file = unread.pop()
+        # a file is read again where its names are relative to other folders
+        identity = (
+            os.path.realpath(file.path),
+            os.path.realpath(file.path.parent),
+            os.path.realpath(file.model_folder),
+        )
+        if identity in read_files:
             continue
-        seen.add(identity)
-        bases = [*dict.fromkeys((scene.parent, home, file.parent))]
-        for tag, attributes in own:
-            keys = LOOK_FOLDERS if looks else FOLDERS
-            folders.update(_slashed(attributes[key]) for key in keys if key in attributes)
-            if tag in LOOKS and not looks:
+        read_files.add(identity)
+        bases = [*dict.fromkeys((scene.parent, file.model_folder, file.path.parent))]
+        for element in file.elements:
+            for key in folder_attributes:
+                if key in element.attributes:
+                    compiler_folders.add(_replace_backslashes(element.attributes[key]))
+            if element.tag in TEXTURE_ELEMENTS and not with_textures:
                 continue
-            for key in LOOK_NAMES if looks else NAMES:
-                name = _slashed(attributes.get(key, ""))
+            for key in file_attributes:
+                name = _replace_backslashes(element.attributes.get(key, ""))
                 if not name or "\0" in name:
                     continue
-                named.append((bases, name))
-                if tag not in MODELS and Path(name).suffix.lower() not in XML_SUFFIXES:
+                names.append((bases, name))
+                is_xml = Path(name).suffix.lower() in XML_SUFFIXES
+                if element.tag not in MODEL_ELEMENTS and not is_xml:
                     continue
-                for path in _places(bases, [""], name):
-                    if content := read(path):
-                        inner_home = home if tag == "include" else path.parent
-                        left.append((path, _parse_elements(content), inner_home))
-    return [_places(bases, sorted(folders), name) for bases, name in named]
+                for path in _list_paths(bases, [""], name):
+                    content = read(path)
+                    if not content:
+                        continue
+                    model_folder = file.model_folder if element.tag == "include" else path.parent
+                    unread.append(_MjcfFile(path, _parse_elements(content), model_folder))
+    return [_list_paths(bases, sorted(compiler_folders), name) for bases, name in names]
 
 
-def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
-    """The possible paths of a name in MJCF; `strippath` of a compiler drops its folders.
+def _list_paths(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
+    """Return the possible paths of a name in MJCF; `strippath` of a compiler drops its folders.
 
     MuJoCo drops a folder before ``..``, even a link or one that is missing; the system follows it.
     """
-    paths: dict[Path, None] = {}
+    paths: dict[Path, None] = {}  # an ordered set
     for folder in folders:
-        for each in dict.fromkeys((name, os.path.basename(name))):
+        for file_name in dict.fromkeys((name, os.path.basename(name))):
             for base in bases:
-                path = base / folder / each
+                path = base / folder / file_name
                 paths[path] = None
                 if os.pardir in path.parts:
                     paths[Path(os.path.normpath(path))] = None
     return list(paths)
 
 
-def _buffer_names(content: bytes) -> list[str]:
-    """The buffers of a glTF file that are files."""
+def _list_buffer_names(content: bytes) -> list[str]:
+    """Return the buffers of a glTF file that are files of their own."""
     try:
         buffers = json.loads(content)["buffers"]
-        uris = [str(each["uri"]) for each in buffers if "uri" in each]
+        uris = [str(buffer["uri"]) for buffer in buffers if "uri" in buffer]
     except (ValueError, RecursionError, LookupError, TypeError):
         return []
     return [uri for uri in uris if not uri.startswith("data:") and "\0" not in unquote(uri)]
 
 
-def _slashed(name: str) -> str:
-    """A path as MuJoCo reads it on any system: a backslash separates folders, too."""
+def _replace_backslashes(name: str) -> str:
+    """Return a path as MuJoCo reads it on any system: a backslash separates folders, too."""
     return name.replace("\\", "/")
 
 
 def _parse_elements(content: bytes) -> list[_Element]:
-    def text(value: bytes) -> str:
-        """A name as the system's calls return it, also if it is no UTF-8."""
+    """Return the first element of an XML file, and all that may name files or folders."""
+
+    def decode(value: bytes) -> str:
+        """Return a name as the system's calls return it, also if it is no UTF-8."""
         return html.unescape(value.decode(errors="surrogateescape"))
 
-    found = ELEMENT.findall(COMMENT.sub(b"", content))
-    # of most elements, no attribute matters here
-    found[1:] = [each for each in found[1:] if b"file" in each[1] or b"dir" in each[1]]
-    return [
-        (text(tag), {text(key): text(a or b) for key, a, b in ATTRIBUTE.findall(attributes)})
-        for tag, attributes in found
-    ]
+    elements = []
+    for number, (tag, text) in enumerate(ELEMENT.findall(COMMENT.sub(b"", content))):
+        # most elements name no file, and are left out before their attributes are parsed
+        if number > 0 and b"file" not in text and b"dir" not in text:
+            continue
+        attributes = {
+            decode(key): decode(double_quoted or single_quoted)
+            for key, double_quoted, single_quoted in ATTRIBUTE.findall(text)
+        }
+        elements.append(_Element(decode(tag), attributes))
+    return elements

@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 import orjson
@@ -24,7 +25,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.door_states import find_leaf_ends
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice, find_outline_fault, rounded
-from navbake.types import Float, Int, Json
+from navbake.types import Float, Int, Json, JsonValue
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -36,87 +37,156 @@ WALKABLE = "walkable"
 DOOR = "door"
 KINDS = (ROOM, WALKABLE, DOOR)
 DECIMALS = 9  # of coordinates: a nanometre
-SMALLEST = 1e-6  # cells with an edge below this keep all digits [m]
+MIN_ROUNDED_EDGE = 1e-6  # below this edge of a cell, coordinates keep all digits [m]
 COLUMNS = ("kind", "level", "levelName", "height", "id", "name", "area")
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A room, the walkable area of a level, or a door, from above."""
+    """A room, the walkable area of a level, or a door, seen from above.
 
-    kind: str  #: ``room``, ``walkable`` or ``door``.
-    level: int  #: 0 is the lowest.
-    level_name: str  #: The level's name.
-    height: float  #: World z of the level's ground [m].
-    id: str | None  #: Of a room or door, unique among those of the grid, None for none.
-    name: str | None  #: Of a room, None for none.
-    area: float  #: Of the cells [m²]; 0 of a door.
-    #: Of a polygon: for each part its rings, the outer one first, then the holes; each of shape (n,
-    #: 2), float64, world x, y [m], the first corner not repeated. Outer rings run anticlockwise,
-    #: holes clockwise.
+    Attributes:
+        kind: ``room``, ``walkable`` or ``door``.
+        level: the number of its level, 0 is the lowest.
+        level_name: the level's name.
+        height: world z of the level's ground [m].
+        id: the id of a room or door, unique among those of the grid; None for a walkable area.
+        name: the name of a room, None if it has none.
+        area: the area of the cells [m²]; 0 for a door.
+        parts: of a room or walkable area, for each part its rings, the outer one first, then the
+            holes; each of shape (n, 2), float64, world x, y [m], the first corner not repeated.
+            Outer rings run anticlockwise, holes clockwise.
+        line: both ends of a door, shape (2, 2), float64, world x, y [m]; else None.
+        more: further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
+    """
+
+    kind: str
+    level: int
+    level_name: str
+    height: float
+    id: str | None
+    name: str | None
+    area: float
     parts: list[list[Float]]
-    #: Of a door: both ends, shape (2, 2), float64, world x, y [m]; None of others.
     line: Float | None
-    more: Json  #: Further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
+    more: Json
 
     @property
     def geometry(self) -> BaseGeometry:
-        """The valid shapely Polygon, MultiPolygon or LineString [m], if shapely is installed."""
+        """The shape as a valid Polygon, MultiPolygon or LineString of shapely [m].
+
+        Raises:
+            MissingDependencyError: shapely is not installed.
+        """
         shapely = import_extra("shapely")
         if self.line is not None:
             line: BaseGeometry = shapely.LineString(self.line)
             return line
         polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in self.parts]
-        made: BaseGeometry = shapely.MultiPolygon(polygons) if polygons[1:] else polygons[0]
-        return made
+        if len(polygons) == 1:
+            polygon: BaseGeometry = polygons[0]
+            return polygon
+        multi_polygon: BaseGeometry = shapely.MultiPolygon(polygons)
+        return multi_polygon
 
     @property
     def properties(self) -> Json:
-        """JSON of all but the geometry."""
-        own = {"kind": self.kind, "level": self.level, "levelName": self.level_name}
-        own |= {"height": self.height, "id": self.id, "name": self.name, "area": self.area}
-        return {**own, **self.more}
+        """All but the geometry, as JSON."""
+        return {
+            "kind": self.kind,
+            "level": self.level,
+            "levelName": self.level_name,
+            "height": self.height,
+            "id": self.id,
+            "name": self.name,
+            "area": self.area,
+            **self.more,
+        }
 
 
 def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
-    """The rooms, walkable areas and doors of a grid as shapes.
+    """Find the rooms, walkable areas and doors of a grid as shapes.
 
-    Polygons run exactly along the cells' edges: of a room, round all of its cells, occupied ones
-    too; of a walkable area, round the free cells of a level. A cell's centre lies in a polygon if
-    and only if the polygon has the cell. Cells that only touch at a corner are separate parts, so
-    polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in its
-    current state); see `navbake.navgrid.door_states.find_leaf_ends`.
+    Polygons run exactly along the cells' edges: that of a room around all of its cells, occupied
+    ones too, that of a walkable area around the free cells of a level. A cell's centre lies in a
+    polygon if and only if the polygon has the cell. Cells that only touch at a corner are separate
+    parts, so polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in
+    its current state); see `navbake.navgrid.door_states.find_leaf_ends`.
 
-    Returns for each level, lowest first, those of `kinds`: its rooms by index, its walkable area
-    (none without free cells), and its doors. A door of two levels is on both. Raises a QueryError
-    for an unknown kind.
+    Args:
+        grid: the grid.
+        kinds: the kinds of shapes to find, of ``room``, ``walkable`` and ``door``.
+
+    Returns:
+        For each level, lowest first: its rooms by index, its walkable area (none without free
+        cells), and its doors. A door of two levels is on both.
+
+    Raises:
+        QueryError: a kind is unknown.
     """
-    unknown = sorted(set(kinds) - set(KINDS))
-    if isinstance(kinds, str) or unknown:
-        raise QueryError(f"expected some of {', '.join(KINDS)} as kinds, got {kinds!r}")
-    shapes = []
+    unknown_kinds = sorted(set(kinds) - set(KINDS))
+    if isinstance(kinds, str) or unknown_kinds:
+        expected = f"some of {', '.join(KINDS)}"
+        raise QueryError(
+            f"expected {expected} as kinds, got {kinds!r}",
+            key="kinds",
+            value=kinds,
+            expected=expected,
+        )
+    shapes: list[Shape] = []
     for number, level in enumerate(grid.levels):
-        place = (number, grid.level_names[number], rounded(level.ground))
-        square = level.lattice.cell_size**2
+        level_name = grid.level_names[number]
+        height = rounded(level.ground)
+        cell_area = level.lattice.cell_size**2
         if ROOM in kinds:
-            known = {room.index: room for room in grid.rooms if room.level == number}
-            count = np.bincount(level.room_index.ravel())
+            rooms = {room.index: room for room in grid.rooms if room.level == number}
+            num_cells = np.bincount(level.room_index.ravel())  # of each room
             for index, parts in trace_polygons(level.room_index, level.lattice).items():
-                room = known.get(index)
-                area = rounded(int(count[index]) * square)
-                name = (room and room.name) or None
-                room_id = room.id if room else f"{number}:{index}"
-                more: Json = {"outdoors": True} if room and room.outdoors else {}
-                shapes.append(Shape(ROOM, *place, room_id, name, area, parts, None, more))
+                room = rooms.get(index)
+                shape = Shape(
+                    kind=ROOM,
+                    level=number,
+                    level_name=level_name,
+                    height=height,
+                    id=room.id if room else f"{number}:{index}",
+                    name=(room.name or None) if room else None,
+                    area=rounded(int(num_cells[index]) * cell_area),
+                    parts=parts,
+                    line=None,
+                    more={"outdoors": True} if room and room.outdoors else {},
+                )
+                shapes.append(shape)
         if WALKABLE in kinds and level.free.any():
-            parts = trace_polygons(level.free, level.lattice)[1]
-            area = rounded(int(np.count_nonzero(level.free)) * square)
-            shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
+            shape = Shape(
+                kind=WALKABLE,
+                level=number,
+                level_name=level_name,
+                height=height,
+                id=None,
+                name=None,
+                area=rounded(int(np.count_nonzero(level.free)) * cell_area),
+                parts=trace_polygons(level.free, level.lattice)[1],
+                line=None,
+                more={},
+            )
+            shapes.append(shape)
         for door in grid.doors if DOOR in kinds else ():
             ends = find_leaf_ends(grid, door, number)
-            if ends is not None:
-                more = {"state": door.state, "rooms": list(door.rooms)}
-                shapes.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
+            if ends is None:
+                continue
+            shape = Shape(
+                kind=DOOR,
+                level=number,
+                level_name=level_name,
+                height=height,
+                id=door.id,
+                name=None,
+                area=0.0,
+                parts=[],
+                line=np.array(ends),
+                more={"state": door.state, "rooms": list(door.rooms)},
+            )
+            shapes.append(shape)
     return shapes
 
 
@@ -128,29 +198,40 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
 
     A part is cells of one label, 0 for none, that share edges. No ring has a corner twice, and
     rings of one label meet at single corners at most. So each part is a valid polygon, and all
-    parts of a label a valid multipolygon (OGC simple features). Returns by ascending label its
-    parts by their first cells in reading order; each has rings as in `Shape.parts`, to a nanometre.
+    parts of a label a valid multipolygon (OGC simple features).
+
+    Args:
+        labels: the label of each cell, shape (height, width), from 1; 0 for none.
+        lattice: the lattice of the cells.
+
+    Returns:
+        By ascending label its parts, by their first cells in reading order; each has rings as in
+        `Shape.parts`, rounded to a nanometre.
     """
-    own = np.asarray(labels, dtype=np.int32)
-    found: dict[int, list[list[Float]]] = {}
-    for label, window in enumerate(ndimage.find_objects(own), 1):
+    labels = np.asarray(labels, dtype=np.int32)
+    parts_by_label: dict[int, list[list[Float]]] = {}
+    for label, window in enumerate(ndimage.find_objects(labels), 1):
         if window is None:
             continue
-        numbers, count = ndimage.label(own[window] == label)
-        parts: list[list[Float]] = [[] for _ in range(count)]
-        for part, corners in _trace_rings(numbers):
-            row, col = (corners + [first.start for first in window]).T
-            points = np.stack([lattice.x_min + col * lattice.cell_size,
-                               lattice.y_max - row * lattice.cell_size], axis=-1)  # fmt: skip
-            if lattice.cell_size > SMALLEST:
+        part_numbers, num_parts = ndimage.label(labels[window] == label)
+        first_row = window[0].start
+        first_col = window[1].start
+        parts: list[list[Float]] = [[] for _ in range(num_parts)]
+        for part, corners in _trace_rings(part_numbers):
+            x = lattice.x_min + (corners[:, 1] + first_col) * lattice.cell_size
+            y = lattice.y_max - (corners[:, 0] + first_row) * lattice.cell_size
+            points = np.stack([x, y], axis=-1)
+            if lattice.cell_size > MIN_ROUNDED_EDGE:
                 points = np.round(points, DECIMALS)
             parts[part - 1].append(points + 0.0)  # no -0.0
-        found[label] = parts
-    return found
+        parts_by_label[label] = parts
+    return parts_by_label
 
 
 def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
-    """Yield the rings of parts of cells, (height, width), from 1: each ring's part and corners.
+    """Yield the rings around parts of cells: the number of each ring's part, and its corners.
+
+    `parts` has the number of each cell's part from 1, 0 for none, shape (height, width).
 
     Contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture Processing,
     1982). Each side between a cell and a neighbour of another part is a step with its cell on the
@@ -164,59 +245,77 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
     first, then holes by their first sides below them in reading order.
     """
     padded = np.pad(parts, 1)
-    own = padded.ravel()
+    part = padded.ravel()  # of each cell, by flat index
     width = padded.shape[1]
-    # ways: east, north, west, south, along the south, east, north, west side; a left turn is + 1
+    # directions 0 to 3 lead east, north, west, south, along a cell's south, east, north, west
+    # side; a left turn adds 1
     ahead = np.array([1, -width, -1, width])
     right = np.array([width, 1, -width, -1])
-    cell, way = np.divmod(np.arange(4 * own.size), 4)
-    steps = np.flatnonzero((own[cell] > 0) & (own[cell] != own[(cell + right[way]) % own.size]))
+    cell, direction = np.divmod(np.arange(4 * part.size), 4)
+    right_part = part[(cell + right[direction]) % part.size]
+    steps = np.flatnonzero((part[cell] > 0) & (part[cell] != right_part))
     cell = cell[steps]
-    way = way[steps]
-    here = cell + ahead[way]
-    beside = cell + ahead[way] + right[way]
-    turns_right = own[beside] == own[cell]
-    goes_on = own[here] == own[cell]
-    next_cell = np.where(turns_right, beside, np.where(goes_on, here, cell))
-    next_way = (way + np.where(turns_right, 3, np.where(goes_on, 0, 1))) % 4
-    after = np.searchsorted(steps, 4 * next_cell + next_way).tolist()
-    is_corner = (next_way != way).tolist()
-    # where a step ends, from the upper left corner of its cell, less the border
+    direction = direction[steps]
+
+    cell_ahead = cell + ahead[direction]
+    cell_ahead_right = cell_ahead + right[direction]
+    turns_right = part[cell_ahead_right] == part[cell]
+    goes_on = part[cell_ahead] == part[cell]
+    next_cell = np.where(turns_right, cell_ahead_right, np.where(goes_on, cell_ahead, cell))
+    turn = np.where(turns_right, 3, np.where(goes_on, 0, 1))
+    next_direction = (direction + turn) % 4
+    next_step = np.searchsorted(steps, 4 * next_cell + next_direction).tolist()
+    is_corner = (next_direction != direction).tolist()
+
+    # the corner where a step ends, without the border
     row, col = np.divmod(cell, width)
-    ends = np.stack([row + np.array([0, -1, -1, 0])[way], col + np.array([0, 0, -1, -1])[way]], 1)
-    done = np.zeros(len(steps), dtype=np.bool_)
-    for first in np.flatnonzero(way == 2).tolist():  # each ring has a side to the north
-        if done[first]:
+    end_row = row + np.array([0, -1, -1, 0])[direction]
+    end_col = col + np.array([0, 0, -1, -1])[direction]
+    ends = np.stack([end_row, end_col], axis=1)
+    is_done = np.zeros(len(steps), dtype=np.bool_)
+    for first in np.flatnonzero(direction == 2).tolist():  # each ring has a side to the north
+        if is_done[first]:
             continue
         ring = []
         step = first
-        while not done[step]:
-            done[step] = True
+        while not is_done[step]:
+            is_done[step] = True
             if is_corner[step]:
                 ring.append(step)
-            step = after[step]
-        yield int(own[cell[first]]), ends[ring]
+            step = next_step[step]
+        yield int(part[cell[first]]), ends[ring]
 
 
 # ---------------------------------------------------------------- files
 
 
 def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
-    """Describe a grid's shapes as a FeatureCollection; see `find_shapes` for `kinds` and errors.
+    """Describe a grid's shapes as a FeatureCollection.
 
     A room or a walkable area is a Polygon or MultiPolygon, a door a LineString, in world x, y [m].
     Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's ground [m]),
     ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms`` of doors.
+
+    Args:
+        grid: the grid.
+        kinds: the kinds of shapes to describe, of ``room``, ``walkable`` and ``door``.
+
+    Returns:
+        The FeatureCollection as JSON.
+
+    Raises:
+        QueryError: a kind is unknown.
     """
     features = []
     for shape in find_shapes(grid, kinds):
-        rings = [[[*ring.tolist(), ring[0].tolist()] for ring in part] for part in shape.parts]
-        form: tuple[str, Any] = ("MultiPolygon", rings)
+        polygons = [[_close_ring(ring) for ring in part] for part in shape.parts]
+        geometry: Json
         if shape.line is not None:
-            form = "LineString", shape.line.tolist()
-        elif len(rings) == 1:
-            form = "Polygon", rings[0]
-        geometry = dict(zip(("type", "coordinates"), form, strict=True))
+            geometry = {"type": "LineString", "coordinates": shape.line.tolist()}
+        elif len(polygons) == 1:
+            geometry = {"type": "Polygon", "coordinates": polygons[0]}
+        else:
+            geometry = {"type": "MultiPolygon", "coordinates": polygons}
         features.append({"type": "Feature", "geometry": geometry, "properties": shape.properties})
     about = {
         "sceneId": grid.scene_id,
@@ -226,8 +325,22 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
     return {"type": "FeatureCollection", "navbake": about, "features": features}
 
 
+def _close_ring(ring: Float) -> list[list[float]]:
+    """Return the corners of a ring with the first one at the end again, as GeoJSON has it."""
+    corners: list[list[float]] = ring.tolist()
+    return [*corners, ring[0].tolist()]
+
+
 def encode_geojson(grid: NavGrid, path: Path) -> Files:
-    """Encode the FeatureCollection of `to_geojson`."""
+    """Encode the FeatureCollection of `to_geojson`.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+
+    Returns:
+        The file's content by its path.
+    """
     return {path: orjson.dumps(to_geojson(grid), option=orjson.OPT_APPEND_NEWLINE)}
 
 
@@ -235,10 +348,20 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     """Encode a grid's shapes as a CSV for GDAL, QGIS, PostGIS and pandas.
 
     Its columns are ``WKT`` (OGC simple features) and then the properties that all features of
-    `to_geojson` have. Raises a MissingDependencyError without shapely.
+    `to_geojson` have.
+
+    Args:
+        grid: the grid.
+        path: the path of the file.
+
+    Returns:
+        The file's content by its path.
+
+    Raises:
+        MissingDependencyError: shapely is not installed.
     """
     shapely = import_extra("shapely")
-    rows: list[list[Any]] = [["WKT", *COLUMNS]]
+    rows: list[list[object]] = [["WKT", *COLUMNS]]
     for shape in find_shapes(grid):
         wkt = shapely.to_wkt(shape.geometry, rounding_precision=DECIMALS)
         rows.append([wkt, *(shape.properties[column] for column in COLUMNS)])
@@ -251,16 +374,27 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     Coordinates are world x, y in metres; a third one is ignored. The properties are ``name``
     (text), ``level`` (a number from 0, or a name; 0 if missing) and ``outdoors`` (false if
     missing). Features of ``kind`` ``walkable`` or ``door`` are left out. A MultiPolygon is one
-    room. Rings may be closed or not. Errors name the feature. Returns ``name``, ``level``,
-    ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and further parts) of each.
+    room. Rings may be closed or not.
+
+    Args:
+        path: the file.
+
+    Returns:
+        For each polygon an object with ``name``, ``level``, ``outdoors``, ``points`` (the first
+        outline) and ``rings`` (holes and further parts).
+
+    Raises:
+        FormatError: the file is broken; the error names the feature.
     """
-    found: list[Json] = []
-    for k, feature in enumerate(_read_features(path)):
-        where = f"feature {k} of {path}"
+    outlines: list[Json] = []
+    for number, feature in enumerate(_read_features(path)):
+        place = _FeaturePlace(str(path), f"feature {number}")
         is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
-        _check(is_feature, "a Feature", feature, where)
-        properties = {} if feature.get("properties") is None else feature["properties"]
-        _check(isinstance(properties, dict), "an object at `properties`", properties, where)
+        place.check(is_feature, "a Feature", feature)
+        properties = feature.get("properties")
+        if properties is None:
+            properties = {}
+        place.check(isinstance(properties, dict), "an object at `properties`", properties)
         if properties.get("kind") in KINDS[1:]:
             continue
         name = properties.get("name")
@@ -268,19 +402,27 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
         outdoors = properties.get("outdoors")
         geometry = feature.get("geometry")
         is_name = name is None or (isinstance(name, str) and name != "")
-        _check(is_name, "text at `properties.name`", name, where)
-        where = where if name is None else f"feature {k} ({name!r}) of {path}"
-        level = int(level) if isinstance(level, float) and level.is_integer() else level
+        place.check(is_name, "text at `properties.name`", name)
+        if name is not None:
+            place = _FeaturePlace(str(path), f"feature {number} ({name!r})")
+        if isinstance(level, float) and level.is_integer():
+            level = int(level)
         is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
-        expected = "a level's number from 0, or its name, at `properties.level`"
-        _check(is_level, expected, level, where)
+        place.check(is_level, "a level's number from 0, or its name, at `properties.level`", level)
         is_flag = isinstance(outdoors, bool | None)
-        _check(is_flag, "true or false at `properties.outdoors`", outdoors, where)
+        place.check(is_flag, "true or false at `properties.outdoors`", outdoors)
         kind = geometry.get("type") if isinstance(geometry, dict) else None
-        points, *rings = _read_rings(geometry, kind, where)
-        about = {"name": name, "level": level, "outdoors": bool(outdoors)}
-        found.append({**about, "points": points, "rings": rings})
-    return found
+        points, *rings = _read_rings(geometry, kind, place)
+        outlines.append(
+            {
+                "name": name,
+                "level": level,
+                "outdoors": bool(outdoors),
+                "points": points,
+                "rings": rings,
+            }
+        )
+    return outlines
 
 
 def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json]:
@@ -288,75 +430,123 @@ def read_links_or_areas(path: str | os.PathLike[str], section: str) -> list[Json
 
     JSON has a list of them. GeoJSON has a Feature for each, whose properties are its keys: a
     Polygon or MultiPolygon is an area's `polygon` and `rings`, a LineString or MultiPoint with x,
-    y, z a link's `stops`; without a geometry, the properties say all. Errors name the feature.
+    y, z a link's `stops`; without a geometry, the properties say all.
+
+    Args:
+        path: the file.
+        section: ``areas`` or ``links``.
+
+    Returns:
+        The entries, which are not checked yet.
+
+    Raises:
+        FormatError: the file is broken; the error names the feature.
     """
     entries = []
-    for k, feature in enumerate(_read_features(path, with_lists=True)):
-        if isinstance(feature, dict) and feature.get("type") == "Feature":
-            where = f"feature {k} of {path}"
-            geometry = feature.get("geometry")
-            kind = geometry.get("type") if isinstance(geometry, dict) else None
-            properties = feature.get("properties")
-            is_object = isinstance(properties, dict | None)
-            _check(is_object, "an object at `properties`", properties, where)
-            feature = dict(properties or {})
-            if section == "links" and geometry is not None:
-                is_line = kind in ("LineString", "MultiPoint")
-                _check(is_line, "a LineString or MultiPoint", kind, where)
-                feature["stops"] = geometry.get("coordinates")
-            elif geometry is not None:
-                feature["polygon"], *feature["rings"] = _read_rings(geometry, kind, where)
-        entries.append(feature)
+    for number, feature in enumerate(_read_features(path, accepts_lists=True)):
+        if not isinstance(feature, dict) or feature.get("type") != "Feature":
+            entries.append(feature)
+            continue
+        place = _FeaturePlace(str(path), f"feature {number}")
+        geometry = feature.get("geometry")
+        kind = geometry.get("type") if isinstance(geometry, dict) else None
+        properties = feature.get("properties")
+        is_object = isinstance(properties, dict | None)
+        place.check(is_object, "an object at `properties`", properties)
+        entry = dict(properties or {})
+        if section == "links" and geometry is not None:
+            is_line = kind in ("LineString", "MultiPoint")
+            place.check(is_line, "a LineString or MultiPoint", kind)
+            entry["stops"] = geometry.get("coordinates")
+        elif geometry is not None:
+            polygon, *rings = _read_rings(geometry, kind, place)
+            entry["polygon"] = polygon
+            entry["rings"] = rings
+        entries.append(entry)
     return entries
 
 
-def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) -> list[Any]:
-    """The features of a GeoJSON file; or the list that a JSON file is, `with_lists`."""
+class _FeaturePlace(NamedTuple):
+    """The location of a feature in a file, as errors name it."""
+
+    file: str
+    feature: str  # as ``feature 3 ('Kitchen')``; "" for the file itself
+
+    def __str__(self) -> str:
+        return f"{self.feature} of {self.file}" if self.feature else self.file
+
+    def fail(self, message: str, value: object = None, expected: str | None = None) -> NoReturn:
+        """Raise a FormatError with this location."""
+        raise FormatError(
+            f"{message} in {self}",
+            path=self.file,
+            value=value,
+            expected=expected,
+            place=self.feature or None,
+        )
+
+    def check(self, is_valid: bool, expected: str, value: object) -> None:
+        """Raise a FormatError for a value that is not valid."""
+        if is_valid:
+            return
+        if value is None:
+            got = "none"
+        elif isinstance(value, str):
+            got = value[:60]
+        elif isinstance(value, dict | list):
+            got = format_value(value)
+        else:
+            got = repr(value)[:60]
+        self.fail(f"expected {expected}, got {got}", value, expected)
+
+
+def _read_features(path: str | os.PathLike[str], *, accepts_lists: bool = False) -> list[JsonValue]:
+    """Read the features of a GeoJSON file, or the entries of a JSON list if these are accepted."""
     if not os.path.lexists(path):
-        raise FormatError(f"no such file: {format_path(path)}")
+        raise FormatError(f"no such file: {format_path(path)}", path=str(path))
     content, _ = read_json(path, expected="a GeoJSON FeatureCollection")
-    if with_lists and isinstance(content, list):
+    if accepts_lists and isinstance(content, list):
         return content
     kind = content.get("type") if isinstance(content, dict) else None
     features = [content] if kind == "Feature" else None
     if kind == "FeatureCollection":
         features = content.get("features")
-    _check(isinstance(features, list), "a GeoJSON FeatureCollection", kind, str(path))
+    file_place = _FeaturePlace(str(path), "")
+    file_place.check(isinstance(features, list), "a GeoJSON FeatureCollection", kind)
     return features or []
 
 
-def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]:
-    """All rings of a Polygon or MultiPolygon, the first outline first."""
-    _check(kind in ("Polygon", "MultiPolygon"), "a Polygon or MultiPolygon", kind, where)
+def _read_rings(
+    geometry: JsonValue, kind: JsonValue, place: _FeaturePlace
+) -> list[list[list[float]]]:
+    """Return all rings of a Polygon or MultiPolygon, the first outline first."""
+    is_polygon = kind in ("Polygon", "MultiPolygon")
+    place.check(is_polygon, "a Polygon or MultiPolygon", kind)
     polygons = geometry.get("coordinates")
-    polygons = [polygons] if kind == "Polygon" else polygons
+    if kind == "Polygon":
+        polygons = [polygons]
     are_lists = isinstance(polygons, list) and all(isinstance(part, list) for part in polygons)
-    _check(are_lists, "lists of rings at `coordinates`", polygons, where)
+    place.check(are_lists, "lists of rings at `coordinates`", polygons)
     rings = []
-    for ring in (ring for polygon in polygons for ring in polygon):
-        if not isinstance(ring, list) or not all(
-            isinstance(position, list)
-            and len(position) >= 2
-            and all(type(value) in (int, float) for value in position[:2])
-            for position in ring
-        ):
-            raise FormatError(f"expected a ring of positions [x, y] in {where}")
+    for ring in chain.from_iterable(polygons):
+        if not isinstance(ring, list) or not all(map(_is_position, ring)):
+            place.fail("expected a ring of positions [x, y]", ring, "a ring of positions [x, y]")
         points = [[float(x), float(y)] for x, y, *_ in ring]
         if len(points) > 1 and points[0] == points[-1]:
             points.pop()
         if len(points) < 3:
-            raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
-        if fault := find_outline_fault(points):
-            raise FormatError(f"expected a simple outline, got {fault} in {where}")
+            expected = "a ring of 3 corners or more"
+            place.fail(f"expected {expected}, got {len(points)}", len(points), expected)
+        fault = find_outline_fault(points)
+        if fault:
+            place.fail(f"expected a simple outline, got {fault}", expected="a simple outline")
         rings.append(points)
-    _check(bool(rings), "an outline", None, where)
+    place.check(bool(rings), "an outline", None)
     return rings
 
 
-def _check(is_good: bool, expected: str, value: object, where: str) -> None:
-    """Raise a FormatError for a value of a feature that is not what was expected."""
-    if not is_good:
-        text = value if isinstance(value, str) else repr(value)
-        text = format_value(value) if isinstance(value, dict | list) else text[:60]
-        got = "none" if value is None else text
-        raise FormatError(f"expected {expected}, got {got} in {where}")
+def _is_position(value: JsonValue) -> bool:
+    """Whether a value is a list that begins with two numbers."""
+    if not isinstance(value, list) or len(value) < 2:
+        return False
+    return all(type(coordinate) in (int, float) for coordinate in value[:2])

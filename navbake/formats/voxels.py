@@ -18,7 +18,7 @@ import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -35,22 +35,22 @@ from navbake.voxels.grid import VoxelGrid, check_three
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 BinvoxLayout: TypeAlias = Literal["auto", "binvox", "airsim"]
-LAYOUTS = ("auto", "binvox", "airsim")
+BINVOX_LAYOUTS = ("auto", "binvox", "airsim")
 MAGIC = b"#binvox"
-MOST = 255  # greatest value of a voxel, and most voxels of a run
+MAX_BYTE = 255  # largest value of a voxel, and most voxels of a run
 DECIMALS = 12  # of the numbers in the header
-NEAR = 1e-4  # relative; AirSim writes six digits
-RULE = "0 is empty; where several meet a voxel, the least ID is its"
+AIRSIM_TOLERANCE = 1e-4  # relative, of numbers in AirSim's headers, which have six digits
+ID_RULE = "0 is empty; where several meet a voxel, the least ID is its"
 
 # number and type of each header line's numbers: `dim` is nx, nz, ny, `translate` and `scale` are
 # in metres, `scale` in AirSim's layout in 1/m
-LINES: dict[str, tuple[int, type]] = {
+HEADER_LINES: dict[str, tuple[int, type]] = {
     "#binvox": (1, int),
     "dim": (3, int),
     "translate": (3, float),
     "scale": (1, float),
 }
-MAY_MISS = {"translate": ["0"] * 3, "scale": ["1"]}  # words of lines that a header may lack
+DEFAULT_LINES = {"translate": ["0"] * 3, "scale": ["1"]}  # words of lines that a header may lack
 
 
 def write_voxels(
@@ -63,33 +63,50 @@ def write_voxels(
 ) -> None:
     """Write a voxel file, and the table of its IDs' names beside it if it has any.
 
-    `path` ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``; the table of `a.npz` is
-    `a.npz.names.json`. `free` is for octrees, see `encode_octomap`; `layout` and `mapping` for
-    binvox, see `encode_binvox` and `map_ids`. Raises a FormatError if the format can't hold
-    the grid.
+    Args:
+        grid: the voxels.
+        path: the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of
+            ``a.npz`` is ``a.npz.names.json``.
+        free: in octrees, write known voxels that are not occupied as free, not as unknown.
+        layout: of binvox, see `encode_binvox`.
+        mapping: of the IDs in a binvox, see `map_ids`.
+
+    Raises:
+        FormatError: the format can't hold the grid, or a file can't be written.
     """
     suffix = _check_suffix(path)
     if suffix in OCTREE_SUFFIXES:
         write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
     if suffix == ".binvox":
-        mapped = map_ids(grid, mapping)
-        write_bytes(encode_binvox(mapped, layout), path)
-        grid = mapped
+        grid = map_ids(grid, mapping)
+        write_bytes(encode_binvox(grid, layout), path)
     else:
         write_bytes(encode_npz(grid), path)
     if grid.is_segmented:
-        ids = {str(number): grid.names[number] for number in sorted(grid.names)}
-        table = json.dumps({"rule": RULE, "ids": ids}, indent=2, ensure_ascii=False)
+        ids = {str(voxel_id): grid.names[voxel_id] for voxel_id in sorted(grid.names)}
+        table = json.dumps({"rule": ID_RULE, "ids": ids}, indent=2, ensure_ascii=False)
         write_bytes(f"{table}\n".encode(), id_table_path(path))
 
 
 def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> VoxelGrid:
     """Read a voxel file, with the table of its IDs if it lies beside it.
 
-    `path` ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The grid has `max_voxels` at most; if
-    None, 2**31, and no more memory than 256 MiB and 512 bytes for each byte of the file. Raises a
-    FormatError if the file is broken, of an unknown format, or needs too much memory.
+    Args:
+        path: the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
+        max_voxels: most voxels of the grid. If None: 2**31, and no more memory than 256 MiB and
+            512 bytes for each byte of the file.
+
+    Returns:
+        The voxels.
+
+    Raises:
+        FormatError: the file is broken, of an unknown format, or needs too much memory.
+
+    Example:
+        >>> voxels = navbake.load_voxels("room.binvox")
+        >>> voxels.shape
+        (120, 80, 50)
     """
     suffix = _check_suffix(path)
     if suffix == ".npz":
@@ -97,32 +114,35 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
     if suffix != ".binvox":
         return read_octomap(path, max_voxels=max_voxels)
     grid = read_binvox(path, max_voxels=max_voxels)
-    beside = id_table_path(path)
-    if grid.is_segmented and os.path.lexists(beside):
-        content, name = read_bytes(beside)
+    table_path = id_table_path(path)
+    if grid.is_segmented and os.path.lexists(table_path):
+        content, name = read_bytes(table_path)
         try:
-            grid.names = msgspec.json.decode(content, type=_Names).ids
+            grid.names = msgspec.json.decode(content, type=_IdTable).ids
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            message = f"expected a table of IDs, {format_path(name)} can't be read: {error}"
-            raise FormatError(message) from error
+            expected = "a table of IDs"
+            message = f"expected {expected}, {format_path(name)} can't be read: {error}"
+            raise FormatError(message, path=name, expected=expected) from error
     return grid
 
 
-class _Names(msgspec.Struct):
+class _IdTable(msgspec.Struct):
     """The table of IDs' names in a file."""
 
     ids: dict[Annotated[int, msgspec.Meta(ge=0, lt=2**32)], str]
 
 
 def _check_suffix(path: str | PathLike[str]) -> str:
+    """Return the suffix of a voxel file in lower case; raise a FormatError for any other."""
     suffix = Path(check_path(path)).suffix.lower()
     if suffix not in VOXEL_SUFFIXES:
-        raise FormatError(f"expected a name that ends in {', '.join(VOXEL_SUFFIXES)}, got {path}")
+        expected = f"a name that ends in {', '.join(VOXEL_SUFFIXES)}"
+        raise FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
     return suffix
 
 
 def id_table_path(path: str | PathLike[str]) -> Path:
-    """The path of the table of a file's IDs: ``a.npz.names.json`` beside ``a.npz``."""
+    """Return the path of the table of a file's IDs: ``a.npz.names.json`` beside ``a.npz``."""
     return Path(f"{path}.names.json")
 
 
@@ -130,65 +150,103 @@ def id_table_path(path: str | PathLike[str]) -> Path:
 
 
 def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
-    """The grid with other IDs, 0 to 255; ``compact`` numbers the existing IDs from 1, in order."""
+    """Return a grid with its IDs replaced by others, 0 to 255.
+
+    Args:
+        grid: the voxels.
+        mapping: the new ID of each existing one; ``compact`` numbers the existing IDs from 1, in
+            order; None keeps them.
+
+    Returns:
+        A new grid, or the same one if it has no IDs, or keeps them.
+
+    Raises:
+        FormatError: the mapping lacks an ID, or has one above 255.
+    """
     if not grid.is_segmented or mapping is None:
         return grid
-    present = grid.ids()
+    present_ids = grid.ids()
     if mapping == "compact":
-        ids = {old: new for new, old in enumerate(present, 1)}
+        new_ids = {old: new for new, old in enumerate(present_ids, 1)}
     elif isinstance(mapping, Mapping):
-        ids = {int(old): int(new) for old, new in mapping.items()}
-        missing = [old for old in present if old not in ids]
-        if missing:
-            raise FormatError(f"the mapping lacks ID {missing[0]}, which the voxels have")
+        new_ids = {int(old): int(new) for old, new in mapping.items()}
+        missing_ids = [old for old in present_ids if old not in new_ids]
+        if missing_ids:
+            message = f"the mapping lacks ID {missing_ids[0]}, which the voxels have"
+            raise FormatError(message, key="mapping", value=missing_ids[0])
     else:
-        raise FormatError(f"expected a mapping of IDs, or 'compact', got {mapping!r}")
-    bad = [new for new in ids.values() if not 0 <= new <= MOST]
-    if bad:
-        remedy = f": {len(present)} IDs occur; write .npz" if mapping == "compact" else ""
-        raise FormatError(f"binvox holds values up to {MOST}, and the mapping has {bad[0]}{remedy}")
-    return grid.with_ids(ids)
+        expected = "a mapping of IDs, or 'compact'"
+        raise FormatError(
+            f"expected {expected}, got {mapping!r}", key="mapping", value=mapping, expected=expected
+        )
+    invalid_ids = [new for new in new_ids.values() if not 0 <= new <= MAX_BYTE]
+    if invalid_ids:
+        message = f"binvox holds values up to {MAX_BYTE}, and the mapping has {invalid_ids[0]}"
+        if mapping == "compact":
+            message += f": {len(present_ids)} IDs occur; write .npz"
+        raise FormatError(message, key="mapping", value=invalid_ids[0])
+    return grid.with_ids(new_ids)
 
 
 def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
     """Encode a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
 
-    ``airsim`` is the layout of AirSim's simCreateVoxelGrid, which lacks the grid's position.
+    Args:
+        grid: the voxels, with IDs up to 255 if they have any.
+        layout: ``binvox``, or ``airsim`` for the layout of AirSim's simCreateVoxelGrid, which
+            lacks the grid's position.
+
+    Returns:
+        The content of the file.
+
+    Raises:
+        FormatError: the layout is unknown, or an ID is above 255.
     """
-    if layout not in LAYOUTS[1:]:
-        raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
-    values = grid.values
-    if grid.is_segmented and int(values.max()) > MOST:
+    if layout not in BINVOX_LAYOUTS[1:]:
         raise FormatError(
-            f"binvox holds IDs up to {MOST}, and these voxels have IDs up to {values.max()}: write "
+            f"expected layout binvox or airsim, got {layout!r}",
+            key="layout",
+            value=layout,
+            expected="binvox or airsim",
+        )
+    values = grid.values
+    max_id = int(values.max()) if grid.is_segmented else 0
+    if max_id > MAX_BYTE:
+        raise FormatError(
+            f"binvox holds IDs up to {MAX_BYTE}, and these voxels have IDs up to {max_id}: write "
             f".npz, or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
             f"that occur from 1)"
         )
-    voxels = _in_file_order(values.astype(np.uint8, copy=False), layout == "airsim").ravel()
+    file_values = _view_in_file_order(values.astype(np.uint8, copy=False), layout == "airsim")
+    voxels = file_values.ravel()
     nx, ny, nz = grid.shape
     translate = list(grid.origin)
     scale = grid.res * max(grid.shape)
     if layout == "airsim":
         translate = [-n * grid.res / 2 for n in grid.shape]
         scale = 1.0 / (nx * grid.res)
-    # so many digits drop the rounding of multiples of the edge; 0 has no minus
-    x, y, z, edge = (repr(round(value, DECIMALS) + 0.0) for value in (*translate, scale))
+    translate_text = " ".join(map(_format_number, translate))
     header = (
         f"#binvox {2 if grid.is_segmented else 1}\ndim {nx} {nz} {ny}\n"
-        f"translate {x} {y} {z}\nscale {edge}\ndata\n"
+        f"translate {translate_text}\nscale {_format_number(scale)}\ndata\n"
     )
-    # pairs of value and count; a run longer than a byte can count is several
-    start = np.concatenate([[0], np.flatnonzero(voxels[1:] != voxels[:-1]) + 1])
-    length = np.diff(start, append=len(voxels))
-    num_pairs = -(-length // MOST)
-    pairs = np.full((int(num_pairs.sum()), 2), MOST, dtype=np.uint8)
-    pairs[:, 0] = np.repeat(voxels[start], num_pairs)
-    pairs[np.cumsum(num_pairs) - 1, 1] = length - MOST * (num_pairs - 1)
+    # pairs of value and count; a run longer than a byte can count takes several pairs
+    run_start = np.concatenate([[0], np.flatnonzero(voxels[1:] != voxels[:-1]) + 1])
+    run_length = np.diff(run_start, append=len(voxels))
+    num_pairs = -(-run_length // MAX_BYTE)
+    pairs = np.full((int(num_pairs.sum()), 2), MAX_BYTE, dtype=np.uint8)
+    pairs[:, 0] = np.repeat(voxels[run_start], num_pairs)
+    pairs[np.cumsum(num_pairs) - 1, 1] = run_length - MAX_BYTE * (num_pairs - 1)
     return header.encode() + pairs.tobytes()
 
 
-def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
-    """A view of the voxels in the file's order; filling it fills `values`."""
+def _format_number(value: float) -> str:
+    """Format a number of the header without the rounding noise of multiples, and 0 for -0.0."""
+    return repr(round(value, DECIMALS) + 0.0)
+
+
+def _view_in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
+    """Return a view of the voxels in the file's order; filling it fills `values`."""
     if is_airsim:
         return values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
     return values.transpose(0, 2, 1)
@@ -216,97 +274,136 @@ def read_binvox(
             the grid's by a part of a voxel. From the sizes and counts if None.
         max_voxels: most voxels of the grid; 2**31 if None.
 
+    Returns:
+        The voxels, with notes on what the file left open.
+
     Raises:
         FormatError: it is no binvox file, its header is broken, its data are too few or many, or
             the grid needs more memory than there is.
         ConfigError: the position is invalid.
     """
-    if layout not in LAYOUTS:
-        raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
+    if layout not in BINVOX_LAYOUTS:
+        expected = ", ".join(BINVOX_LAYOUTS)
+        raise FormatError(
+            f"expected layout {expected}, got {layout!r}",
+            key="layout",
+            value=layout,
+            expected=expected,
+        )
     data, name = read_bytes(source, begins=MAGIC, expected="a binvox file that begins with #binvox")
-    version, dim, translate, scale, end = _read_header(data, name)
+    header = _read_binvox_header(data, name)
+    dim = header.dim
     nx, nz, ny = dim
     place = JsonPath(name)
     allowance = Allowance(len(data), "max_voxels", max_voxels)
-    pairs = np.frombuffer(data, dtype=np.uint8, offset=end)
-    # before any array of the header's size is made
-    claimed = math.prod(dim)
-    held = int(pairs[1::2].sum(dtype=np.int64))
-    if held != claimed or len(pairs) % 2:
-        found = "half a run" if len(pairs) % 2 else f"{held} voxels"
-        if held != claimed:
-            found += ": too many" if held > claimed else ": too few"
-        where = f"{name} (dim {' '.join(format_value(n) for n in dim)})"
+    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.data_offset)
+    # checked before any array of the header's size is made
+    num_voxels = math.prod(dim)
+    num_in_runs = int(pairs[1::2].sum(dtype=np.int64))
+    if num_in_runs != num_voxels or len(pairs) % 2:
+        got = "half a run" if len(pairs) % 2 else f"{num_in_runs} voxels"
+        if num_in_runs != num_voxels:
+            got += ": too many" if num_in_runs > num_voxels else ": too few"
+        where = f"{name} (dim {' '.join(format_value(count) for count in dim)})"
+        expected = f"runs of {format_value(num_voxels)} voxels"
         raise FormatError(
-            f"expected runs of {format_value(claimed)} voxels in {where}, got {found}"
+            f"expected {expected} in {where}, got {got}", path=name, value=got, expected=expected
         )
     allowance.take_cells((nx, ny, nz), place)
     allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
-    is_airsim = layout == "airsim" or (
-        layout == "auto" and _looks_like_airsim(dim, translate, scale)
-    )
+    is_airsim = layout == "airsim" or (layout == "auto" and _is_airsim_header(header))
     values = np.empty((nx, ny, nz), dtype=np.uint8)
-    order = _in_file_order(values, is_airsim)
-    order[...] = np.repeat(pairs[::2], pairs[1::2]).reshape(order.shape)
+    file_values = _view_in_file_order(values, is_airsim)
+    file_values[...] = np.repeat(pairs[::2], pairs[1::2]).reshape(file_values.shape)
     notes = []
-    if version == 1 and values.max() > 1:
+    if header.version == 1 and values.max() > 1:
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
-    elif version == 1:
+    elif header.version == 1:
         values = values.view(np.bool_)
     if not is_airsim:
-        x, y, z = translate
-        return VoxelGrid(values=values, origin=(x, y, z), res=scale / max(dim), notes=notes)
+        x, y, z = header.translate
+        edge = header.scale / max(dim)
+        return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
+
     # AirSim cuts counts, it does not round them, so the true edge is the least of these or less
-    edges = -2 * np.array(translate) / (nx, ny, nz)
+    edges = -2 * np.array(header.translate) / (nx, ny, nz)
     edge = float(edges.min()) if res is None else float(res)
     if res is not None and not (math.isfinite(edge) and edge > 0):
-        raise FormatError(f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}")
+        message = f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}"
+        raise FormatError(message, key="res", value=res, expected="a number > 0")
     if not edge > 0:
-        raise FormatError(f"expected a negative `translate` in AirSim's layout in {name}")
-    first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
+        message = f"expected a negative `translate` in AirSim's layout in {name}"
+        raise FormatError(message, path=name, key="translate", value=header.translate)
+    # the middle of the first voxel, from the grid's position
+    first_middle = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge
     center = check_three(position, "the position to be x, y, z [m]")
-    is_unsure = res is None and edges.max() > edge * (1 + NEAR)
+    is_unsure = res is None and edges.max() > edge * (1 + AIRSIM_TOLERANCE)
     notes.append(
-        f"{name}: laid out as AirSim writes it (scale {scale:g} is 1 / size): read as "
+        f"{name}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m"
         f"{' at most (give `res`: the sizes are no whole multiples)' if is_unsure else ''}, "
-        f"round ({', '.join(f'{p:g}' for p in center)})"
+        f"round ({', '.join(f'{coordinate:g}' for coordinate in center)})"
     )
-    x, y, z = (center + first - edge / 2).tolist()
+    x, y, z = (center + first_middle - edge / 2).tolist()
     return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
 
 
-def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> bool:
+class _BinvoxHeader(NamedTuple):
+    """The numbers of a binvox header."""
+
+    version: int
+    dim: list[int]  # nx, nz, ny
+    translate: list[float]
+    scale: float
+    data_offset: int  # [bytes]
+
+
+def _is_airsim_header(header: _BinvoxHeader) -> bool:
     """Whether a header is AirSim's: the scale is 1 / size along x, and not the longest side.
 
-    There, `translate` is minus half of the size. So one edge must fit sizes and counts along all
-    axes: ``count = floor(size / edge)``.
+    There, `translate` is minus half of the size. So an edge must exist that fits sizes and counts
+    along all axes: ``count = floor(size / edge)``.
     """
-    nx, nz, ny = dim
-    sizes = -2 * np.array(translate)
+    nx, nz, ny = header.dim
+    sizes = -2 * np.array(header.translate)
     counts = np.array((nx, ny, nz), dtype=np.float64)
-    if (sizes <= 0).any() or not math.isclose(scale * sizes[0], 1.0, rel_tol=NEAR):
+    if (sizes <= 0).any():
         return False
-    if (sizes / (counts + 1)).max() > (sizes / counts).min() * (1 + NEAR):
+    if not math.isclose(header.scale * sizes[0], 1.0, rel_tol=AIRSIM_TOLERANCE):
         return False
-    return not math.isclose(scale / max(dim), sizes[0] / nx, rel_tol=NEAR)
+    if (sizes / (counts + 1)).max() > (sizes / counts).min() * (1 + AIRSIM_TOLERANCE):
+        return False
+    edge = header.scale / max(header.dim)  # of a binvox
+    return not math.isclose(edge, sizes[0] / nx, rel_tol=AIRSIM_TOLERANCE)
 
 
-def _read_header(data: bytes, source: str) -> tuple[int, list[int], list[float], float, int]:
-    """The numbers of `LINES`, and the offset of the data."""
-    lines, found, end = read_header(data, source, LINES, MAY_MISS)
-    (version,), dim, translate, (scale,) = found
-    unknown = [n for n in lines if n not in LINES and n[:1] not in ("#", "") and n != "data"]
-    if unknown:
-        raise FormatError(f"unknown line {unknown[0][:40]!r} in the header of {source}")
+def _read_binvox_header(data: bytes, source: str) -> _BinvoxHeader:
+    """Read the header of a binvox, and check its numbers."""
+    lines, numbers, data_offset = read_header(data, source, HEADER_LINES, DEFAULT_LINES)
+    version = numbers[0][0]
+    dim = numbers[1]
+    translate = numbers[2]
+    scale = numbers[3][0]
+    unknown_lines = [
+        word
+        for word in lines
+        if word not in HEADER_LINES and word[:1] not in ("#", "") and word != "data"
+    ]
+    if unknown_lines:
+        message = f"unknown line {unknown_lines[0][:40]!r} in the header of {source}"
+        raise FormatError(message, path=source, key=unknown_lines[0])
     if version not in (1, 2):
-        raise FormatError(f"expected binvox version 1 or 2, got {version} in {source}")
+        message = f"expected binvox version 1 or 2, got {version} in {source}"
+        raise FormatError(message, path=source, key="#binvox", value=version, expected="1 or 2")
     if min(dim) < 1:
-        raise FormatError(f"expected `dim` of numbers >= 1, got {dim} in {source}")
+        message = f"expected `dim` of numbers >= 1, got {dim} in {source}"
+        raise FormatError(message, path=source, key="dim", value=dim, expected="numbers >= 1")
     if not scale > 0:
-        raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
+        message = f"expected `scale` > 0, got {scale:g} in {source}"
+        raise FormatError(message, path=source, key="scale", value=scale, expected="a number > 0")
     if max(*map(abs, translate), scale) > FARTHEST:
-        far = f"({', '.join(f'{v:g}' for v in translate)}) and {scale:g}"
+        got = f"({', '.join(f'{value:g}' for value in translate)}) and {scale:g}"
         expected = f"`translate` and `scale` up to {FARTHEST:g} m"
-        raise FormatError(f"expected {expected}, got {far} in {source}")
-    return version, dim, translate, scale, end
+        message = f"expected {expected}, got {got} in {source}"
+        raise FormatError(message, path=source, expected=expected)
+    return _BinvoxHeader(version, dim, translate, scale, data_offset)

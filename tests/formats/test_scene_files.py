@@ -175,7 +175,7 @@ def test_looks_are_found_where_they_are_asked_for(folder):
     (folder / "looks").mkdir()
     (folder / "looks" / "up.png").write_text("")
     assert names(folder, "scene.xml") == ["scene.xml"]
-    found = find_inputs(folder / "scene.xml", looks=True)
+    found = find_inputs(folder / "scene.xml", with_textures=True)
     assert [path.relative_to(folder).as_posix() for path in found] == [
         *("scene.xml", "d.skn", "looks/up.png", "wood.png")
     ]
@@ -214,7 +214,7 @@ def test_of_sdf_they_are_models_and_meshes_but_no_scripts_of_looks(folder):
     # a name is looked for beside the file that has it, then in folders above
     own = ["scene.sdf", "chair/model.sdf", "mesh/a.obj", "mesh/b.stl"]
     assert names(folder, "scene.sdf") == own
-    looks = find_inputs(folder / "scene.sdf", looks=True)
+    looks = find_inputs(folder / "scene.sdf", with_textures=True)
     assert {path.name for path in looks} - {Path(name).name for name in own} == {"looks.material"}
 
 
@@ -227,7 +227,7 @@ def test_of_usd_they_are_layers_but_no_textures(folder):
     for name in ("sub.usda", "asset.usda"):
         (folder / name).write_text("#usda 1.0\n")
     assert names(folder, "scene.usda") == ["scene.usda", "asset.usda", "sub.usda"]
-    assert folder / "wood.png" in find_inputs(folder / "scene.usda", looks=True)
+    assert folder / "wood.png" in find_inputs(folder / "scene.usda", with_textures=True)
 
 
 def test_a_mesh_that_a_urdf_lacks_hides_no_other(folder):

@@ -642,7 +642,7 @@ def find_watched_files(paths: Iterable[Path]) -> list[Path]:
     """
     files: dict[Path, None] = {}
     for path in paths:
-        files |= dict.fromkeys(find_inputs(path, looks=True, missing=True))
+        files |= dict.fromkeys(find_inputs(path, with_textures=True, with_missing=True))
     return list(files)
 
 
