@@ -9,6 +9,7 @@ import pickle
 import pytest
 
 import navbake
+from grid_maps import level_from
 from navbake.errors import NavbakeError
 
 PARTS = ("path", "key", "value", "expected", "place", "hint")
@@ -110,6 +111,33 @@ def test_a_wrong_value_in_a_file(tmp_path):
     error = raised.value
     assert (error.path, error.place, error.value) == (str(path), "type", "map")
     assert str(error).startswith(f"expected {error.expected}, got 'map' at `type` in {error.path}")
+
+
+@pytest.fixture(scope="module")
+def finder():
+    level = level_from("...\n.#.\n...")
+    return navbake.PathFinder(level)
+
+
+QUERIES = {
+    "room": (lambda finder: finder.find_path((0.05, -0.05), "room:hall"), "room", "hall"),
+    "object": (lambda finder: finder.find_path((0.05, -0.05), "object:cup"), "object", "cup"),
+    "island": (lambda finder: finder.random_point(island=9), "island", 9),
+    "position": (lambda finder: finder.snap("here"), "position", "here"),
+    "agent": (lambda finder: navbake.PathFinder(finder.grid, agent="cart"), "agent", "cart"),
+    "level": (lambda finder: finder.grid.at((0.0, 0.0), level=7), "level", 7),
+    "radius": (lambda finder: finder.grid.inflate(-1), "radius", -1),
+    "layer": (lambda finder: finder.grid.values_at("heights", (0.0, 0.0)), "layer", "heights"),
+    "door": (lambda finder: finder.grid.with_doors({"gate": "open"}), "gate", "open"),
+}
+
+
+@pytest.mark.parametrize(("ask", "key", "value"), QUERIES.values(), ids=QUERIES)
+def test_a_wrong_query(finder, ask, key, value):
+    with pytest.raises(navbake.QueryError) as raised:
+        ask(finder)
+    assert (raised.value.key, raised.value.value) == (key, value)
+    assert raised.value.expected or raised.value.hint
 
 
 def test_a_file_that_is_not_there(tmp_path):

@@ -279,7 +279,8 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
     box = arguments["box"]
     level = arguments["level"]
     if sum(shape is not None for shape in (cells, disc, box)) != 1:
-        raise QueryError("expected one of cells, disc and box to block")
+        expected = "one of cells, disc and box"
+        raise QueryError(f"expected {expected} to block", expected=expected)
     check_level(level, len(grid.levels))
     if cells is not None:
         cell_level, row, col = check_cells(grid, cells)
@@ -389,7 +390,10 @@ def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
         return agent
     agents: Mapping[str, Agent] = grid.agents
     if agent not in agents:
-        raise QueryError(f"no agent {agent!r} in {grid.scene_id!r}: {suggest(agent, agents)}")
+        hint = suggest(agent, agents)
+        raise QueryError(
+            f"no agent {agent!r} in {grid.scene_id!r}: {hint}", key="agent", value=agent, hint=hint
+        )
     return agents[agent]
 
 
@@ -419,8 +423,15 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
         ("steps", "traversable_floor_height", agent.step, grid.max_step),
     ):
         if size is not None and size > limit + SAME_SIZE:
-            got_text = f"got {size:g} m{agent_name}: bake it with agent.{key}={size:g}"
-            raise QueryError(f"{grid_name} is for {things} up to {limit:g} m, {got_text}")
+            hint = f"bake it with agent.{key}={size:g}"
+            raise QueryError(
+                f"{grid_name} is for {things} up to {limit:g} m, got {size:g} m{agent_name}: "
+                f"{hint}",
+                key="agent",
+                value=size,
+                expected=f"{things} up to {limit:g} m",
+                hint=hint,
+            )
     clean: NavGrid = grid.without_blocks()
     fitted = clean
     radius = agent.radius
@@ -429,8 +440,14 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME_SIZE):
         check_radius(radius)
         if radius < grid.inflated_radius:
-            got_text = f"got {radius:g} m{agent_name}: plan on the grid as it was baked"
-            raise QueryError(f"{grid_name} was inflated to {grid.radius:g} m, {got_text}")
+            hint = "plan on the grid as it was baked"
+            raise QueryError(
+                f"{grid_name} was inflated to {grid.radius:g} m, got {radius:g} m{agent_name}: "
+                f"{hint}",
+                key="agent",
+                value=radius,
+                hint=hint,
+            )
         fitted = fitted.inflate(radius, ledges=ledges_setting(grid))
     if fitted is clean:
         return grid

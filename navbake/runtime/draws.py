@@ -261,7 +261,10 @@ def _draw_places(
     """Draw places in some cells; `limits` are named in the error if there are no cells."""
     rng = as_generator(rng)
     if count is not None and (not isinstance(count, int | np.integer) or count < 0):
-        raise QueryError(f"expected a count >= 0, got {count!r}")
+        expected = "a count >= 0"
+        raise QueryError(
+            f"expected {expected}, got {count!r}", key="count", value=count, expected=expected
+        )
     if not len(cells):
         texts = [f"{name} {v}" for name, v in limits.items() if v not in (None, False)]
         limits_text = f" with {', '.join(texts)}" if texts else ""
@@ -319,8 +322,13 @@ def as_generator(rng: object) -> Generator:
         return np.random.default_rng()
     if not isinstance(rng, Generator):
         expected = "a numpy.random.Generator, or None"
+        hint = "make one with numpy.random.default_rng"
         raise QueryError(
-            f"expected {expected}, got {rng!r}: make one with numpy.random.default_rng"
+            f"expected {expected}, got {rng!r}: {hint}",
+            key="rng",
+            value=rng,
+            expected=expected,
+            hint=hint,
         )
     return rng
 
@@ -351,7 +359,8 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
     room_numbers = tuple(sorted({search.rooms.find(name) for name in names}))
     islands = search.allowed_islands(rules.island, rules.reachable_from)
     if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 1:
-        raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
+        expected = "a number of agents n >= 1"
+        raise QueryError(f"expected {expected}, got {n!r}", key="n", value=n, expected=expected)
     stratify = rules.stratify
     if stratify not in (None, *STRATA):
         raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")

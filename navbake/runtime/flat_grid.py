@@ -160,7 +160,13 @@ class FlatGrid:
         """
         p = check_positions(position, self.num_levels, level)
         if p.ndim != 1:
-            raise QueryError(f"expected one {what}, got an array of shape {p.shape}")
+            expected = f"one {what}"
+            raise QueryError(
+                f"expected {expected}, got an array of shape {p.shape}",
+                key=what,
+                value=position,
+                expected=expected,
+            )
         return p
 
     def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
@@ -179,7 +185,12 @@ class FlatGrid:
         p, cell = self.locate(position, level)
         if cell < 0 or not self.free[cell]:
             hint = "snap it to the nearest place first"
-            raise QueryError(f"no agent can stand at {format_position(p)}: {hint}")
+            raise QueryError(
+                f"no agent can stand at {format_position(p)}: {hint}",
+                key="position",
+                value=tuple(p.tolist()),
+                hint=hint,
+            )
         return p, cell
 
     def positions(self, cells: Int | int) -> Float:
@@ -312,7 +323,10 @@ def check_distance(distance: float, name: str = "max_distance") -> None:
         QueryError: it is anything else.
     """
     if not (isinstance(distance, RealNumber) and distance >= 0):
-        raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
+        expected = f"a {name} >= 0 m"
+        raise QueryError(
+            f"expected {expected}, got {distance!r}", key=name, value=distance, expected=expected
+        )
 
 
 def format_position(position: Float) -> str:
@@ -457,9 +471,15 @@ class RoomMap:
             return by_id[ids[0]]
         if ids:
             rooms = f"{len(ids)} rooms in {self.scene_id!r} have the name {name!r}"
-            raise QueryError(f"{rooms}: expected one of the ids {', '.join(ids)}")
+            expected = f"one of the ids {', '.join(ids)}"
+            raise QueryError(
+                f"{rooms}: expected {expected}", key="room", value=name, expected=expected
+            )
         names = [*by_id, *(room.name for room in self.rooms if room.name)]
-        raise QueryError(f"no room {name!r} in {self.scene_id!r}: {suggest(name, names)}")
+        hint = suggest(name, names)
+        raise QueryError(
+            f"no room {name!r} in {self.scene_id!r}: {hint}", key="room", value=name, hint=hint
+        )
 
     def id_of(self, number: int) -> str | None:
         """Return the id of a room by its number; None for 0."""
@@ -609,7 +629,12 @@ class IslandMap:
         if isinstance(island, int | np.integer) and 1 <= island <= self.count:
             return int(island)
         numbers = f"1 to {self.count}, 1 the largest" if self.count else "none"
-        raise QueryError(f"no island {island!r}: there are {numbers}")
+        raise QueryError(
+            f"no island {island!r}: there are {numbers}",
+            key="island",
+            value=island,
+            expected=numbers,
+        )
 
     def reached_from(self, island: int) -> tuple[int, ...]:
         """List the islands that one leads to: itself, then further ones in ascending order."""

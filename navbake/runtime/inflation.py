@@ -244,7 +244,13 @@ def check_radius(radius: float, name: str = "radius") -> None:
     """
     is_number = isinstance(radius, RealNumber) and not isinstance(radius, bool)
     if not is_number or not 0 <= radius <= MAX_RADIUS:
-        raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
+        expected = f"0 to {MAX_RADIUS:,.0f} m"
+        raise QueryError(
+            f"expected {expected} as {name}, got {radius!r}",
+            key=name,
+            value=radius,
+            expected=expected,
+        )
 
 
 def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
@@ -259,7 +265,13 @@ def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
         QueryError: it is none of them.
     """
     if value not in choices:
-        raise QueryError(f"expected {' or '.join(choices)} as {name}, got {value!r}")
+        expected = " or ".join(choices)
+        raise QueryError(
+            f"expected {expected} as {name}, got {value!r}",
+            key=name,
+            value=value,
+            expected=expected,
+        )
 
 
 def check_arguments(
@@ -285,9 +297,18 @@ def check_arguments(
     check_choice(costs, CLEARANCE_COSTS, "costs")
     check_choice(ledges, LEDGE_RULES, "ledges")
     if mode == "minos" and costs != "step":
-        raise QueryError("mode minos has costs of its own (step): leave `costs` out")
+        hint = "leave `costs` out"
+        raise QueryError(
+            f"mode minos has costs of its own (step): {hint}", key="costs", value=costs, hint=hint
+        )
     if not isinstance(scaling, RealNumber) or not 0 < scaling < math.inf:
-        raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
+        expected = "a number > 0 [1/m]"
+        raise QueryError(
+            f"expected {expected} as scaling, got {scaling!r}",
+            key="scaling",
+            value=scaling,
+            expected=expected,
+        )
 
 
 # ---------------------------------------------------------------- off the centres of cells

@@ -61,7 +61,12 @@ class DriveLimits:
         for name, value in vars(self).items():
             is_number = isinstance(value, RealNumber) and not isinstance(value, bool)
             if not is_number or not 0 < value < math.inf:
-                raise QueryError(f"expected a {name} > 0, got {value!r}")
+                raise QueryError(
+                    f"expected a {name} > 0, got {value!r}",
+                    key=name,
+                    value=value,
+                    expected=f"a {name} > 0",
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +137,13 @@ class Follower:
         """
         p = self._advance(position)
         if not isinstance(heading, RealNumber) or not math.isfinite(heading):
-            raise QueryError(f"expected a finite heading [rad], got {heading!r}")
+            expected = "a finite heading [rad]"
+            raise QueryError(
+                f"expected {expected}, got {heading!r}",
+                key="heading",
+                value=heading,
+                expected=expected,
+            )
         target = self._point_ahead(p)
         if self.state != DRIVING:
             return Command(0.0, 0.0, target)

@@ -138,10 +138,16 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
             return Target(f"room {name!r}", search.rooms.cells(name))
         if kind == "object":
             return Target(f"object {name!r}", cells_next_to_object(search, name))
-        raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
+        expected = "a position, room:NAME or object:NAME"
+        raise QueryError(
+            f"expected {expected}, got {goal!r}", key="goal", value=goal, expected=expected
+        )
     p = check_positions(goal, flat.num_levels, level)
     if p.ndim > 2 or not p.size:
-        raise QueryError(f"expected positions of shape (3,) or (n, 3), n >= 1, got {p.shape}")
+        expected = "positions of shape (3,) or (n, 3), n >= 1"
+        raise QueryError(
+            f"expected {expected}, got {p.shape}", key="goal", value=goal, expected=expected
+        )
     name = "the goal" if p.ndim == 1 else f"one of {len(p)} goals"
     p = np.atleast_2d(p)
     return Target(name, flat.cells_at(p, level), p)
@@ -249,7 +255,10 @@ def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
         QueryError: there is no such name.
     """
     if not isinstance(name, str):
-        raise QueryError(f"expected the name of an object, got {name!r}")
+        expected = "the name of an object"
+        raise QueryError(
+            f"expected {expected}, got {name!r}", key="object", value=name, expected=expected
+        )
     named_cells: list[Int] = []
     known_names: set[str] = set()
     starts = flat.layout.start[:-1].tolist()
@@ -264,7 +273,9 @@ def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
         known_names.update(*names_by_entry)
     if name not in known_names:
         hint = suggest(name, sorted(known_names))
-        raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {hint}")
+        raise QueryError(
+            f"no object {name!r} in {grid.scene_id!r}: {hint}", key="object", value=name, hint=hint
+        )
     return np.concatenate(named_cells)
 
 

@@ -370,7 +370,11 @@ class Search:
         if island is None:
             return reached
         if island not in reached:
-            raise QueryError(f"island {island} can't be reached: the position is on {start_island}")
+            raise QueryError(
+                f"island {island} can't be reached: the position is on {start_island}",
+                key="island",
+                value=island,
+            )
         return (island,)
 
     # ---------------------------------------------------------------- lines
