@@ -50,11 +50,11 @@ Array: TypeAlias = Any
 
 
 def success(distance: Array, radius: Array, stopped: Array, *, xp: ModuleType = np) -> Array:
-    """Whether agents stopped within the radius of their goals, as 1.0 or 0.0.
+    """Return 1.0 where an agent stopped within the radius of its goal, else 0.0.
 
     Args:
-        distance: at the end, shape (...) [m]; NaN is no success.
-        radius: within which the goal is reached, a number or shape (...) [m].
+        distance: the agent's distance to the goal at the end [m], shape (...); NaN is no success.
+        radius: largest distance at which the goal counts as reached [m], a number or shape (...).
         stopped: whether the agent called stop, bool or shape (...).
         xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
 
@@ -66,16 +66,16 @@ def success(distance: Array, radius: Array, stopped: Array, *, xp: ModuleType = 
 
 
 def spl(succeeded: Array, shortest: Array, length: Array, *, xp: ModuleType = np) -> Array:
-    """Success weighted by path length: S l / max(l, p).
+    """Compute success weighted by path length (SPL): S l / max(l, p).
 
     Args:
         succeeded: S, 1.0 or 0.0, shape (...).
-        shortest: l, the length of the shortest path, shape (...) [m].
-        length: p, the length of the agent's path, shape (...) [m].
+        shortest: l, the length of the shortest path [m], shape (...).
+        length: p, the length of the agent's path [m], shape (...).
         xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
 
     Returns:
-        From 0 to 1, shape (...): 0 where S is 0; S where l is 0; NaN where S is 1 and l is not
+        The SPL, 0 to 1, shape (...): 0 where S is 0; S where l is 0; NaN where S is 1 and l is not
         finite.
 
     Source: Anderson et al., "On Evaluation of Embodied Navigation Agents" (2018).
@@ -85,16 +85,17 @@ def spl(succeeded: Array, shortest: Array, length: Array, *, xp: ModuleType = np
 
 
 def soft_spl(distance: Array, shortest: Array, length: Array, *, xp: ModuleType = np) -> Array:
-    """Progress weighted by path length: max(0, 1 - d / l) l / max(l, p).
+    """Compute progress weighted by path length (SoftSPL): max(0, 1 - d / l) l / max(l, p).
 
     Args:
-        distance: d, how far the goal is at the end, shape (...) [m].
-        shortest: l, the length of the shortest path, shape (...) [m].
-        length: p, the length of the agent's path, shape (...) [m].
+        distance: d, the agent's distance to the goal at the end [m], shape (...).
+        shortest: l, the length of the shortest path [m], shape (...).
+        length: p, the length of the agent's path [m], shape (...).
         xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
 
     Returns:
-        From 0 to 1, shape (...). Where l is 0, 1 if d is 0, else 0; NaN where l or d is NaN.
+        The SoftSPL, 0 to 1, shape (...). Where l is 0, it is 1 if d is 0, else 0. NaN where l or d
+        is NaN.
 
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
@@ -118,10 +119,10 @@ def _efficiency(shortest: Array, length: Array, xp: ModuleType) -> Array:
 
 
 def path_length(positions: ArrayLike) -> float:
-    """The length of the straight moves between positions.
+    """Compute the length of the polyline through positions.
 
     Args:
-        positions: shape (n, 3) [m].
+        positions: world x, y, z [m], shape (n, 3).
 
     Returns:
         The length [m]; 0 for one position or none.
@@ -135,18 +136,19 @@ def path_length(positions: ArrayLike) -> float:
 def ndtw(
     path: Array, reference: Array, threshold: float = NDTW_THRESHOLD, *, xp: ModuleType = np
 ) -> Array:
-    """Normalized dynamic time warping of a path and a reference: exp(-DTW / (n threshold)).
+    """Compute normalized dynamic time warping (nDTW): exp(-DTW / (n threshold)).
 
-    DTW is the least sum of distances over matches of all points that keep their order.
+    DTW matches each point of the path with points of the reference, and the reverse, in their
+    order, so that the sum of the distances between matched points is the least.
 
     Args:
-        path: the agent's positions, shape (m, 3) [m].
-        reference: the path that it should have taken, shape (n, 3) [m].
+        path: the agent's positions, world x, y, z [m], shape (m, 3).
+        reference: the path that the agent should have taken [m], shape (n, 3).
         threshold: the distance at which a point counts as missed [m].
         xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
 
     Returns:
-        From 0 to 1; NaN without points.
+        The nDTW, 0 to 1; NaN if one of the paths has no points.
 
     Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
     Dynamic Time Warping" (2019).
@@ -178,7 +180,7 @@ def ndtw(
 
 
 class Interval(NamedTuple):
-    """A mean and its confidence interval; NaN of no values."""
+    """A mean and its confidence interval; all NaN if there are no values."""
 
     mean: float
     low: float  #: The interval's lower end.
@@ -193,11 +195,11 @@ def bootstrap(
     samples: int = NUM_RESAMPLES,
     certainty: float = 0.95,
 ) -> Interval:
-    """The mean of values and its percentile bootstrap interval.
+    """Compute the mean of values and its percentile bootstrap interval.
 
     Args:
-        values: of any shape; NaN values are left out.
-        seed: of the random resamples.
+        values: an array of any shape; NaN values are left out.
+        seed: seed of the generator that draws the resamples.
         samples: number of resamples.
         certainty: the share of resamples whose means lie in the interval, 0 to 1.
 
@@ -219,9 +221,9 @@ class Measures:
     """Follows one episode step by step, from the episode's start.
 
     Args:
-        finder: of the set's grid, inflated for its agent.
+        finder: a PathFinder on the set's grid, inflated for the set's agent.
         episode: the task.
-        threshold: of nDTW [m].
+        threshold: distance at which nDTW counts a point as missed [m].
 
     Raises:
         QueryError: no agent can get to the goal on this grid, or the start is in no cell.
@@ -251,7 +253,7 @@ class Measures:
 
     @property
     def distance(self) -> float:
-        """Length of the shortest path to the goal, through all that are still ahead [m]."""
+        """Length of the shortest path to the goal, through all stops that are still ahead [m]."""
         return self._distances[-1]
 
     def step(self, position: ArrayLike, time: float | None = None) -> float:
@@ -259,10 +261,10 @@ class Measures:
 
         Args:
             position: world x, y, z [m].
-            time: [s].
+            time: time of the position [s].
 
         Returns:
-            `distance`, how far the goal is now [m].
+            `distance` from this position [m].
 
         Raises:
             QueryError: the position is not finite, or in no cell.
@@ -275,8 +277,8 @@ class Measures:
         """Add many positions of the agent, in their order.
 
         Args:
-            positions: world x, y, z, shape (n, 3) [m].
-            times: of each [s].
+            positions: world x, y, z [m], shape (n, 3).
+            times: time of each position [s], shape (n,).
 
         Raises:
             QueryError: a position is not finite, or in no cell.
@@ -326,13 +328,14 @@ class Measures:
         return distances
 
     def scores(self, *, stopped: bool) -> Json:
-        """The measures of the episode so far.
+        """Compute the measures of the episode up to the last position.
 
         Args:
             stopped: whether the agent called stop at its last position.
 
         Returns:
-            `MEANS`, and the length of the ``shortest`` path [m]; NaN where one has no meaning.
+            The measures by name: those of `MEANS`, and ``shortest``, the length of the shortest
+            path [m]. A measure that has no meaning for the episode is NaN.
         """
         positions = np.array(self._positions)
         places = self._stops.places
@@ -412,20 +415,22 @@ class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
-    """Read trajectories: JSON lines, one each with the fields of `Trajectory`, or an ``.npz``.
+    """Read trajectories from a file of JSON lines or from an ``.npz`` archive.
+
+    A JSON line holds one trajectory, with the fields of `Trajectory`.
 
     The archive has the arrays ``episode`` (ids, shape (k,)), ``start`` (int, shape (k + 1,)),
     ``positions`` (shape (n, 3); those of trajectory i are ``start[i]:start[i + 1]``), and maybe
     ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Returns:
         The trajectories, in the order of the file.
 
     Raises:
-        FormatError: it is neither, or empty.
+        FormatError: the file is neither of them, or it is empty.
     """
     if not os.fspath(path).lower().endswith(".npz"):
         packed, name = read_bytes(path)
@@ -481,18 +486,20 @@ def score_set(
     force: bool = False,
     partial: bool = False,
 ) -> list[Json]:
-    """Score trajectories: a row for each of the set's episodes, in its order.
+    """Compute the measures of a set's episodes from their trajectories.
 
     Args:
-        content: the set.
+        content: the set of episodes.
         trajectories: one for each episode.
-        grids: that the set was made on; they are inflated for its agent if need be.
-        threshold: of nDTW [m].
+        grids: the grids that the set was made on. They are inflated for the set's agent if they
+            aren't yet.
+        threshold: distance at which nDTW counts a point as missed [m].
         force: score on other grids, or for another agent.
         partial: leave out episodes without a trajectory.
 
     Returns:
-        Rows with ``episode``, ``scene``, ``room``, ``split``, ``ratio`` and `Measures.scores`.
+        A row for each episode, in the set's order, with ``episode``, ``scene``, ``room``,
+        ``split``, ``ratio`` and `Measures.scores`.
 
     Raises:
         QueryError: a grid isn't the set's, an episode has no trajectory, a trajectory has no
@@ -555,13 +562,13 @@ def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[st
 def summarize(
     rows: Sequence[Mapping[str, object]], by: str = "all", *, seed: int = 0
 ) -> list[Json]:
-    """Means of groups of rows.
+    """Compute the means of the measures over groups of episodes.
 
     Args:
-        rows: of `score_set`.
+        rows: rows that `score_set` returned.
         by: one of `GROUPS`. ``distance`` groups by classes of the shortest path's length,
             ``ratio`` by classes of that over the straight line's.
-        seed: of the intervals' `bootstrap`.
+        seed: seed of `bootstrap`, which computes the intervals.
 
     Returns:
         For each group its name (``group``), its number of ``episodes``, and an `Interval` for each

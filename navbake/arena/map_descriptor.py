@@ -41,7 +41,7 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
 
     Args:
         explored: Shape (rows, cols), row 0 at the top, true for explored squares.
-        obstacles: The same, true for obstacles; unexplored squares are ignored.
+        obstacles: Of the same shape, true for obstacles; ignored in unexplored squares.
 
     Returns:
         Part 1 and part 2, in capitals; part 2 is empty if nothing is explored.
@@ -75,7 +75,8 @@ def _to_hex(bits: NDArray[Any]) -> str:
 def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
     """Decode a map; the inverse of `encode`.
 
-    Small letters are read as well, and a part 2 with 0s up to a digit instead of a byte.
+    Lower-case letters are accepted, and so is a part 2 that is padded with 0s to a whole hex digit
+    instead of a whole byte.
 
     Args:
         part1: Part 1 of the map descriptor.
@@ -181,10 +182,10 @@ def _as_flags(values: ArrayLike, name: str) -> Bool:
 
 
 def check_shape(shape: Sequence[int]) -> tuple[int, int]:
-    """Return the rows and columns of a map.
+    """Check the numbers of rows and columns of a map, and return them.
 
     Raises:
-        FormatError: They are no two whole numbers >= 1, or more than 100,000,000 squares.
+        FormatError: The shape is not two whole numbers >= 1, or has more than 100,000,000 squares.
     """
     sizes = list(shape) if np.iterable(shape) else [shape]
     if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
@@ -236,7 +237,7 @@ def check_squares(square: float, corner: ArrayLike) -> Float:
         The corner, shape (2,), float64.
 
     Raises:
-        QueryError: One of them is wrong.
+        QueryError: The edge or the corner is not valid.
     """
     if not (np.isfinite(square) and square > 0):
         raise _wrong_argument(
@@ -260,13 +261,14 @@ def place_squares(
     corner: ArrayLike | None = None,
     shape: Sequence[int] | None = None,
 ) -> Lattice:
-    """Lay the squares of an arena over a level; they may reach beyond it.
+    """Place the squares of an arena over a level; they may extend beyond the level.
 
     Args:
         level: The level.
         square: Edge of a square [m], > 0.
         corner: World x, y of the arena's lower left corner [m]; None for that of the level.
-        shape: Rows and columns, >= 1 each; None for as many as cover the level from the corner on.
+        shape: Rows and columns, >= 1 each; None for as many as are needed to cover the level from
+            the corner.
 
     Returns:
         The squares as the cells of a lattice.
@@ -325,13 +327,16 @@ def _shown_bounds(bounds: tuple[float, float, float, float]) -> str:
 
 
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
-    """Mark the squares that overlap an obstacle: (rows, cols), bool, row 0 at the top.
+    """Mark the squares of an arena that overlap an obstacle of a level.
 
     Obstacles are occupied cells and the area outside the level. Touching is no overlap.
 
     Args:
         level: The level.
-        squares: The squares, as of `place_squares`.
+        squares: The squares, as `place_squares` returns them.
+
+    Returns:
+        True for obstacles, shape (rows, cols), bool, row 0 at the top.
     """
     lattice = level.lattice
     is_occupied = np.pad(level.occupancy != 0, 1, constant_values=True)  # one cell around the level

@@ -34,14 +34,14 @@ def expected_error(text: str, **details: str) -> PydanticCustomError:
 
     Args:
         text: What is expected.
-        **details: ``got`` in place of the value as it is shown, ``at`` what follows the key, as
-            ``[0].name``.
+        **details: Optional parts of the message. ``got`` replaces the text of the wrong value.
+            ``at`` is appended to the key, such as ``[0].name`` for the first entry's name.
     """
     return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
 
 
 def expects(text: str) -> WrapValidator:
-    """Make a validator that words every error of a value as ``expected <text>, got …``."""
+    """Make a validator that replaces any error of a field by ``expected <text>, got …``."""
 
     def check(value: object, validate: Callable[[object], object]) -> object:
         try:
@@ -58,7 +58,7 @@ def setting(default: Any, text: str, default_text: str | None = None) -> Any:
     Args:
         default: The default value.
         text: The description, for templates and docs: meaning, [unit], range.
-        default_text: How the description shows the default; None to show the value itself.
+        default_text: The default as the description shows it; None to show `default` itself.
     """
     if default_text is None:
         default_text = default if isinstance(default, str) else json.dumps(default)
@@ -88,10 +88,12 @@ def resolve(path: Path, info: ValidationInfo) -> Path:
 
 
 def refuse_if(is_wrong: Callable[[Any], object]) -> Callable[[Any], Any]:
-    """Make a validator that refuses values; the `expects` around it words the message.
+    """Make a validator that raises a ValueError for some values.
+
+    The field's `expects`, which calls it, replaces the error by its own message.
 
     Args:
-        is_wrong: Returns something true for a value to refuse.
+        is_wrong: Called with the value; returns something true if the value is to be refused.
     """
 
     def check(value: Any) -> Any:
@@ -107,7 +109,8 @@ def read_if_file(
 ) -> Callable[[object, ValidationInfo], object]:
     """Make a validator that replaces the path of a file by what the file holds.
 
-    So digests of settings cover the content. Null is an empty list, other values stay.
+    So digests of settings cover the file's content. Null becomes an empty list, and values of other
+    types stay.
 
     Args:
         key: The dotted key of the setting, for messages.
@@ -192,13 +195,13 @@ KEYS_OF_OTHER_TOOLS |= {"file": "scene.path", "robot": "agent", "scale": "scene.
 
 
 class ShortForm(NamedTuple):
-    """What people write in place of a section, though it needs a mapping."""
+    """A value that is not a mapping, but that people often write in place of a section."""
 
     key: str  # the key that the value belongs to
     kinds: tuple[type, ...]  # the types of such values
 
     def is_used(self, value: object) -> bool:
-        """Whether a value has one of the types."""
+        """Return whether a value has one of the types of this short form."""
         return isinstance(value, self.kinds) and not isinstance(value, bool)
 
 
@@ -232,14 +235,15 @@ def make_config_error(
 ) -> ConfigError:
     """Convert pydantic's errors to one ConfigError on one line.
 
-    It reports the first three errors, unknown keys first, and counts the others. Its attributes are
-    those of the first.
+    The message has the first three errors, unknown keys first, and the number of the remaining
+    ones. The attributes of the ConfigError are those of the first error.
 
     Args:
         error: What pydantic raised.
         sections: The class of each section.
         source: What the settings were read from, as a file's name.
-        overrides: The ``a.b=value`` over the settings; a faulty one is named in place of `source`.
+        overrides: The texts ``a.b=value`` that replace settings. The message names a faulty one in
+            place of `source`.
     """
     # an unknown key is often the reason for other errors; sorting keeps these in order
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")

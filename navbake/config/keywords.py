@@ -49,10 +49,10 @@ def merge(
     """Merge settings key by key; a section without keys changes nothing.
 
     Args:
-        below: Nested mappings.
-        above: Nested mappings, whose values replace those of `below`.
-        place: Where `above` is from, for messages.
-        section: Dotted key of the section that both are.
+        below: Nested mappings of settings.
+        above: Nested mappings of settings, whose values replace those of `below`.
+        place: What `above` was read from, for messages.
+        section: Dotted key of the section that both mappings belong to.
 
     Raises:
         ConfigError: `above` has keys below a value of `below`, as below ``rooms: none``.
@@ -126,8 +126,8 @@ def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
 
     Args:
         name: The name of the scene.
-        keywords: Settings as nested mappings. A `scene.path` among them becomes that of the grid,
-            but is not read.
+        keywords: Settings as nested mappings. A `scene.path` among them is stored in the grid as
+            the scene's path, but the file is not read.
 
     Raises:
         ConfigError: A setting is wrong.

@@ -75,7 +75,7 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
 
 
 def stem_of(path: str | PathLike[str]) -> str:
-    """Return the stem of a scene file's name, or the name of a scene in memory."""
+    """Return the name of a scene: a file's name without its ending, or the name in memory."""
     if is_memory_path(path):
         return str(path)[1:-1]
     stem = readable_stem(path)
@@ -187,7 +187,7 @@ class RoomPolygon(Settings):
 
 
 class RoomSettings(Settings):
-    """The section ``rooms``: how rooms are told apart."""
+    """The section ``rooms``: how the floor is divided into rooms."""
 
     # `from` is a keyword of Python, so it is an alias of `sources`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
@@ -465,7 +465,7 @@ def is_settings(path: str | PathLike[str]) -> bool:
 
 
 def defaults_of(scene: Path) -> dict[str, Any]:
-    """Return the settings for a scene without a settings file; lifts of a building are links."""
+    """Return the default settings for a scene file; for a building, its lifts become links."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
     if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
         settings["links"] = [{"auto": "lift"}] if LIFTS.search(scene.read_bytes()) else []
@@ -476,7 +476,7 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
     Args:
-        path: A path that ends in .yaml or .yml; any other one, and that of a building, is a scene,
+        path: A path that ends in .yaml or .yml; any other path, and that of a building, is a scene,
             or the bare name of a sample as `navbake.samples.find` takes it. `scene.path` is
             relative to the YAML file.
         overrides: Texts ``a.b=value``, each of which replaces a setting of the file.
@@ -500,7 +500,7 @@ def parse_config(
 
     Args:
         settings: Nested mappings, as read from YAML.
-        source: What messages say that the settings are read from.
+        source: Name of the file that the settings come from, for messages.
         overrides: Texts ``a.b=value``, each of which replaces a setting.
         folder: The folder that `scene.path` and other paths are relative to.
 
@@ -555,11 +555,11 @@ def settings_digest(config: BakeConfig) -> str:
 
 
 def settings_to_state(config: BakeConfig) -> Json:
-    """Return the settings that a grid's file states: those of some sections that are no defaults.
+    """Return the settings that are stored in a grid's file: those that differ from the defaults.
 
-    The sections are scene, agent, grid, levels and floors. The scene's file is stated without its
-    folder, so that grids don't depend on it; a scene in memory has no file. The states of doors are
-    in the grid itself.
+    Only the sections scene, agent, grid, levels and floors are stored. The scene's file is stored
+    without its folder, so that grids don't depend on it; a scene in memory has no file. The states
+    of doors are in the grid itself.
     """
     settings: Json = config.model_dump(
         include={"scene", "agent", "grid", "levels", "floors"},

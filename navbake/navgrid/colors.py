@@ -49,7 +49,7 @@ def to_linear(color: NDArray[Any]) -> NDArray[Any]:
 
 
 def darken_rooms(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the colours of occupied cells of rooms, from those of free cells, shape (..., 3)."""
+    """Convert the colours of rooms' free cells to those of their occupied cells, shape (..., 3)."""
     mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE
     return np.round(mixed).astype(np.uint8)
 
@@ -85,7 +85,7 @@ def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
 
 def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
-    """Find pairs of numbered parts of a plan that are close along a row or a column.
+    """Find the pairs of parts of a plan that are close to each other along a row or a column.
 
     Args:
         index: The part of each cell from 1, 0 for none, shape (height, width), integers.
@@ -110,10 +110,11 @@ def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
 
 
 def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:
-    """Choose a colour for each part of a plan that none of its neighbours has, if possible.
+    """Choose colours for the parts of a plan so that neighbours differ, if possible.
 
-    Greedy colouring (Welsh and Powell 1967): the part with most neighbours comes first. Of the
-    colours that fewest of its neighbours have, it gets the one that is least used so far.
+    Greedy colouring (Welsh and Powell 1967): the part with most neighbours comes first. It gets a
+    colour that as few of its neighbours as possible have; of several such colours, the one that is
+    least used so far.
 
     Args:
         count: Number of parts, which are numbered from 1.

@@ -25,7 +25,7 @@ DECIMALS = 6  # of ends of lines: micrometres
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
-    """Return a grid with doors in other states; see `GridBase.with_doors`.
+    """Return a copy of a grid in which doors have new states; see `GridBase.with_doors`.
 
     Args:
         grid: A grid that was not inflated.
@@ -178,7 +178,7 @@ def with_door_names(
     blocks it in its current state is one of its objects, too.
 
     Args:
-        user_data: The user data, maybe with the doors in other states.
+        user_data: The user data, which may still have the doors of a former state.
         doors: All doors of the grid.
         level: Number of the level, 0 is the lowest.
         num_levels: Number of levels of the grid.
@@ -279,7 +279,8 @@ def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
     Args:
         grid: The grid.
         number: Number of the level, 0 is the lowest.
-        blocked: Mark the cells that doors block now; else those that they block when closed.
+        blocked: Whether to mark the cells that doors block in their current states; if False, those
+            that they block when closed.
 
     Returns:
         Shape (height, width), bool.
@@ -296,7 +297,9 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
-    """Find the ends of a door's leaf on a level, when it is closed, else in its current state.
+    """Find the ends of a door's leaf on a level.
+
+    The leaf is taken as closed, or in its current state if the grid has no cells of it closed.
 
     With a layer ``solid``, the cells of the leaf itself are known: the line follows their longer
     axis, from edge to edge. Without it, only the blocked cells are known, which may be deeper than

@@ -96,7 +96,7 @@ class GridBase(GridMethods):
         raise NotImplementedError
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return the grid with other levels, as many as it has; see `SceneGrid2D.with_layers`.
+        """Return the grid with its levels replaced by as many new ones.
 
         Args:
             levels: The new levels, lowest first.
@@ -135,7 +135,7 @@ class GridBase(GridMethods):
 
     @property
     def exact_inflations(self) -> list[Json]:
-        """What the metadata state of each inflation in mode ``exact``."""
+        """The metadata's entries of the grid's inflations in mode ``exact``."""
         inflations = self.metadata.get("inflation")
         if not isinstance(inflations, list):  # files of other programs may hold anything here
             return []
@@ -157,7 +157,7 @@ class GridBase(GridMethods):
 
     @property
     def radius(self) -> float:
-        """The agent's radius [m]: that of the inflation, else that of the bake."""
+        """The agent's radius [m]: that of the inflation, or of the bake if it is not inflated."""
         return self.inflated_radius or self.agent_radius
 
     @property
@@ -221,7 +221,7 @@ class GridBase(GridMethods):
 
     @property
     def step_array(self) -> Int:
-        """`steps` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+        """`steps` as an array, int64, shape (n, 4): the fields of `Step` in their order."""
         return self._table(
             "links", lambda entries: parse_steps(entries, self._cell_counts), part="steps"
         )
@@ -233,7 +233,7 @@ class GridBase(GridMethods):
 
     @property
     def areas(self) -> tuple[Area, ...]:
-        """The areas in the file's order; `SceneGrid2D.area_index` counts them in it."""
+        """The areas in the file's order; `SceneGrid2D.area_index` numbers them from 1."""
         return self._table("areas", parse_areas)
 
     @property
@@ -350,7 +350,7 @@ class SceneGrid2D(GridBase):
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return another level in place of this one.
+        """Return the new level, with new metadata if they are given.
 
         Args:
             levels: The new level, as the only one.
@@ -370,8 +370,8 @@ class SceneGrid2D(GridBase):
     ) -> Self:
         """Return the level with other layers; None leaves a layer as it is.
 
-        The new level shares its arrays with this one, except those that `block` changes in place
-        once it was called here.
+        The new level shares its arrays with this one, except the layers that `block` changes in
+        place, if `block` was called on this level.
 
         Args:
             weights: The new weights, shape (height, width).
@@ -433,7 +433,7 @@ class SceneGrid2D(GridBase):
 
     @property
     def free(self) -> Bool:
-        """Where an agent can stand (finite weight), shape (height, width), bool."""
+        """True where an agent can stand (finite weight), shape (height, width), bool."""
         return np.asarray(np.isfinite(self.weights))
 
     @property
@@ -469,7 +469,7 @@ class SceneGrid2D(GridBase):
 
     @property
     def floor_or_ground(self) -> Float:
-        """World z of the floor [m], of the level's ground where there is none; as `floor`."""
+        """World z of the floor, or of the level's ground where there is none [m]; as `floor`."""
         floor = self.floor
         return np.where(np.isnan(floor), self.ground, floor)
 
@@ -497,7 +497,7 @@ class SceneGrid2D(GridBase):
 
     @property
     def free_for_point(self) -> Bool:
-        """Where an agent without a radius can stand, as far as the file shows it; bool.
+        """True where an agent without a radius can stand, as far as the file shows it; bool.
 
         These are the free cells and, with a layer ``solid``, those that only the disc of the baked
         radius or the margin of an obstacle closed. Cells that an inflation closed stay closed.
@@ -521,9 +521,9 @@ class SceneGrid2D(GridBase):
 
     @property
     def area_index(self) -> NDArray[np.uint8]:
-        """The area of each cell as its place in `areas` from 1, 0 for none; as `room_index`.
+        """The number of each cell's area, its place in `areas` from 1; 0 for none; as `room_index`.
 
-        It means something only if the grid has areas; numbers beyond their table are no area.
+        It is ignored if the grid has no areas. Numbers beyond the table of areas count as no area.
         """
         return self._index_layer("area", np.uint8)
 
@@ -580,7 +580,7 @@ class MultiLevelGrid(GridBase):
         return self.grids
 
     def inherits_metadata(self, number: int, level: SceneGrid2D) -> bool:
-        """Whether a level still has the metadata that level `number` of this grid inherited.
+        """Return whether a level has the metadata that level `number` inherited from this grid.
 
         Args:
             number: Number of the level in this grid.
@@ -589,7 +589,7 @@ class MultiLevelGrid(GridBase):
         return level.metadata == self._inherited_metadata[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return the grid with other levels, and other metadata unless they are None.
+        """Return the grid with its levels replaced, and its metadata too unless they are None.
 
         Args:
             levels: As many levels as this grid has, lowest first. One that has the metadata that it

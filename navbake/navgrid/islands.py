@@ -52,7 +52,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
 
 
 def cells_of_areas(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
-    """Spread a value of each area over its cells.
+    """Look up a value for each cell by the area that the cell is in.
 
     Args:
         grid: The grid.
@@ -60,8 +60,8 @@ def cells_of_areas(grid: GridBase, values: Sequence[object], outside: object) ->
         outside: The value of cells in no area.
 
     Returns:
-        The value of each cell by flat id over all levels; of one entry, `outside`, if the grid has
-        no areas.
+        The value of each cell, by flat id over all levels; an array of the single entry `outside`
+        if the grid has no areas.
     """
     if not len(values):
         return np.array([outside])
@@ -189,7 +189,8 @@ def _digest_sources(grid: GridBase) -> bytes:
 def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
-    It is the distance of the centres less half a cell; cells outside the grid are not free. Cells
+    The distance is measured between centres, and half a cell is subtracted. Cells outside the grid
+    are not free. Cells
     that only the disc of the baked radius closed count as free: see `SceneGrid2D.free_for_point`.
 
     Args:
@@ -217,7 +218,7 @@ def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.fl
 
 
 def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
-    """Group steps between two levels by stairs: their cells on the first level touch.
+    """Group steps between levels into stairs: steps of a group touch on the first level.
 
     Args:
         grid: The grid.
@@ -240,10 +241,10 @@ def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
 
 
 def step_limit(grid: GridBase) -> float:
-    """Return the largest difference of neighbours' floors that is a step [file units].
+    """Return the largest height difference between neighbours that an agent can step [file units].
 
     It is the grid's `traversableFloorHeight`, plus 1e-6 m and the float32 rounding of its highest
-    floor, so that a step exactly as high as allowed is one.
+    floor, so that a step of exactly the allowed height is allowed.
     """
     floors = [np.abs(level.floor_height) for level in grid.levels]
     highest = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
@@ -252,12 +253,12 @@ def step_limit(grid: GridBase) -> float:
 
 
 def renew_islands(grid: GridBase) -> None:
-    """Compute and store the islands anew if the levels have a layer of them."""
+    """Recompute the layer ``island`` of the levels, if they have it."""
     add_layers(grid, {name for level in grid.levels for name in level.attributes} & {"island"})
 
 
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
-    """Compute derived layers and store them as attributes, also in place of old ones.
+    """Compute derived layers, and store them as attributes; existing ones are replaced.
 
     Args:
         grid: The grid, which changes.

@@ -39,7 +39,7 @@ class Cells(NamedTuple):
 
 
 def rounded(value: float, digits: int = 6) -> float:
-    """Round a length, without -0.0.
+    """Round a length; a result of -0.0 becomes 0.0.
 
     Args:
         value: The length [m].
@@ -116,7 +116,7 @@ class Lattice(NamedTuple):
         return self.y_max - (np.arange(self.height, dtype=np.float64) + 0.5) * self.cell_size
 
     def rows_cols(self, xy: ArrayLike) -> tuple[Int, Int]:
-        """Return the rows and columns of positions; they go on beyond the lattice.
+        """Return the rows and columns of positions, which may lie outside the lattice.
 
         Args:
             xy: Finite positions, world x, y and maybe z [m], shape (..., 2) or (..., 3).
@@ -162,14 +162,14 @@ class Lattice(NamedTuple):
         return (rows >= 0) & (cols >= 0) & (rows < self.height) & (cols < self.width)
 
     def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
-        """Return the rows and columns of the cells that a box covers, and one more on each side.
+        """Return the rows and columns that a box covers, with one more row or column on each side.
 
         Args:
             bounds: Lower and upper corner of the box, shape (2, 2) or (2, 3), world frame [m].
             reach: Length by which the box is enlarged on each side [m].
 
         Returns:
-            The rows and the columns; None for a box outside the lattice.
+            The range of rows and the range of columns; None for a box outside the lattice.
         """
         x_low, y_low = bounds[0, :2] - reach
         x_high, y_high = bounds[1, :2] + reach
@@ -241,8 +241,8 @@ def _separates(lines: Float, sides: Float) -> Bool:
 def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     """Mark the cells whose centres lie in a polygon, by the even-odd rule.
 
-    A centre on a lower or left side is inside, one on an upper or right side outside; so of two
-    polygons with a common side, each centre on it is in one.
+    A centre on a lower or left side is inside; a centre on an upper or right side is outside. So a
+    centre on the common side of two polygons is in exactly one of them.
 
     Args:
         rings: Outlines, holes and further parts of the polygon, each of shape (n, 2), world x, y
@@ -275,8 +275,8 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
 def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     """Mark the cells whose open squares a polygon meets.
 
-    What reaches less than a millionth of a cell into a square only touches it. So a keep-out zone
-    has no gaps, however thin it is.
+    A polygon that reaches less than a millionth of a cell into a square does not meet it. All cells
+    that a keep-out zone meets are marked, so that even a thin zone has no gaps.
 
     Args:
         rings: As of `cover_cells`.

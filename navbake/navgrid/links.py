@@ -87,7 +87,7 @@ def parse_agents(entries: JsonValue) -> dict[str, Agent]:
 
 @dataclass(frozen=True)
 class Area:
-    """An area; the layer ``area`` has its place in the table, from 1, in each of its cells.
+    """An area of the grid; the layer ``area`` holds its number, its place in the table from 1.
 
     Attributes:
         name: Its name, unique in the grid.
@@ -102,7 +102,7 @@ class Area:
     agents: tuple[str, ...] | None = None
 
     def bars(self, agent: Agent | None) -> bool:
-        """Whether an agent may not enter the area; of None, whether no agent may."""
+        """Return whether the area bars an agent; for None, whether it bars all agents."""
         may_enter = agent is None or self.agents is None or agent.name in self.agents
         return math.isinf(self.cost) or not may_enter
 
@@ -158,9 +158,10 @@ def _not_unique(name: str, place: str) -> FormatError:
 
 @dataclass(frozen=True)
 class Step:
-    """A step between two cells, in both directions, that their heights alone do not show.
+    """A step between two cells that can't be derived from the heights of the cells' floors.
 
-    It joins two levels, or two neighbours on a ramp that rises more than a step over a cell.
+    It can be taken in both directions. It joins two levels, or two neighbouring cells of a ramp
+    that rises by more than a step over a cell.
 
     Attributes:
         level: Level of the first cell.
@@ -194,7 +195,7 @@ class Stop:
 class Link:
     """A named connection of two or more places: a lift, a drop, a ladder, a flight of stairs.
 
-    It leads from each stop to each other one, or only to later ones.
+    It leads from each stop to all others, or only to later stops if it is one-way.
 
     Attributes:
         name: Its name, unique in the grid.
@@ -224,7 +225,10 @@ class Link:
     car: tuple[float, float, float, float, float] | None = None
 
     def refuses(self, agent: Agent | None) -> str | None:
-        """Return why an agent of any size can't use the link, as "is closed"; None if it can."""
+        """Return why an agent may not use the link, such as "is closed"; None if it may.
+
+        The agent's size is not considered.
+        """
         if self.state == "closed":
             return "is closed"
         if agent is not None and self.agents is not None and agent.name not in self.agents:
@@ -232,7 +236,7 @@ class Link:
         return None
 
     def fits(self, radius: float) -> bool:
-        """Whether an agent of a radius [m] fits through."""
+        """Return whether an agent of a radius [m] fits through the link."""
         return self.width is None or self.width >= 2.0 * radius * (1.0 - WIDTH_SLACK)
 
     def length(self, begin: int, end: int) -> float:
@@ -260,7 +264,7 @@ class Link:
 
 
 class Arcs(NamedTuple):
-    """Passages over links, each from one stop to another; one entry a passage."""
+    """Passages over links, each from one stop to another; arrays have an entry for each passage."""
 
     ends: Int  #: Flat ids of the cells that it leads from and to, shape (n, 2), int64.
     link: Int  #: Index of its link in the grid's `links`, shape (n,), int64.
@@ -276,15 +280,15 @@ class Arcs(NamedTuple):
 def find_arcs(
     links: Sequence[Link], start: Int, agent: Agent | None = None, penalty: float | None = None
 ) -> Arcs:
-    """List the passages over links that an agent may use, whatever its size.
+    """List the passages over links that an agent may use; its size is not considered.
 
     Args:
         links: The links of a grid.
         start: First flat id of each level.
         agent: The agent, whose rights and speed count; None for one of 1 m/s that may use all open
             links.
-        penalty: What passages cost more [m, s] that the agent may not use, and those against the
-            direction of a one-way link; None to leave them out.
+        penalty: Extra cost [m] and duration [s] of passages that the agent may not use, and of
+            those against the direction of a one-way link. None to leave such passages out.
     """
     speed = SPEED if agent is None else agent.speed
     rows = []

@@ -34,8 +34,8 @@ def datatype_name(array_type: str) -> str:
 def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     """List ``{"name", "type", "dataType", …}`` of the levels' attributes, in their order.
 
-    An entry of the metadata stays as it is, except a ``type`` that is not that of the array. If two
-    levels differ in dtype, the first counts.
+    An entry of the metadata stays as it is, except a ``type`` that is not that of the array. If
+    levels differ in the dtype of an attribute, that of the first level counts.
 
     Args:
         metadata: The metadata of the grid.
@@ -64,7 +64,7 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
 
 
 def read_table(entries: JsonValue, kind: type[Table], place: str) -> Table:
-    """Convert a table of a file to a type.
+    """Convert a table of a file to a Python type, and check it.
 
     Args:
         entries: What the file has, as parsed JSON.
@@ -72,7 +72,7 @@ def read_table(entries: JsonValue, kind: type[Table], place: str) -> Table:
         place: The place of the table, as ``metadata.navbake.rooms``.
 
     Raises:
-        FormatError: Something does not fit; with its place.
+        FormatError: The table does not have this type; the message has the place.
     """
     try:
         return msgspec.convert(entries, kind)
@@ -102,11 +102,12 @@ def to_entry(record: DataclassInstance, *left_out: str) -> Json:
 def cut_metadata(metadata: Json, level: int) -> Json:
     """Return a copy of a grid's metadata for one level, which becomes level 0 of a grid by itself.
 
-    It lacks the rooms, doors, neighbours and links of other levels. Broken parts stay as they are:
-    the whole grid reports them.
+    The copy lacks the rooms, doors, neighbours and links of other levels. Broken parts are copied
+    unchanged; the errors are raised by the whole grid.
 
     Args:
-        metadata: The metadata of the grid; returned as they are if they have none of navbake's.
+        metadata: The metadata of the grid; returned unchanged if they have nothing under
+            ``navbake``.
         level: Number of the level, 0 is the lowest.
     """
     tables = metadata.get("navbake")

@@ -57,12 +57,12 @@ class UserData(MutableMapping[int, Json]):
 
     @classmethod
     def of(cls, user_data: MutableMapping[int, Json]) -> UserData:
-        """Return user data of any mapping; the mapping itself if it is a `UserData`."""
+        """Convert a mapping to a `UserData`; a `UserData` is returned unchanged."""
         return user_data if isinstance(user_data, UserData) else cls(user_data)
 
     @property
     def is_read(self) -> bool:
-        """Whether a caller accessed single cells, and so may have changed them."""
+        """Whether a caller has accessed single cells, and so may have changed their entries."""
         return isinstance(self._source, MutableMapping)
 
     @property
@@ -133,7 +133,7 @@ class UserData(MutableMapping[int, Json]):
         return Shared(cells, np.arange(len(cells)), list(source.values()))
 
     def with_entries(self, changed: Mapping[int, Json]) -> UserData:
-        """Return the user data with other entries in some cells, by ascending cell id.
+        """Return a copy with the entries of some cells replaced, by ascending cell id.
 
         Args:
             changed: The new entries by cell id, which must not be modified; an empty one removes
@@ -162,7 +162,9 @@ class UserData(MutableMapping[int, Json]):
 
 
 def names_in(entry: Json, key: str) -> list[str]:
-    """Return the names under a key of a cell's user data; other programs may use it for anything.
+    """Return the names under a key of a cell's user data.
+
+    Other programs may store other things there; these are ignored.
 
     Args:
         entry: The user data of a cell.

@@ -76,7 +76,7 @@ class RouteGraph(RouteGraphMethods):
 
     @property
     def costs(self) -> Any:
-        """The cost of the cheapest lane from each node to each other, a scipy csr_array [m]."""
+        """Cost of the cheapest lane from node i to node j [m], shape (n, n), a scipy csr_array."""
         cheapest: dict[tuple[int, int], float] = {}
         for lane in directed(self.lanes):
             ends = (lane.start, lane.end)
@@ -88,12 +88,12 @@ class RouteGraph(RouteGraphMethods):
         return sparse.csr_array((list(cheapest.values()), start_end), shape=shape)
 
     def distances(self) -> Float:
-        """The costs of the cheapest routes between all nodes [m], shape (n, n), inf for none."""
+        """Cost of the cheapest route from node i to node j [m], shape (n, n), inf for no route."""
         route_costs: Float = csgraph.dijkstra(self.costs)
         return route_costs
 
     def route(self, start: int | str, end: int | str) -> list[int] | None:
-        """The cheapest route between two nodes.
+        """Find the cheapest route between two nodes.
 
         Args:
             start: the first node, by index or name.
@@ -120,7 +120,10 @@ class RouteGraph(RouteGraphMethods):
         return backward[::-1]
 
     def index_of(self, node: int | str) -> int:
-        """The index of a node that is given by its index or name.
+        """Return the index of a node.
+
+        Args:
+            node: the node's index or name.
 
         Raises:
             QueryError: there is no such node.
@@ -133,7 +136,7 @@ class RouteGraph(RouteGraphMethods):
         return int(node)
 
     def on_level(self, number: int) -> RouteGraph:
-        """The graph of one level: its nodes, and the lanes between them.
+        """Return the part of the graph on one level: its nodes, and the lanes between them.
 
         Raises:
             QueryError: the graph has no such level.
@@ -161,7 +164,7 @@ class RouteGraph(RouteGraphMethods):
 
 
 def directed(lanes: Iterable[Lane]) -> list[Lane]:
-    """Split lanes that lead both ways: each is followed by the lane back. See `undirected`."""
+    """Replace each lane that leads both ways by two: one there, followed by one back."""
     one_way_lanes = []
     for lane in lanes:
         one_way_lanes.append(replace(lane, two_way=False))
@@ -171,7 +174,10 @@ def directed(lanes: Iterable[Lane]) -> list[Lane]:
 
 
 def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
-    """Join lanes that differ in nothing but their direction; the inverse of `directed`."""
+    """Join two lanes that differ only in direction into one that leads both ways.
+
+    It is the inverse of `directed`.
+    """
     joined: list[Lane] = []
     without_return: dict[Lane, list[int]] = {}  # places in `joined`
     for lane in lanes:
@@ -186,10 +192,10 @@ def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
 
 
 def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
-    """The fields of a node, a lane or a graph as JSON.
+    """Return the fields of a node, a lane or a graph as JSON, without those that are None.
 
     Args:
-        element: of a graph, its nodes and lanes are left out.
+        element: the node, lane or graph; a graph's nodes and lanes are left out.
         left_out: names of fields that are left out; so are those that are None.
     """
     without = {"nodes", "lanes", *left_out}

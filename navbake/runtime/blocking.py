@@ -42,7 +42,7 @@ FLOOR_ROUNDING = 1e-5  # [m] of floors in files, which are float32
 
 
 class BlockArguments(TypedDict):
-    """The arguments of `block`, so that an obstacle can be added to another grid again."""
+    """The arguments of `block`, so that the same obstacle can be added to another grid."""
 
     cells: Cell | Cells | None
     disc: tuple[ArrayLike, float] | None
@@ -60,7 +60,7 @@ class AddedObstacle:
     Attributes:
         cells: flat ids of the cells where an agent can't stand because of the obstacle, by level,
             each ascending, int64; including cells that were not free before.
-        arguments: of `grid.block` that made it.
+        arguments: the arguments of the call of `grid.block` that made the obstacle.
         copies: the same obstacle on grids for agents of other sizes.
 
     Example:
@@ -83,7 +83,7 @@ class AddedObstacle:
         grid.obstacles.append(self)
 
     def free(self) -> None:
-        """Free the cells, except those that other obstacles block. Further calls do nothing."""
+        """Free the cells, except those that other obstacles block. A second call does nothing."""
         for level, state, level_layers in self._blocked_levels:
             _change_counts(level, state, level_layers, is_added=False)
         self._blocked_levels.clear()
@@ -253,8 +253,9 @@ def block(
         disc: centre, x, y, z or x, y, and radius [m].
         box: lower and upper corner, x, y, z or x, y [m].
         level: block this level only; then a position needs no z.
-        height: of the disc [m]; the agent's if None.
-        margin: the agent's radius [m]; if None, that of the inflation, else of the bake.
+        height: height of the disc [m]; the agent's if None.
+        margin: the agent's radius [m]. If None, it is the radius that the grid was inflated for, or
+            that of the bake if the grid is not inflated.
 
     Raises:
         QueryError: not exactly one of cells, disc and box is given, or it is not valid.
@@ -377,11 +378,11 @@ def _check_box(grid: NavGrid, box: tuple[ArrayLike, ArrayLike], level: int | Non
 
 
 def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
-    """Find the agent of a name that the grid lists.
+    """Find the agent of a given name in the grid's `agents`.
 
     Args:
         grid: the grid.
-        agent: a name; an agent or None is returned as it is.
+        agent: the agent's name; an `Agent` or None is returned unchanged.
 
     Raises:
         QueryError: the grid lists no such agent.
@@ -400,8 +401,9 @@ def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
 def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     """Make the grid for an agent's size: inflated to its radius, with steps as low as it takes.
 
-    The grid follows the obstacles that are added to the original one. Steps are lowered by floors
-    alone: a ramp that rises more over a cell is none for the agent.
+    Obstacles that are added to the original grid later block the new grid, too. Whether an agent
+    can take a step is decided by the floors' heights alone: the agent can't use a ramp that rises
+    by more than its step within one cell.
 
     Args:
         grid: the original grid.

@@ -76,7 +76,7 @@ class SpawnRules(NamedTuple):
 
 
 class Spacing(NamedTuple):
-    """Two agents clash where both distances between them are less than these.
+    """The distances below which two agents clash: both must be less than these.
 
     Attributes:
         distance: between their centres, on the map [m].
@@ -143,7 +143,9 @@ def any_free_in_annulus(
     max_distance: float,
     level: int | None,
 ) -> bool:
-    """Whether a free cell's centre lies in an annulus round a position, on its level.
+    """Return whether the centre of any free cell lies in an annulus round a position.
+
+    Only cells on the position's level count.
 
     Args:
         search: of the grid.
@@ -313,10 +315,10 @@ def _distance_limits(min_distance: float, max_distance: float) -> dict[str, obje
 
 
 def as_generator(rng: object) -> Generator:
-    """Return a generator as it is, or a new one for None.
+    """Return the given random generator, or make a new one if it is None.
 
     Raises:
-        QueryError: it is anything else.
+        QueryError: `rng` is neither a numpy Generator nor None.
     """
     if rng is None:
         return np.random.default_rng()
@@ -455,14 +457,14 @@ def place_crowd(
     agents_text: str,
     where: str,
 ) -> Int:
-    """Draw a cell for each of n agents.
+    """Draw a cell for each of n agents, so that no two agents clash.
 
     Args:
         flat: the grid.
-        parts: flat ids of cells; each part gets n / len(parts) agents, rounded. Agents that don't
-            fit go to other parts.
+        parts: flat ids of the cells of each part. Each part gets n / len(parts) agents, rounded.
+            Agents that don't fit into a part go to other parts.
         n: how many agents.
-        spacing: when two of them clash.
+        spacing: the distances below which two agents clash.
         rng: the generator.
         agents_text: names the agents in errors.
         where: names the cells in errors.
@@ -499,13 +501,16 @@ def place_crowd(
 def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
     """Compute an upper bound of the number of agents that fit on some cells.
 
-    In a honeycomb whose hexagons are as wide as agents are apart, each hexagon holds one agent. The
-    bound is the least number of hexagons with cells over several shifted honeycombs.
+    A hexagon as wide as the least distance between agents holds one agent at most. So the number of
+    hexagons of a honeycomb that contain cells is a bound. Several shifted honeycombs are tried.
 
     Args:
         flat: the grid.
         cells: flat ids.
-        spacing: when two agents clash.
+        spacing: the distances below which two agents clash.
+
+    Returns:
+        The smallest bound of all honeycombs.
     """
     width = spacing.distance * (1.0 - HEXAGON_SLACK)
     if width <= 0.0 or not len(cells):
@@ -601,9 +606,12 @@ def draw_cell_indices(flat: FlatGrid, cells: Int, rng: Generator, count: int) ->
 
     Args:
         flat: the grid.
-        cells: flat ids, at least one if `count` is.
+        cells: flat ids, at least one if `count` is 1 or more.
         rng: the generator.
-        count: how many indices, with repetition.
+        count: how many indices; an index may be drawn more than once.
+
+    Returns:
+        Indices into `cells`, shape (count,), int64.
     """
     sizes = flat.layout.cell_size
     if len(set(sizes)) == 1:
@@ -616,15 +624,19 @@ def draw_cell_indices(flat: FlatGrid, cells: Int, rng: Generator, count: int) ->
 
 
 def split_by_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]:
-    """Split cells into n parts of equal area; some may be empty.
+    """Split cells into n parts of about equal area; a part may be empty.
 
     Source: He and Owen, "Extensible grids: uniform sampling on a space filling curve" (2016).
 
     Args:
         flat: the grid.
-        cells: flat ids, in the order of `sort_along_hilbert_curve`.
+        cells: flat ids, sorted by `sort_along_hilbert_curve`.
         n: number of parts.
-        start: share of the whole area at which the first part begins, 0 to 1.
+        start: where the first part begins, as a fraction of the total area of the cells in their
+            order, 0 to 1. The cells before it belong to the last parts.
+
+    Returns:
+        The flat ids of each part, n arrays in order.
     """
     ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
     # a cell belongs to the part that contains its middle
@@ -640,6 +652,9 @@ def sort_along_hilbert_curve(flat: FlatGrid, cells: Int) -> Int:
     Args:
         flat: the grid.
         cells: flat ids.
+
+    Returns:
+        The flat ids in the order of the curve.
     """
     level, row, col = flat.split(cells)
     x = col

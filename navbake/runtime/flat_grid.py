@@ -83,11 +83,11 @@ class FlatGrid:
         return slice(int(self.layout.start[level]), int(self.layout.start[level + 1]))
 
     def level_of(self, cells: Int | int) -> Int:
-        """Find the levels of cells by their flat ids, of the same shape."""
+        """Return the level numbers of cells, given by flat id; the shape is that of `cells`."""
         return np.searchsorted(self.layout.start, cells, side="right") - 1
 
     def split(self, cells: Int | int) -> Cells:
-        """Find level, row and column of cells by their flat ids, of the same shape; -1 stays -1."""
+        """Convert flat ids to level, row and column, each of the same shape; -1 stays -1."""
         cells = np.asarray(cells, dtype=np.int64)
         level = self.level_of(cells)
         row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
@@ -98,7 +98,7 @@ class FlatGrid:
         )
 
     def cell(self, cell: int) -> Cell:
-        """Find level, row and column of one cell by its flat id."""
+        """Convert one flat id to level, row and column."""
         level, row, col = self.split(cell)
         return Cell(int(level), int(row), int(col))
 
@@ -108,7 +108,7 @@ class FlatGrid:
         Args:
             positions: world x, y, z [m], shape (..., 3); x, y are enough with a level, or on a grid
                 of one level.
-            level: the level of all positions; None finds each one's level by its z.
+            level: the level of all positions; None finds the level of each position by its z.
 
         Returns:
             Flat ids, shape (...), int64; -1 for no cell.
@@ -208,12 +208,15 @@ class FlatGrid:
         return np.stack([x, y, z], axis=-1)
 
     def step_ends(self) -> tuple[Int, Int]:
-        """List the flat ids that `steps` lead from and to, each shape (n,); each step both ways."""
+        """List the flat ids that steps lead from, and those that they lead to, each of shape (n,).
+
+        Each of `steps` is listed in both directions.
+        """
         sources = np.repeat(self.steps.cell, np.diff(self.steps.start))
         return sources, self.steps.target
 
     def weights_for_agent(self, weight: Float, cells: Int | slice = np.s_[:]) -> Float:
-        """Compute the weights of cells for the agent, of which areas are a part.
+        """Multiply the weights of cells by the factors of the areas that the cells are in.
 
         Args:
             weight: the grid's weights of the cells, inf where they aren't free.
@@ -229,18 +232,18 @@ class FlatGrid:
     def costs_between_stops(
         self, radius: float, least_weight: float, *, by_time: bool
     ) -> tuple[Float, Float]:
-        """Compute what routes between the stops of links cost at least.
+        """Compute lower bounds of the costs of routes between the stops of links.
 
         On the floor these are octile distances times the smallest weight.
 
         Args:
             radius: of the agent [m].
             least_weight: the smallest weight of a free cell, >= 0.
-            by_time: whether passages cost seconds, else metres.
+            by_time: whether the cost of passages is in seconds; if False, in metres.
 
         Returns:
-            x, y of the k stops [m], shape (k, 2); and the least cost from each to each, (k, k).
-            Without links that cost less than the floor, no stops.
+            x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape (k,
+            k). k is 0 if no link costs less than the way over the floor.
         """
         is_passable = self.arcs.fits_radius(radius)
         cells, ends = np.unique(self.arcs.ends[is_passable], return_inverse=True)
@@ -261,8 +264,8 @@ class FlatGrid:
 
         Args:
             radius: of the agent [m].
-            by_time: whether passages cost seconds, else metres.
-            backwards: whether the links are listed by the cell that they lead to, reversed.
+            by_time: whether the cost of passages is in seconds; if False, in metres.
+            backwards: whether the links are reversed, so that each leads from its end to its start.
         """
         is_passable = self.arcs.fits_radius(radius)
         if not is_passable.any():
@@ -313,14 +316,14 @@ def make_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
 
 
 def check_distance(distance: float, name: str = "max_distance") -> None:
-    """Check a distance that a user passes.
+    """Check that a distance that a user passes is a number >= 0.
 
     Args:
-        distance: expected to be a number >= 0 [m]; inf is one.
+        distance: expected to be a number >= 0 [m]; inf is allowed.
         name: the argument's name in the error.
 
     Raises:
-        QueryError: it is anything else.
+        QueryError: the distance is anything else.
     """
     if not (isinstance(distance, RealNumber) and distance >= 0):
         expected = f"a {name} >= 0 m"
@@ -339,7 +342,7 @@ def to_kernel_positions(positions: Float, level: int | None) -> tuple[int, Float
 
     Args:
         positions: world x, y, z [m], shape (..., 3); or x, y, shape (..., 2).
-        level: the level of all positions, None for the level by z, or for the only level.
+        level: the level of all positions. None to find it by z, or on a grid of one level.
 
     Returns:
         The level, -1 to find each position's level; and the positions, shape (n, 2 or 3),
@@ -445,11 +448,11 @@ def _mark_slopes(step_array: Int, ends: Int, layout: Layout) -> NDArray[np.uint8
 
 @dataclass(frozen=True, eq=False)
 class RoomMap:
-    """Rooms by number, from 1 in the order of `rooms`; 0 is no room.
+    """The room of each cell, by number: 1 is the first of `rooms`, 0 is no room.
 
     Attributes:
-        scene_id: the grid's, for messages.
-        rooms: the rooms of the grid's table, then those that only its cells name.
+        scene_id: scene id of the grid, for messages.
+        rooms: the rooms of the grid's table, then the rooms that cells have but the table lacks.
         number: the number of each cell's room, by flat id, shape (n,).
     """
 
@@ -518,7 +521,11 @@ DoorMap = dict[int, list[str]]
 
 
 def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
-    """Find each door's cells: those it blocks, closed or as it is, and those named in user data."""
+    """Find the cells of each door.
+
+    These are the cells that the door blocks when closed or in its current state, and the cells
+    whose user data name the door.
+    """
     doors_by_cell: DoorMap = {}
     start = flat.layout.start.tolist()
     for door in grid.doors:
@@ -552,7 +559,9 @@ def find_leaf_cells(door: Door, flat: FlatGrid) -> Int:
 
 
 def doors_along(doors: DoorMap, cells: Int) -> list[str]:
-    """List the doors along a route, in order; a door that is entered again is repeated.
+    """List the ids of the doors along a route, in order.
+
+    A door that the route enters twice is listed twice.
 
     Args:
         doors: the doors by flat id.
@@ -568,7 +577,7 @@ def doors_along(doors: DoorMap, cells: Int) -> list[str]:
 
 
 class LevelStairs(NamedTuple):
-    """Stairs or a ramp between two levels: steps whose cells touch on the lower level.
+    """Stairs or a ramp between two levels: a group of steps whose cells touch on the lower level.
 
     Attributes:
         lower_level: number of the lower level.
@@ -608,7 +617,7 @@ def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[LevelStairs]:
 
 @dataclass(frozen=True, eq=False)
 class IslandMap:
-    """The parts of a grid as it is now whose cells reach each other, from 1, the largest."""
+    """The islands of a grid: connected parts of its free cells, numbered from 1, the largest."""
 
     number: Int32  #: Of each cell, by flat id, shape (n,); 0 where it isn't free.
     areas: Float  #: Of each island [m²], shape (count + 1,); 0 for number 0.
@@ -637,7 +646,7 @@ class IslandMap:
         )
 
     def reached_from(self, island: int) -> tuple[int, ...]:
-        """List the islands that one leads to: itself, then further ones in ascending order."""
+        """List the islands reachable from one: itself first, then the others, ascending."""
         reached = np.array([island])
         while True:
             is_from_reached = np.isin(self.one_way_links[:, 0], reached)
@@ -654,8 +663,8 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     Args:
         flat: the grid.
         radius: of the agent [m]; it uses the links that are wide enough.
-        moves: by flat id, see `navbake.runtime.grid_arrays.Graph`; if given, diagonal moves join
-            cells, too.
+        moves: by flat id, see `navbake.runtime.grid_arrays.Graph`; if given, cells that a diagonal
+            move joins are connected, too.
     """
     layout = flat.layout
     floors = flat.floors

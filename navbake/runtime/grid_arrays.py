@@ -94,7 +94,7 @@ class FloorHeights(NamedTuple):
 class Graph(NamedTuple):
     """The steps of an agent and what they cost: the length [m] times the target's weight.
 
-    Planned by time, the weight is seconds for each metre.
+    If paths are planned by time, a weight is in seconds for each metre [s/m].
 
     Attributes:
         layout: where the cells lie.
@@ -105,8 +105,8 @@ class Graph(NamedTuple):
         least_weight: the smallest weight of a free cell, >= 0.
         bucket: width of a bucket of the queue, a cost; see `navbake.runtime.search_kernels`.
         num_buckets: number of buckets, a power of two.
-        link_saving: by how much links may make a route to the goals cheaper than the estimate that
-            the search goes by, a cost, >= 0.
+        link_saving: the most by which links can make a route to the goals cheaper than the search's
+            estimate, a cost, >= 0.
     """
 
     layout: Layout
@@ -124,12 +124,13 @@ class OffCenter(NamedTuple):
     """Where an agent of a radius may be off the centres of cells.
 
     Attributes:
-        anywhere: by cell, whether the agent fits wherever in the cell it is.
-        sweepable: by cell, whether `anywhere` holds, or nothing but solid squares of the cell's own
-            level is near, so that a sweep of the agent's disc decides.
-        solid_before: number of solid cells before each flat id, shape (n + 1,).
+        anywhere: by cell, whether the agent fits at every point of the cell.
+        sweepable: by cell, whether a sweep of the agent's disc can decide if the agent fits: where
+            `anywhere` is true, or where only solid squares of the cell's own level are near.
+        solid_before: number of solid cells whose flat id is lower than i, for each i, shape (n +
+            1,).
         radius: of the agent [m]; 0 if only free cells count.
-        is_closed: whether all beyond a level's cells is solid.
+        is_closed: whether the area beyond a level's cells is solid.
     """
 
     anywhere: Bool
@@ -146,7 +147,7 @@ class Visits(NamedTuple):
 
     Attributes:
         mark: by cell, bits that `navbake.runtime.search_kernels` explains.
-        cost: by cell, the cost to reach it; valid where `mark` is of this search.
+        cost: by cell, the cost to reach it; valid where `mark` has the number of this search.
         link_from: by index in ``links.cell``, the flat id that the link to the cell leads from.
         entry_cell: flat id of each entry of the queue.
         entry_next: the next entry of the same bucket, -1 for none.
@@ -175,7 +176,7 @@ def level_of(start, cell):
 
 @subkernel
 def find_link_slot(link_cell, cell):
-    """Find a cell among those that links lead from or to, by binary search.
+    """Find the index of a cell in ``links.cell``, by binary search.
 
     Args:
         link_cell: the `cell` of `Links`.
@@ -224,7 +225,7 @@ def floor_at(floors, level, cell):
 
 @subkernel
 def clamp_to_cell(layout, cell, x, y):
-    """Compute the point of a cell's square nearest to a point, `EDGE_MARGIN` inside of its edges.
+    """Clamp a point to a cell's square, `EDGE_MARGIN` inside of the square's edges.
 
     Args:
         layout: `Layout`.
@@ -244,7 +245,9 @@ def clamp_to_cell(layout, cell, x, y):
 
 @subkernel
 def to_cell_units(layout, level, x, y):
-    """Convert a point to a level's own units: u in columns, v in rows, from the level's corner.
+    """Convert a point to units of a level's cells.
+
+    Returns u in columns and v in rows, both from the outer corner of cell (0, 0).
 
     Args:
         layout: `Layout`.

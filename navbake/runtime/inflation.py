@@ -63,13 +63,15 @@ class Margins(NamedTuple):
 
 
 class OffCenterMasks(NamedTuple):
-    """Where an agent fits off the centres of cells, by flat id; False beside a step of the floor.
+    """Masks of the cells where an agent fits off the cells' centres, by flat id.
+
+    All of them are False beside a step of the floor.
 
     Attributes:
-        diagonal: whether it fits on a diagonal step.
-        anywhere: whether it fits anywhere in the cell.
-        sweepable: whether it fits anywhere in the cell, or only occupied squares of the cell's own
-            level are in its way.
+        diagonal: whether the agent fits on a diagonal step from the cell.
+        anywhere: whether the agent fits anywhere in the cell.
+        sweepable: whether the agent fits anywhere in the cell, or only occupied squares of the
+            cell's own level are in its way.
     """
 
     diagonal: Bool
@@ -103,7 +105,7 @@ def inflate(
         ledges: of ``exact``: ``avoid`` or ``ignore``.
 
     Returns:
-        A new grid; its metadata list the inflation under ``inflation``.
+        A new grid; the metadata of the grid list the inflation under ``inflation``.
 
     Raises:
         QueryError: an argument is out of its range, or they exclude each other.
@@ -233,14 +235,14 @@ def nav2_costs(
 
 
 def check_radius(radius: float, name: str = "radius") -> None:
-    """Check a radius that a user passes.
+    """Check that a radius that a user passes is a number from 0 to 10,000 [m].
 
     Args:
         radius: expected to be a number from 0 to 10,000 [m].
         name: the argument's name in the error.
 
     Raises:
-        QueryError: it is anything else.
+        QueryError: the radius is anything else.
     """
     is_number = isinstance(radius, RealNumber) and not isinstance(radius, bool)
     if not is_number or not 0 <= radius <= MAX_RADIUS:
@@ -254,7 +256,7 @@ def check_radius(radius: float, name: str = "radius") -> None:
 
 
 def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
-    """Check a word that a user passes.
+    """Check that a word that a user passes is one of the choices.
 
     Args:
         value: expected to be one of the choices.
@@ -262,7 +264,7 @@ def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
         name: the argument's name in the error.
 
     Raises:
-        QueryError: it is none of them.
+        QueryError: the word is none of the choices.
     """
     if value not in choices:
         expected = " or ".join(choices)
@@ -315,16 +317,17 @@ def check_arguments(
 
 
 def ledges_setting(grid: NavGrid) -> str:
-    """Return the `ledges` of the grid's inflation.
+    """Return the argument `ledges` that the grid was inflated with: ``avoid`` or ``ignore``.
 
-    ``ignore`` where the file doesn't say, ``avoid`` where the grid is not inflated.
+    The result is ``ignore`` for an inflated grid whose file doesn't state it, and ``avoid`` for a
+    grid that is not inflated.
     """
     avoids = any(entry.get("ledges") == "avoid" for entry in grid.exact_inflations)
     return "avoid" if avoids or not grid.inflated_radius else "ignore"
 
 
 def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
-    """Compute the least distances from an added obstacle to the centres of cells.
+    """Compute how far an added obstacle must be from the centres of cells that stay free.
 
     Args:
         grid: the grid; where it isn't inflated, all distances are the radius.
@@ -349,7 +352,8 @@ def compute_margins(grid: NavGrid, radius: float | None = None) -> Margins:
 def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     """Find the cells of an inflated grid where an agent fits off their centres.
 
-    None where the grid isn't inflated, or its radius is 0.
+    Returns:
+        The masks; None if the grid isn't inflated, or is inflated for a radius of 0.
     """
     radius = grid.inflated_radius
     if radius == 0.0:
@@ -405,14 +409,14 @@ def _anywhere_radius(radius: float, cell_size: float) -> float:
 def inflate_footprint(
     grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
 ) -> list[Bool]:
-    """Find where an agent with a polygonal footprint can stand: `SceneGrid2D.inflate_footprint`.
+    """Compute where an agent with a polygonal footprint can stand: `SceneGrid2D.inflate_footprint`.
 
     Args:
         grid: a grid of one or several levels.
         polygon: the outline from above, shape (n, 2), n >= 3, in the agent's frame [m]: x ahead,
-            y to the left, its centre at the origin. Without crossings.
-        num_headings: number k is ``2 π k / num_headings`` [rad], counter-clockwise from the
-            world's x.
+            y to the left, its centre at the origin. No two sides cross.
+        num_headings: number of headings; heading k is ``2 π k / num_headings`` [rad],
+            counter-clockwise from the world's x.
         ledges: as of `inflate`.
 
     Returns:
@@ -471,7 +475,7 @@ def _check_polygon(polygon: ArrayLike) -> Float:
 
 
 def count_runs(mask: Bool, runs: Int) -> Int32:
-    """Count the marked cells under a shape, with its origin on each cell in turn.
+    """Count the marked cells that a shape covers, for each cell on which its origin may lie.
 
     Args:
         mask: shape (rows, cols).
@@ -479,7 +483,7 @@ def count_runs(mask: Bool, runs: Int) -> Int32:
             origin, shape (n, 3).
 
     Returns:
-        int32, shape (rows, cols).
+        The count for each cell as the shape's origin, int32, shape (rows, cols).
     """
     rows, cols = mask.shape
     pad = int(np.abs(runs).max(initial=0)) + 1

@@ -30,8 +30,8 @@ class LevelStack(NamedTuple):
         occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, shape as `floor`, uint8.
         slopes: which neighbours, on any level, links join that are more than a step apart: bits
             EAST, NORTH, WEST and SOUTH, uint8; shape as `floor`, or (0, 0, 0) where there are none.
-        level: index of the one level in the arrays.
-        step: by how much floors of neighbours may differ [m].
+        level: index in the arrays of the level that the agent is on.
+        step: largest difference of neighbours' floors that an agent can step over [m].
         height: of the agent [m].
     """
 
@@ -45,14 +45,14 @@ class LevelStack(NamedTuple):
 
 @kernel
 def dilate(occupied, half_width):
-    """Mark the cells near an occupied one: those that a shape round an occupied cell covers.
+    """Mark the cells that a shape covers when it is centred on any occupied cell.
 
     Exact for any shape that is symmetric and narrows with the distance from its middle.
 
     Args:
         occupied: uint8, shape (rows, cols).
-        half_width: the shape, by the number of rows between the two cells: how many columns to
-            each side the shape covers; -1 for none, as in its last entry. int32.
+        half_width: the shape, int32: entry i is how many columns to each side the shape covers i
+            rows from its middle. -1 where it covers none, as in the last entry.
 
     Returns:
         bool, shape (rows, cols).
@@ -90,14 +90,17 @@ def dilate(occupied, half_width):
 
 @kernel
 def block_near_holes(has_floor, near, offsets, squares, least_share, blocked):
-    """Block the cells round which too few cells have a floor, within any distance up to a radius.
+    """Block the cells that have too few cells with a floor around them.
+
+    A cell is blocked if the share is too small within any distance up to the radius.
 
     Args:
         has_floor: bool, shape (rows, cols).
         near: the cells that are checked, bool, shape (rows, cols).
-        offsets: steps to the cells within the radius, the nearest first, int64, shape (n, 2).
-        squares: their squared lengths, shape (n,).
-        least_share: share of these cells that must have a floor, at each distance.
+        offsets: rows and columns from a cell to the cells within the radius, the nearest first,
+            int64, shape (n, 2).
+        squares: squared lengths of `offsets`, shape (n,).
+        least_share: the share of the cells within a distance that must have a floor.
         blocked: bool, shape (rows, cols), written.
     """
     rows, cols = has_floor.shape
@@ -122,8 +125,9 @@ def block_near_holes(has_floor, near, offsets, squares, least_share, blocked):
 def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked):
     """Update `blocked` for the floors around each cell.
 
-    First, cells where another level's floor is about as high are decided again: occupied cells of
-    the own level do not count in a column that another level covers, so that cells may become free.
+    First, cells near another level's floor of about the same height are recomputed: there, an
+    occupied cell of the agent's level doesn't count where another level covers its column. So cells
+    may become free.
     Then cells are blocked near a floor that is more than a step higher (of another level only up to
     an agent and a slab above) or a drop, unless a slope leads there. Offsets are tried only where
     the floors of patches make a conflict possible.
@@ -132,7 +136,7 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
         stack: `LevelStack`.
         lowest: the lowest floor of each level in the patches that offsets lead to from each patch,
             shape (levels, patch rows, patch columns).
-        highest: the highest floor, likewise.
+        highest: the highest floor, of the same shape.
         offsets: steps from an agent's cell to the cells that it meets, int64, shape (n, 2).
         counts_higher: whether higher floors block.
         counts_lower: whether drops block.

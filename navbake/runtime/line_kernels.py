@@ -91,10 +91,13 @@ def is_walkable(start, end, layout, level, moves, is_allowed):
 
 @subkernel
 def crossed_cells(start, end, layout, level):
-    """List the cells that a line runs through, and the share of it before each and at its end.
+    """Compute which cells a line crosses, and where along the line each of them begins.
 
-    Cells that the line only touches at a corner are left out. Returns n flat ids in the line's
-    order, and n + 1 shares from 0 to 1.
+    Cells that the line only touches at a corner are left out.
+
+    Returns:
+        The flat ids of the n cells, in the line's order; and n + 1 fractions of the line's length,
+        0 to 1: cell i extends from fraction i to fraction i + 1.
     """
     u0, v0 = start
     u1, v1 = end
@@ -128,9 +131,10 @@ def crossed_cells(start, end, layout, level):
 
 @subkernel
 def line_cost(start, end, level, graph):
-    """Compute the cost of a line between points x, y [m], with its length in cells.
+    """Compute the cost of a straight line between two points x, y [m].
 
-    Each part of the line counts by its cell's weight.
+    The cost is the sum over the cells that the line crosses: the line's length within the cell, in
+    units of the cell size, times the cell's weight.
     """
     start_uv = to_cell_units(graph.layout, level, start[0], start[1])
     end_uv = to_cell_units(graph.layout, level, end[0], end[1])
@@ -143,7 +147,7 @@ def line_cost(start, end, level, graph):
 
 @subkernel
 def disc_passes(start, end, layout, level, solid_before, radius, is_closed):
-    """Whether an open disc meets no solid square on its way along a line.
+    """Return whether a disc can move along a line without overlapping a solid cell's square.
 
     `start` and `end` are u, v; the radius is in cells. `solid_before` and `is_closed` are those of
     `navbake.runtime.grid_arrays.OffCenter`.
@@ -202,8 +206,8 @@ def _largest_u(u0, v0, u1, v1, low, high, radius):
 def can_pass(start, end, level, graph, off_center):
     """Whether an agent can move along a line between two points x, y of a level [m].
 
-    It can where it fits anywhere in all cells that the line touches; or where nothing but solid
-    squares is near these cells, and its disc meets none of them.
+    It can if it fits anywhere in every cell that the line touches. It also can if all of these
+    cells are `sweepable`, and its disc overlaps no solid square along the line.
 
     Args:
         start: world x, y of the line's start [m].
@@ -230,15 +234,15 @@ def can_pass(start, end, level, graph, off_center):
 
 @kernel
 def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
-    """Make a line along a route of cells.
+    """Turn a route of cells into a polyline.
 
-    It runs through the cells' centres or, if smooth, straight on wherever `can_pass` allows it and
-    the cost is no higher. It begins and ends at `start` and `end`; at the cell's centre where they
-    are NaN, or where obstacles are too near.
+    The polyline runs through the cells' centres. If smooth, it is straight wherever `can_pass`
+    allows that and the cost is no higher. It begins at `start` and ends at `end`. Where one of them
+    is NaN, or too near to obstacles, the centre of the first or last cell takes its place.
 
     Args:
         route: flat ids, shape (n,), int64.
-        by_link: which of them a link leads to, bool, shape (n,).
+        by_link: whether the route enters the cell over a link, bool, shape (n,).
         start: x, y in the first cell [m], or NaN.
         end: x, y in the last cell [m], or NaN.
         is_smooth: whether to pull the line straight.
@@ -247,9 +251,9 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
         off_center: `navbake.runtime.grid_arrays.OffCenter`.
 
     Returns:
-        World x, y, floor z of the line's points [m], shape (m, 3); the level of each, shape (m,);
-        and where a link leads from a point to the next one, the index in `route` of the cell that
-        it leads to, else 0, shape (m,).
+        World x, y, floor z of the polyline's points [m], shape (m, 3); the level of each point,
+        shape (m,); and for each point from which a link leads to the next point, the index in
+        `route` of the cell that the link leads to, else 0, shape (m,).
     """
     layout = graph.layout
     num_cells = route.shape[0]

@@ -166,7 +166,7 @@ def _cells_between(search: Search, ends: Int) -> Int:
 
 
 def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the added obstacles on the route that the grid has without them.
+    """Name the added obstacles that lie on the route that would exist without obstacles.
 
     Args:
         search: of the grid, up to date.
@@ -203,7 +203,7 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
 
 
 def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the doors on the route through the fewest cells that doors block.
+    """Name the doors that block the route with the fewest cells blocked by doors.
 
     Args:
         search: of the grid, up to date.
@@ -244,7 +244,7 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
 
 
 def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the steps, links and doors that the agent's radius closed, else the gap [m].
+    """Name the steps, links and doors that are too narrow for the agent, or else the gap.
 
     Args:
         search: of the grid, up to date.
@@ -252,7 +252,7 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        None if the grid isn't inflated, or no smaller radius passes.
+        The explanation; None if the grid isn't inflated, or no agent of a smaller radius passes.
     """
     grid = search.grid
     flat = search.flat
@@ -320,7 +320,9 @@ def _measure_gap(search: Search, cell: int, radius: float) -> float:
 
 
 def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the first link or area that the agent can't use on the route with all of them open.
+    """Name the first link or area that the agent can't use.
+
+    The first is that on the route that the agent would take if all of them were open to it.
 
     Args:
         search: of the grid, up to date.
@@ -375,8 +377,8 @@ class BarringArea(NamedTuple):
     """An area that bars the agent.
 
     Attributes:
-        name: as "area 'lab'".
-        verdict: whom it bars, as "bars all agents".
+        name: name of the area in a sentence, such as "area 'lab'".
+        verdict: whom the area bars, such as "bars all agents".
     """
 
     name: str
@@ -396,7 +398,7 @@ def _barring_area(search: Search, cell: int) -> BarringArea | None:
 
 
 def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the levels that no step joins, or only steps that are blocked.
+    """Name the levels between which there is no step, or only blocked steps.
 
     Args:
         search: of the grid, up to date.

@@ -47,8 +47,8 @@ class WidestRadius(NamedTuple):
 
     Attributes:
         radius: of the agent [m]; inf where no radius is too large.
-        free: the cells that are free for it, by flat id.
-        free_for_next: the cells that are free for the next larger radius, by flat id.
+        free: mask of the cells that are free at this radius, by flat id.
+        free_for_next: mask of the cells that are free at the next larger radius, by flat id.
     """
 
     radius: float
@@ -57,10 +57,10 @@ class WidestRadius(NamedTuple):
 
 
 class ClosedConnection(NamedTuple):
-    """Steps between levels, a link or a door that is open on one grid and closed on another.
+    """A link, a door or steps between levels, open on one grid and closed on another.
 
     Attributes:
-        name: as in a sentence.
+        name: its name in a sentence.
         cells: flat ids of the steps' ends, the link's stops or the door's leaf.
     """
 
@@ -74,7 +74,9 @@ class ClosedConnection(NamedTuple):
 def find_passage(
     search: Search, start: ArrayLike, goal: Goal, level: int | None, ledges: str
 ) -> Passage | None:
-    """Find the widest agent that passes, and its bottleneck: `PathFinder.max_radius`.
+    """Find the radius of the widest agent that passes, and the bottleneck.
+
+    It implements `PathFinder.max_radius`.
 
     Args:
         search: of the grid, up to date.
@@ -128,7 +130,7 @@ def find_widest(
     *,
     cut_corners: bool = False,
 ) -> WidestRadius | None:
-    """Find the largest radius that passes from a cell to the nearest of several.
+    """Find the largest radius of an agent that can get from a cell to any of several goals.
 
     Args:
         grid: without inflation.
@@ -214,20 +216,21 @@ def find_bottleneck(
 ) -> int:
     """Find the bottleneck, the cell where the widest agent only just fits.
 
-    The route avoids the cells that are lost to a larger agent if it can. The bottleneck is the
-    middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
-    diagonal step.
+    Cells that are free for the widest agent, but not for the next larger one, are critical. The
+    route avoids critical cells where it can. The bottleneck is the middle of the first run of
+    critical cells on the route. If there is none, it is the stop of a link, or a critical cell
+    beside a diagonal step.
 
     Args:
         grid: without inflation.
         search: whose agent plans, on the same cells.
         start_cell: flat id.
         goals: flat ids.
-        widest: of `find_widest` with the same arguments.
+        widest: what `find_widest` returned for the same arguments.
         cut_corners: whether diagonal steps past blocked corners are allowed.
 
     Returns:
-        The flat id.
+        The flat id of the bottleneck.
     """
     flat = search.flat
     is_lost = widest.free & ~widest.free_for_next
@@ -267,7 +270,8 @@ def find_bottleneck(
 def without_inflation(grid: NavGrid) -> NavGrid:
     """Make the grid for a point agent: weights of 1 where a point can stand, inf elsewhere.
 
-    The grid itself if it was never inflated.
+    Returns:
+        A new grid; the grid itself if it was never inflated.
     """
     if "inflation" not in grid.metadata:
         return grid
@@ -279,7 +283,7 @@ def without_inflation(grid: NavGrid) -> NavGrid:
 
 
 def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
-    """Make a grid with other weights, by flat id, as if never inflated.
+    """Copy a grid with new weights, and without the record of its inflations.
 
     Args:
         grid: the grid, which stays as it is.
@@ -303,11 +307,13 @@ def similar_search(
     radius: float | None = None,
     penalty: float | None = None,
 ) -> Search:
-    """Make a search on another grid by the rules of a search, for its agent whatever its size.
+    """Make a search on a second grid with the settings of an existing search.
+
+    The agent is the same, but its size doesn't count.
 
     Args:
         grid: of the same cells.
-        search: whose rules count.
+        search: the search whose settings are used.
         cut_corners: as of `Search`; that of `search` if None.
         radius: that links have to be wide enough for [m]; that of `search` if None.
         penalty: as of `Search`.
@@ -322,11 +328,11 @@ def similar_search(
 
 
 def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int) -> Int | None:
-    """List the cells of the cheapest route on a grid by the rules of a search; None for none.
+    """Find the cheapest route on a grid, with the settings of a search made for another grid.
 
     Args:
         grid: of the same cells.
-        search: whose rules count.
+        search: the search whose settings are used.
         start_cell: flat id.
         goals: flat ids.
     """
@@ -335,7 +341,7 @@ def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int)
 
 
 def find_closed_connections(before: Search, after: Search) -> list[ClosedConnection]:
-    """Find the steps between levels, the links and the doors that only the first grid has open.
+    """Find the links, doors and steps between levels that are open on the first grid only.
 
     Steps side by side are one connection. They are closed where no free step is left, or where the
     free ones lead to less than 0.5 m² on one of the levels, as a landing between blocked treads. A

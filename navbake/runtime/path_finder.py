@@ -80,7 +80,7 @@ class PathFinder:
     Not thread-safe: use one object per thread.
 
     Attributes:
-        grid: the grid for the agent's size: that which was given, where it fits.
+        grid: the grid for the agent's size; the grid that was given if that is for this size.
 
     Args:
         grid: a grid of one or several levels, or its file. Later writes into its arrays have no
@@ -262,8 +262,8 @@ class PathFinder:
         Args:
             goal: as of `find_path`.
             level: the level of positions, for which x, y are then enough; None finds it by z.
-            weighted: whether the costs are those of `find_path`; else the length of the shortest
-                path [m], on which links count what they cost.
+            weighted: whether the costs are those of `find_path`. If False, the lengths of the
+                shortest paths [m], to which links add their costs.
             by: ``cost``; or ``time`` for the seconds of the quickest path.
 
         Returns:
@@ -338,7 +338,8 @@ class PathFinder:
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
         for no larger one. Obstacles that `grid.block` added count, and the agent's rights but not
-        its size. The result for an inflated grid is that of the grid before, if the file has it.
+        its size. For an inflated grid, the result is that of the grid before its inflation, if the
+        file has what is needed.
 
         Args:
             start: world x, y, z [m], shape (3,).
@@ -375,9 +376,9 @@ class PathFinder:
 
         Args:
             path: a path found by this object.
-            speed: the highest [m/s].
-            acceleration: of braking [m/s²].
-            turn_rate: the highest [rad/s].
+            speed: the highest speed [m/s].
+            acceleration: the deceleration with which the base brakes [m/s²].
+            turn_rate: the highest turn rate [rad/s].
             lookahead: distance along the path to the point that the base heads for [m].
             tolerance: distance to the goal at which the base has arrived [m].
 
@@ -405,7 +406,7 @@ class PathFinder:
     # ---------------------------------------------------------------- islands and rooms
 
     def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | None:
-        """Find the number of the island of a position, from 1, the largest.
+        """Find the number of the island that a position is on; 1 is the largest island.
 
         Args:
             position: world x, y, z [m], shape (3,).
@@ -683,8 +684,9 @@ class PathFinder:
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions crosses no occupied cell.
 
-        The line runs over the map, from cell to cell and over steps, and through a corner of four
-        if one of the two cells beside it is clear; heights are not compared.
+        The line is seen from above; heights are not compared. It continues on other levels over
+        steps. It may run exactly through a corner between four cells if one of the two cells beside
+        it is not occupied.
 
         Args:
             a: world x, y, z [m], shape (3,).
@@ -967,14 +969,16 @@ class PathFinder:
             level: only on this level.
             island: only on this island.
             reachable_from: only where a path leads to from this free position, world x, y, z [m].
-            clearance: a disc of this radius round each agent overlaps no obstacle and no drop, as
-                with `grid.inflate` [m]; nor another agent's, unless `min_distance` is given.
+            clearance: radius of a disc round each agent that overlaps no obstacle and no drop, as
+                with `grid.inflate` [m]. The discs of two agents don't overlap either, unless
+                `min_distance` is given.
             min_distance: between the centres of any two agents [m]; always more than twice the
                 agent's radius, that of the grid's inflation, or else of its bake.
             facing: a position or a heading [rad] that all face; random headings if None.
-            stratify: ``area`` draws one agent in each of n parts of equal area; ``room`` and
-                ``island`` share the agents out evenly, and none stand in cells without a room.
-                Agents that don't fit into a part go to others.
+            stratify: ``area`` draws one agent in each of n parts of equal area. ``room`` and
+                ``island`` draw equally many agents in each room or island; with ``room``, no agent
+                stands in a cell without a room. Agents that don't fit into a part are drawn in
+                other parts.
 
         Returns:
             ``positions``, world x, y and floor z [m], shape (n, 3), and ``headings`` [rad],

@@ -41,9 +41,9 @@ class DriveLimits:
     """How a mobile base drives; see `PathFinder.follow`.
 
     Attributes:
-        speed: the highest [m/s].
-        acceleration: of braking [m/s²].
-        turn_rate: the highest [rad/s].
+        speed: the highest speed [m/s].
+        acceleration: the deceleration with which the base brakes [m/s²].
+        turn_rate: the highest turn rate [rad/s].
         lookahead: distance along the path to the point that the base heads for [m].
         tolerance: distance to the goal at which the base has arrived [m].
 

@@ -71,7 +71,7 @@ class Path:
 
     @property
     def points(self) -> Float:
-        """The array `positions`, by a second name."""
+        """The array `positions`, under an alias."""
         return self.positions
 
     def at(self, distance: ArrayLike) -> Float:

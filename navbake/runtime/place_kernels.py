@@ -39,8 +39,8 @@ class RowCells(NamedTuple):
 def locate(layout, floors, level, positions):
     """Find the cells whose floors are the nearest at or below positions.
 
-    A floor may be `max_step` above its position. Where no level has such a floor in a position's
-    column, the level counts whose ground is the highest one so far below.
+    A floor may be up to `max_step` above the position. If no level has such a floor under the
+    position, the level with the highest ground that is at or below the position is taken.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
@@ -64,9 +64,9 @@ def locate(layout, floors, level, positions):
 
 @kernel
 def mark_standing(layout, floors, free, max_drop, positions):
-    """Mark the positions, shape (n, 3), that are at most `max_drop` [m] above a free cell's floor.
+    """Mark the positions that are in a free cell, at most `max_drop` [m] above its floor.
 
-    Returns bool, shape (n,). `free` is by cell.
+    `positions` have shape (n, 3), `free` is by cell. Returns bool, shape (n,).
     """
     is_standing = np.zeros(len(positions), dtype=np.bool_)
     cells = np.empty(BATCH_SIZE, dtype=np.int64)
@@ -225,7 +225,8 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
 def find_nearest_cell(layout, mask, floor, measure, height, level, point, max_distance):
     """Find the cell of a level in a mask that is nearest to x, y, z, and its distance [m].
 
-    The flat id is -1 if none is within `max_distance`; of equally near ones, it is the lowest. For
+    The flat id is -1 if no cell is within `max_distance`. Of equally near cells, the one with the
+    lowest flat id is returned. For
     `TO_OBSTACLE`, z is the floor's at the point, and floors less than `height` apart are at one
     height; for `IN_SPACE`, cells without floor are taken to be at `height`.
     """

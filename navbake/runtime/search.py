@@ -43,8 +43,9 @@ class Route(NamedTuple):
 
     Attributes:
         cells: flat ids, from the start to the goal, shape (n,).
-        by_link: whether a link led to each, or a step to another level, shape (n,).
-        cost: of the route, [m] or [s], as it was planned for.
+        by_link: whether the route enters the cell over a link or a step to another level, shape
+            (n,).
+        cost: cost of the route: [m] if it was planned by cost, [s] if by time.
     """
 
     cells: Int
@@ -325,7 +326,7 @@ class Search:
         room: str | None = None,
         islands: Sequence[int] | None = None,
     ) -> Bool:
-        """Find the free cells on a level, in a room and on some islands.
+        """Mark the free cells that are on a level, in a room and on one of some islands.
 
         Args:
             level: number of the level; None for any.
@@ -333,7 +334,7 @@ class Search:
             islands: numbers of the islands; None for any.
 
         Returns:
-            bool, by flat id; it may be the array `flat.free` itself.
+            The mask, bool, by flat id; it may be the array `flat.free` itself.
 
         Raises:
             QueryError: there is no such level or room.
@@ -353,7 +354,7 @@ class Search:
     def allowed_islands(
         self, island: int | None, reachable_from: ArrayLike | None
     ) -> tuple[int, ...] | None:
-        """List the islands that queries are restricted to; None for no restriction.
+        """Return the islands to which a query is restricted, by number; None for no restriction.
 
         Args:
             island: number of the only island that is allowed; None for any.

@@ -67,11 +67,11 @@ QUEUE_FULL = 1
 
 @kernel
 def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
-    """Write the moves of the cells in a window of a level.
+    """Compute the moves that lead from the cells in a window of a level, into `moves`.
 
     A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope.
-    A diagonal one also needs both cells beside it, and steps over either of them, and room for the
-    agent at both its ends, unless it may cut corners.
+    A diagonal move also needs that both cells beside it are free, that steps lead over either of
+    them, and that the agent has room at both ends, unless it may cut corners.
 
     Args:
         free: by cell, bool.
@@ -213,8 +213,9 @@ def _lower_bound(row, col, box, scale):
 def find_route(graph, sources, goals, search_number, visits):
     """Find the cheapest route from a source to a goal; see the module's head.
 
-    Without goals all cells are reached, and a step is taken backwards, as links must be reversed
-    for: then ``visits.cost`` is the cost of the route from each cell to the nearest source.
+    Without goals, all cells are reached, and steps are followed backwards; ``graph.links`` must
+    then be reversed. ``visits.cost`` is then the cost of the route from each cell to the nearest
+    source.
 
     Args:
         graph: `navbake.runtime.grid_arrays.Graph`.

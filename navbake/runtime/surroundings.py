@@ -51,7 +51,7 @@ RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, f
 
 
 class DiscOffsets(NamedTuple):
-    """The cells whose squares, or centres, an open disc round a cell's centre reaches.
+    """Offsets from a cell to the cells that an open disc round its centre reaches.
 
     Attributes:
         offsets: steps to them, rows and columns, shape (n, 2), nearest first.
@@ -86,7 +86,7 @@ def find_blocked(
     *,
     by_own_level: bool = True,
 ) -> Bool:
-    """Find the cells of a level where an agent can't stand; the module's head has the rules.
+    """Mark the cells of a level where an agent can't stand; the module's docstring has the rules.
 
     Args:
         grid: the grid; its weights don't count.
@@ -126,7 +126,7 @@ def find_blocked(
 
 
 def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
-    """Find the free cells of ``grid.inflate(radius)`` without inflating the grid.
+    """Mark the cells that would be free in ``grid.inflate(radius)``, without inflating the grid.
 
     Args:
         grid: a grid of one or several levels.

@@ -34,7 +34,7 @@ LENGTH_SLACK = 1e-9  # share of a length, or of a cell, that is rounding
 
 @kernel
 def step_each(layout, links, floors, passable, level, starts, ends, sliding):
-    """Walk from each start straight to its end, and slide on; see `PathFinder.try_step`.
+    """Move from each start straight towards its end, and slide on; see `PathFinder.try_step`.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
@@ -118,8 +118,8 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
     by cell, is not empty, the line may start in cells that are not passable, and continue in them
     as long as they are of the first one's room, until it leaves them.
 
-    Returns the flat id of the last cell, and the share of the line up to where it leaves that cell,
-    1 at its end.
+    Returns the flat id of the last cell, and the fraction of the line's length at which the line
+    leaves that cell, 1 if it ends there.
     """
     dx = x1 - x0
     dy = y1 - y0

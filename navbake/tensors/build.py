@@ -307,12 +307,13 @@ def _sort_free_cells(
 def smallest_true(
     condition: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """The smallest numbers of a dtype at which conditions hold, by bisection.
+    """Find, by bisection, the smallest number of a dtype at which each of n conditions holds.
 
     Args:
-        condition: whether each holds at a number, shape (n,); from some number on they do.
-        low: numbers at which they don't, shape (n,).
-        high: numbers at which they do, shape (n,).
+        condition: takes n numbers, and returns whether each condition holds at its number, shape
+            (n,). A condition that holds at a number holds at every larger one.
+        low: numbers at which the conditions don't hold, shape (n,).
+        high: numbers at which the conditions hold, shape (n,).
         dtype: of the numbers.
 
     Returns:
@@ -331,7 +332,7 @@ def smallest_true(
 
 
 def first_in_cell(x_min: float, size: float, count: int, dtype: Floating) -> NDArray[np.floating]:
-    """The smallest x of a dtype in each column, and beyond the last one.
+    """Find the smallest x of a dtype that lies in each column, and the smallest beyond the last.
 
     Args:
         x_min: the first column's edge [m].
@@ -352,11 +353,11 @@ def first_in_cell(x_min: float, size: float, count: int, dtype: Floating) -> NDA
 
 
 def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:
-    """The lowest z of a dtype from which each floor is at most a step above.
+    """Find, for each floor, the lowest z of a dtype that is at most a step below it.
 
     Args:
         floors: z of floors, shape (n,) [m].
-        max_step: [m].
+        max_step: the highest step [m].
         dtype: of the numbers.
 
     Returns:

@@ -173,24 +173,24 @@ def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tu
 
 
 def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
-    """The number of each scene's lowest level among those of all scenes."""
+    """Return the index of each scene's lowest level among the levels of all scenes."""
     if scene_id is None:
         return 0
     return t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
 
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
-    """Level among those of all scenes, row and column of cells."""
+    """Convert ids of cells to level (index among the levels of all scenes), row and column."""
     cells_per_level = t.shape.rows * t.shape.cols
     cell_of_level = cell % cells_per_level
     return cell // cells_per_level, cell_of_level // t.shape.cols, cell_of_level % t.shape.cols
 
 
 def check_positions(t: GridTensors, positions: Array) -> Array:
-    """World positions as an array of shape (..., 3).
+    """Check world positions, and return them as an array of shape (..., 3).
 
     Raises:
-        QueryError: the shape or dtype is another.
+        QueryError: the shape or the dtype is wrong.
     """
     points = as_array(t, positions)
     if points.ndim == 0 or points.shape[-1] != 3:
@@ -199,7 +199,9 @@ def check_positions(t: GridTensors, positions: Array) -> Array:
 
 
 def as_array(t: GridTensors, values: Array) -> Array:
-    """Numbers as an array of the tensors' dtype; other dtypes might round to another cell.
+    """Convert numbers to an array of the tensors' dtype.
+
+    Arrays of other dtypes are refused, as rounding might move a position into another cell.
 
     Raises:
         QueryError: it is an array of another dtype, or holds no numbers.
@@ -217,7 +219,7 @@ def as_array(t: GridTensors, values: Array) -> Array:
 
 
 def check_scenes(t: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array:
-    """Scenes broadcast to a shape, -1 for unknown ones; None for tensors of one scene.
+    """Broadcast scene numbers to a shape, -1 for unknown ones; None for tensors of one scene.
 
     Raises:
         QueryError: there are several scenes and none is given, or they don't fit the shape.
@@ -234,7 +236,7 @@ def check_scenes(t: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array
 
 
 def check_number(number: int | np.integer, label: str, count: int) -> int:
-    """The number of a scene or goal, whose `label` errors name.
+    """Check the number of one scene or goal, and return it; `label` names it in errors.
 
     Raises:
         QueryError: it is not from 0 to count - 1.
@@ -247,7 +249,7 @@ def check_number(number: int | np.integer, label: str, count: int) -> int:
 def check_numbers(
     t: GridTensors, numbers: Ids, label: str, count: int, shape: tuple[int, ...]
 ) -> Array:
-    """Numbers of scenes, goals or rooms, broadcast to a shape.
+    """Check numbers of scenes, goals or rooms, and broadcast them to a shape.
 
     Args:
         t: the tensors.
@@ -273,10 +275,10 @@ def check_numbers(
 
 
 def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], label: str) -> Array:
-    """Values broadcast to a shape; errors name them by their `label`.
+    """Broadcast values to a shape; `label` names them in errors.
 
     Raises:
-        QueryError: they don't fit.
+        QueryError: the values can't be broadcast to the shape.
     """
     try:
         return t.xp.broadcast_to(values, shape)
@@ -286,7 +288,7 @@ def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], label: str)
 
 
 def device_of(t: GridTensors) -> object:
-    """The arrays' device; None for the default, as inside JAX's traced functions."""
+    """Return the arrays' device; None for the default device, as inside JAX's traced functions."""
     return getattr(t.floor, "device", None)
 
 
@@ -299,7 +301,7 @@ def _new_array(t: GridTensors, values: Array, dtype: DType) -> Array:
 
 
 def clip(xp: Namespace, values: Array, low: Array | float, high: Array | float) -> Array:
-    """Values clipped to the range from low to high; NaN stays."""
+    """Clip values to the range from low to high; NaN stays NaN."""
     return xp.where(values < low, low, xp.where(values > high, high, values))
 
 

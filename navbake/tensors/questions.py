@@ -38,12 +38,12 @@ MODES = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The level of each position, as in `PathFinder.cell_at`.
+    """Find the level of each position, as in `PathFinder.cell_at`.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         int32, shape (...): 0 is the lowest, -1 for none.
@@ -57,12 +57,12 @@ def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
 
 
 def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The floor under each position.
+    """Look up the height of the floor under each position.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         World z, shape (...), NaN for none [m].
@@ -71,12 +71,12 @@ def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
 
 
 def room(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The room of each position.
+    """Look up the number of each position's room.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         int32, shape (...), 0 for none; ``t.rooms[scene][number - 1]`` is a room's id.
@@ -85,12 +85,12 @@ def room(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
 
 
 def area(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The area of each position.
+    """Look up the number of each position's area.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         int32, shape (...), 0 for none; ``t.areas[scene][number - 1]`` is an area's name.
@@ -99,12 +99,12 @@ def area(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
 
 
 def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """The island of each position: the connected free cells that it belongs to.
+    """Look up the number of each position's island, a connected part of the free cells.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         int32, shape (...), numbered from 1 through all scenes in order, 0 for none. In tensors of
@@ -114,12 +114,12 @@ def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
 
 
 def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """Whether an agent can stand at each position, by the `max_drop` of `make_tensors`.
+    """Return whether an agent can stand at each position, by the `max_drop` of `make_tensors`.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         bool, shape (...).
@@ -135,7 +135,7 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Arra
 def clearance(
     t: GridTensors, positions: Array, scene_id: Ids = None, mode: str = "bilinear"
 ) -> Array:
-    """How far the nearest cell that isn't free is from each position.
+    """Return the distance from each position to the nearest cell that isn't free.
 
     Unlike `PathFinder.clearance`, which measures from the position to obstacles, it is a layer,
     `navbake.navgrid.islands.clearance`: from each free cell's centre to the nearest centre of a
@@ -144,7 +144,7 @@ def clearance(
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
         mode: ``"nearest"`` for the value of the position's cell, as ``grid.values_at`` returns it;
             ``"bilinear"`` interpolates between the centres of the four cells round the position on
             its level, and is differentiable; the outer cells are continued at the grid's edge.
@@ -221,7 +221,7 @@ LAYERS: dict[str, Callable[..., Array]] = {
 def heights(
     t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids = None
 ) -> Array:
-    """A height scan: floor heights at a pattern of points round each agent, rotated with it.
+    """Make a height scan: floor heights at points round each agent, rotated with the agent.
 
     Each point's floor is the nearest below the agent, by the rule of `level_at`.
 
@@ -311,14 +311,14 @@ def _pattern_points(
 def distance_to_goal(
     t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None
 ) -> Array:
-    """The cost of the cheapest path from each position to a goal, as in `PathFinder.distances`.
+    """Look up the costs of the cheapest paths to a goal, as in `PathFinder.distances`.
 
     Args:
         t: the tensors.
         positions: world x, y, z, shape (..., 3) [m].
         goal: its number among those of the tensors: an integer, or integers that broadcast to
             (...).
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         Metres times weights, shape (...); inf for no path, NaN outside the grid.
@@ -334,7 +334,7 @@ def distance_to_goal(
 def distances(
     t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Ids = None
 ) -> Array:
-    """`distance_to_goal` from each start to each of several goals.
+    """Compute `distance_to_goal` from each start to each of several goals.
 
     Args:
         t: the tensors.
@@ -361,7 +361,7 @@ def distances(
 
 
 def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None) -> Array:
-    """The direction from each position to the centre of the next cell of the cheapest path.
+    """Compute the direction from each position to the next cell's centre on the cheapest path.
 
     Following it stays in the cells of that path, also over steps to other levels; at the stop of a
     link it points to the stop that the path leads to.
@@ -371,7 +371,7 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
         positions: world x, y, z, shape (..., 3) [m].
         goal: its number among those of the tensors: an integer, or integers that broadcast to
             (...).
-        scene_id: of each position, where the tensors have several grids.
+        scene_id: each position's scene; needed where the tensors have several grids.
 
     Returns:
         World x, y of unit vectors, shape (..., 2): zeros in the goal's cell and in a lift whose

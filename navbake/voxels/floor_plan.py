@@ -12,7 +12,7 @@ from navbake.voxels.grid import VoxelGrid, check_memory
 
 
 def lattice_of(voxels: VoxelGrid) -> Lattice:
-    """Return the lattice of a voxel grid's columns."""
+    """Return the lattice of a voxel grid's vertical columns, seen from above."""
     nx, ny, _ = voxels.shape
     x, y, _ = voxels.origin
     return Lattice(x, y + ny * voxels.res, voxels.res, nx, ny)
@@ -26,7 +26,7 @@ def cut_band(
     *,
     whole: bool = False,
 ) -> NDArray[np.uint8]:
-    """Mark the columns of voxels that are occupied in a range of heights.
+    """Mark the vertical columns that have an occupied voxel in a range of heights.
 
     Args:
         voxels: Voxels of any dtype; all that are not 0 count.
@@ -37,8 +37,8 @@ def cut_band(
         whole: Count only voxels that lie in the range as a whole, not all that overlap it.
 
     Returns:
-        Occupancy as in navigation grids: ``[row, col]``, shape (ny, nx), uint8, rows against y; of
-        the cells of `lattice_of`.
+        1 for occupied, else 0, uint8, shape (ny, nx): ``[row, col]`` as in navigation grids, with
+        rows towards smaller y. The cells are those of `lattice_of`.
 
     Raises:
         QueryError: The range is empty, or the floor has another shape.
@@ -82,7 +82,7 @@ def plan_of(
     """Make a navigation grid of a level floor from the voxels above it.
 
     A cell is blocked if a voxel overlaps the heights from `step` to `height` over the floor. Holes
-    in the floor are not detected, as voxels don't show where an agent can stand.
+    in the floor are not detected, because voxels don't show where there is a floor.
 
     Args:
         voxels: The voxels of the obstacles.

@@ -93,7 +93,7 @@ class VoxelGrid:
 
     @property
     def occupied(self) -> Bool:
-        """Which voxels are occupied, shape (nx, ny, nz), bool; `values` itself if it is bool."""
+        """Mask of the occupied voxels, shape (nx, ny, nz), bool; `values` itself if it is bool."""
         return self.values if not self.is_segmented else self.values != 0
 
     @property
@@ -108,7 +108,7 @@ class VoxelGrid:
         return centers
 
     def indices(self, xyz: ArrayLike) -> Int:
-        """Return the indices of the voxels at positions; they go on beyond the grid.
+        """Return the indices of the voxels at positions, which may lie outside the grid.
 
         Args:
             xyz: World x, y, z [m], shape (..., 3).
@@ -166,10 +166,10 @@ class VoxelGrid:
         return replace(self, values=self.occupied, names={})
 
     def with_ids(self, ids: Mapping[int, int]) -> VoxelGrid:
-        """Return the voxels with other IDs.
+        """Return the same voxels with their IDs replaced.
 
         Args:
-            ids: The new ID of each ID, >= 0 and < 2**32; IDs that are missing become 0.
+            ids: Maps each ID to its new ID, >= 0 and < 2**32; IDs that are missing become 0.
 
         Raises:
             QueryError: The voxels hold no IDs.
@@ -201,7 +201,8 @@ class VoxelGrid:
     ) -> None:
         """Write the voxels in the format of the file's ending; `navbake.load_voxels` reads them.
 
-        The names of IDs are written beside it: those of ``a.npz`` into ``a.npz.names.json``.
+        The names of IDs are written into a second file beside it: those of ``a.npz`` into
+        ``a.npz.names.json``.
 
         Args:
             path: Name of the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
@@ -213,7 +214,7 @@ class VoxelGrid:
                 the IDs that occur from 1, in order. None to write them as they are.
 
         Raises:
-            FormatError: The ending is another one, the format cannot hold the voxels, or the file
+            FormatError: The name has another ending, the format cannot hold the voxels, or the file
                 cannot be written.
         """
         # the formats import this module
@@ -239,7 +240,7 @@ def _shown(position: Float) -> str:
 
 
 def dtype_of(max_id: int) -> np.dtype[Any]:
-    """Return the smallest dtype for IDs up to a number, below 2**32."""
+    """Return the smallest unsigned dtype that holds IDs up to `max_id`, which is below 2**32."""
     return np.min_scalar_type(max_id)
 
 
@@ -254,8 +255,8 @@ class Placement:
         origin: Its lower corner, world x, y, z [m], shape (3,).
         res: Edge of a voxel [m].
         shape: Numbers of voxels along x, y and z.
-        moved: How far aligning it with multiples of `res` has moved it, along the axis where that
-            is most [m].
+        moved: How far aligning the grid with multiples of `res` has moved it [m]: the largest of
+            the three axes.
     """
 
     origin: Float
@@ -281,7 +282,8 @@ def place_grid(
         size: Lengths along x, y and z that whole voxels are to cover [m]. Give one of `cells` and
             `size`, or none to cover `bounds`, with corners on multiples of `res`.
         res: Edge of a voxel [m], >= 1e-5.
-        bounds: Lower and upper corner of the scene's box, shape (2, 3) [m]; None if it is endless.
+        bounds: Lower and upper corner of the scene's box, shape (2, 3) [m]; None if the scene is
+            endless.
         align: Move the corners onto multiples of `res`, as octrees need it: by half a voxel at
             most.
 
@@ -354,7 +356,7 @@ def _as_shape(counts: Sequence[float]) -> tuple[int, int, int]:
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
-    """Raise a ConfigError for an array that is larger than free memory.
+    """Raise a ConfigError if an array is larger than the free memory.
 
     Args:
         shape: Numbers of voxels along each axis.
@@ -380,10 +382,10 @@ def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
 
     Args:
         value: A number, or numbers in any form that numpy takes.
-        shape: The shape that they must have.
+        shape: The shape that the numbers must have.
 
     Returns:
-        The numbers; None if they have another shape, or are no finite numbers.
+        The numbers; None if `value` has another shape, or holds anything but finite numbers.
     """
     try:
         numbers = np.asarray(value, dtype=np.float64)
@@ -397,7 +399,7 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
 
     Args:
         value: The numbers.
-        expected: What the message of a ConfigError says to be expected.
+        expected: What the message of the ConfigError names as expected.
     """
     numbers = finite_array(value, (3,))
     if numbers is None:
