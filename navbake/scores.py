@@ -180,7 +180,7 @@ def ndtw(
 
 
 class Interval(NamedTuple):
-    """A mean and its confidence interval; all NaN if there are no values."""
+    """The mean of values and its confidence interval; these are NaN if there are no values."""
 
     mean: float
     low: float  #: The interval's lower end.

@@ -89,7 +89,7 @@ class AreaSettings(Settings):
 
     @property
     def keeps_out(self) -> bool:
-        """Whether the area bars some agents; it then includes every cell that it touches."""
+        """Whether the area bars any agent; it then includes every cell that it touches."""
         return self.cost == "inf" or self.agents is not None
 
     @model_validator(mode="after")

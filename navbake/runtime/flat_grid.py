@@ -242,8 +242,8 @@ class FlatGrid:
             by_time: whether the cost of passages is in seconds; if False, in metres.
 
         Returns:
-            x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape (k,
-            k). k is 0 if no link costs less than the way over the floor.
+            x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape
+            (k, k). k is 0 if no link costs less than the way over the floor.
         """
         is_passable = self.arcs.fits_radius(radius)
         cells, ends = np.unique(self.arcs.ends[is_passable], return_inverse=True)

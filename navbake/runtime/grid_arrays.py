@@ -127,8 +127,7 @@ class OffCenter(NamedTuple):
         anywhere: by cell, whether the agent fits at every point of the cell.
         sweepable: by cell, whether a sweep of the agent's disc can decide if the agent fits: where
             `anywhere` is true, or where only solid squares of the cell's own level are near.
-        solid_before: number of solid cells whose flat id is lower than i, for each i, shape (n +
-            1,).
+        solid_before: entry i is the number of solid cells of flat ids below i, shape (n + 1,).
         radius: of the agent [m]; 0 if only free cells count.
         is_closed: whether the area beyond a level's cells is solid.
     """

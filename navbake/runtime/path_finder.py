@@ -338,8 +338,8 @@ class PathFinder:
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
         for no larger one. Obstacles that `grid.block` added count, and the agent's rights but not
-        its size. For an inflated grid, the result is that of the grid before its inflation, if the
-        file has what is needed.
+        its size. For an inflated grid, the result is that of the grid before its inflation, as far
+        as the file holds that grid.
 
         Args:
             start: world x, y, z [m], shape (3,).
@@ -976,9 +976,9 @@ class PathFinder:
                 agent's radius, that of the grid's inflation, or else of its bake.
             facing: a position or a heading [rad] that all face; random headings if None.
             stratify: ``area`` draws one agent in each of n parts of equal area. ``room`` and
-                ``island`` draw equally many agents in each room or island; with ``room``, no agent
-                stands in a cell without a room. Agents that don't fit into a part are drawn in
-                other parts.
+                ``island`` draw about equally many agents in each room or island; with ``room``, no
+                agent stands in a cell without a room. Agents that don't fit into a part are drawn
+                in other parts.
 
         Returns:
             ``positions``, world x, y and floor z [m], shape (n, 3), and ``headings`` [rad],

@@ -39,8 +39,8 @@ class RowCells(NamedTuple):
 def locate(layout, floors, level, positions):
     """Find the cells whose floors are the nearest at or below positions.
 
-    A floor may be up to `max_step` above the position. If no level has such a floor under the
-    position, the level with the highest ground that is at or below the position is taken.
+    A floor may be up to `max_step` above the position. If no level has such a floor there, the
+    level with the highest ground is taken, by the same rule.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.

@@ -43,8 +43,7 @@ class Route(NamedTuple):
 
     Attributes:
         cells: flat ids, from the start to the goal, shape (n,).
-        by_link: whether the route enters the cell over a link or a step to another level, shape
-            (n,).
+        by_link: whether the route enters the cell over a link or from another level, shape (n,).
         cost: cost of the route: [m] if it was planned by cost, [s] if by time.
     """
 
