@@ -29,7 +29,7 @@ class FloorLattice(NamedTuple):
 
     Attributes:
         lattice: the lattice of the whole scene, or of as much as `grid.max_cells` allows.
-        window: the rows and columns of it that are baked.
+        window: the rows and columns of `lattice` that are baked.
     """
 
     lattice: Lattice
@@ -37,11 +37,11 @@ class FloorLattice(NamedTuple):
 
 
 class StructureLayers(NamedTuple):
-    """The layers of a level that structure makes, on the level's own rectangle.
+    """The layers of a level that follow from structure alone, on the level's own rectangle.
 
     Attributes:
-        floor: the height of the floor, NaN for none [m], float32.
-        room_index: the room of each cell, uint16.
+        floor: the height of the floor in each cell [m], NaN where there is none, float32.
+        room_index: the index of each cell's room in the table of rooms, uint16.
         unseen: 1 where a hole of a mesh was closed, uint8; None where holes are not closed.
     """
 
@@ -57,14 +57,14 @@ class BakedStructure:
     Attributes:
         lattice: the cells that are baked.
         floors: the levels with their floors.
-        layers: the layers of each level that structure makes.
+        layers: for each level, the layers that follow from structure alone.
         occupants: the structure in each cell; None where neither names nor rooms need it.
         rooms: the room of each cell.
-        boxes: the rectangle and the box of each level.
+        boxes: the rectangle of rows and columns, and the bounding box, of each level.
         link_geometry: the structure that an agent on a link may collide with; None without links.
         settings_metadata: the settings and their digest, as written to a file.
         steps: the steps between levels, with cells counted on each level's own rectangle.
-        warnings: of structure, one line each.
+        warnings: the warnings that concern structure, one line each.
     """
 
     lattice: Lattice
@@ -80,11 +80,11 @@ class BakedStructure:
 
 
 class GridDoor(NamedTuple):
-    """A door as the grid has it.
+    """A door of the grid, and its entry in the grid's file.
 
     Attributes:
         door: the door, with the cells that nothing else occupies.
-        entry: the door as written to a file.
+        entry: the same door as it is written to a file.
         is_stuck: whether its open state blocks most of the cells that its closed one blocks.
     """
 
@@ -99,12 +99,15 @@ class BakedPose:
 
     Attributes:
         scene: the scene in its pose.
-        doors: all leaves: whether each is a door, and the cells it blocks in each state.
-        in_the_way: by geom id, whether the geom only blocks cells, see `mark_in_the_way`.
-        occupants: movables, and leaves that are no doors, in each cell; and all cells that
-            anything but doors occupies.
-        lost_floors: by body id of movables, the area of floor that they would carry [m²].
-        grid_doors: the doors as the grid has them.
+        doors: all door leaves of the scene, also those classified as no doors (see `door_leaves`
+            for the doors alone), each with the cells that it blocks in each state.
+        in_the_way: mask by geom id: the geoms of movables, and of leaves that are no doors. They
+            block cells, and make no floors, rooms or doors; see `mark_in_the_way`.
+        occupants: the geoms of `in_the_way` in each cell; and all cells that anything except doors
+            occupies.
+        lost_floors: by body id of a movable, the area of floor [m²] that its top would be if it
+            could not move.
+        grid_doors: the doors of the grid, with their entries in its file.
         room_table: the table of rooms as written to a file, with the doors between them.
         areas: the areas of the settings, painted on the levels.
         links: the named links.

@@ -5,8 +5,8 @@ begins below the lowest floor of its level, and ends below the next box above it
 levels interleave (a stair of one level rises past the lowest tread of the next), a box ends where
 the client misplaces the fewest free cells.
 
-Source: sstk's `NavScene.js`, `positionToCell`. A level's grid there includes one more column and
-one more row, beyond its last ones.
+Source: sstk's `NavScene.js`, `positionToCell`. The client's grid of a level has
+one more column and one more row, after the last ones.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class LevelBoxes(NamedTuple):
     Attributes:
         windows: the rectangle of each level: rows and columns of the lattice.
         boxes: the box of each level, file frame.
-        num_misplaced: the free cells, doors being open, that the original client puts on another
-            level or on none.
-        misplaced_levels: the levels that these cells are on, ascending.
+        num_misplaced: the number of free cells (with all doors open) that the original client puts
+            on a wrong level, or on no level.
+        misplaced_levels: the numbers of the levels that these cells belong to, ascending.
     """
 
     windows: list[Window]

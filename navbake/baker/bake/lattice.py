@@ -20,8 +20,9 @@ BOX_ROUNDING = 1e-6
 def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     """Fit a lattice to the scene, or to the bounds of the settings.
 
-    The scene's box is reduced by `BOX_ROUNDING`, so that a mesh in float32, in inches or 10 km
-    away, gets as many cells as exact coordinates would give it.
+    The scene's box is reduced by `BOX_ROUNDING` before its cells are counted, so that rounding of
+    coordinates (a mesh in float32, in inches, or 10 km from the origin) does not add a row or
+    column of cells.
 
     Args:
         scene: the posed scene.
@@ -31,7 +32,8 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
         The lattice that is baked.
 
     Raises:
-        ConfigError: the lattice would have too many cells, or the scene has no end.
+        ConfigError: the lattice would have too many cells, or the scene is
+            endless.
         SceneError: the scene's box is not finite.
     """
     settings = config.grid

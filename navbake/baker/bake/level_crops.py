@@ -29,7 +29,7 @@ def crop_layers(
         windows: the rectangle of each level: rows and columns of the lattice.
 
     Returns:
-        The layers of each level.
+        The cropped layers, one record for each level.
     """
     layers = []
     for level, room_index, window in zip(levels, rooms.index, windows, strict=True):
@@ -47,15 +47,15 @@ def crop_layers(
 
 
 def crop_steps(steps: Int, boxes: LevelBoxes, width: int) -> list[list[int]]:
-    """Count the cells of steps between levels on each level's own rectangle.
+    """Convert the cell ids of steps between levels to ids on each level's own rectangle.
 
     Args:
         steps: level a, cell a, level b, cell b, shape (n, 4), int64; cells of the lattice.
         boxes: the rectangle of each level.
-        width: of the lattice [cells].
+        width: the number of columns of the lattice.
 
     Returns:
-        The rows of `steps` with cells counted anew.
+        The rows of `steps`, with each cell's id replaced by its id on its level's own rectangle.
     """
     cropped_steps = steps.copy()
     for number, window in enumerate(boxes.windows):
@@ -78,8 +78,8 @@ def make_grid_door(
 
     Args:
         leaf: a leaf that is a door.
-        baked_structure: has the rectangle of each level.
-        occupants: the cells that anything but doors occupies.
+        baked_structure: all that follows from structure; the rectangle of each level is read.
+        occupants: the cells that anything except doors occupies.
         config: all settings; `doors.state` is the state that the door is written in.
 
     Returns:

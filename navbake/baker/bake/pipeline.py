@@ -1,4 +1,4 @@
-"""The bake, end to end: `run_bake` runs the stages, and `build_grid` makes the grid of them."""
+"""The bake, end to end: `run_bake` runs the stages, and `build_grid` makes the grid."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class BakeResult:
 
     Attributes:
         grid: the grid, not saved yet.
-        geoms: for each geom by its id, whether it counts, as what, and why.
-        timings: the seconds that each stage took, by its name.
+        geoms: by geom id, whether the bake uses the geom, its role, and the reason.
+        timings: by name of a stage, how long the stage took [s].
     """
 
     grid: SceneGrid2D | MultiLevelGrid
@@ -80,26 +80,28 @@ def bake(
     degrees, positions in MuJoCo's world frame, z up. The first bake on a machine compiles
     navbake's kernels; ``navbake warm-up`` does that beforehand.
 
-    What a user should know about the bake is warned of, each line as a `BakeWarning`, and stays
-    in `grid.warnings`, also when the grid is saved. The logger ``navbake`` gets it, too.
+    Each warning is issued as a `BakeWarning`, is written to the logger ``navbake``, and stays in
+    `grid.warnings`, also when the grid is saved.
 
-    A scene in memory bakes into what its file bakes into, byte for byte, where the settings name
-    that file as ``scene={"path": …}``; without, the grid names no file, and its id is the model's
-    name. ``docs/live.md`` says more.
+    A scene in memory bakes into the same bytes as its file, where the settings name that file as
+    ``scene={"path": …}``. Without a path the grid names no file, and its id is the model's name.
+    ``docs/live.md`` says more.
 
     Args:
         scene: the path of a scene (MJCF, MJB, URDF, USD, SDF, OBJ, PLY, STL, GLB, DAE) for default
             settings; the path of a YAML file with settings; the same as a mapping; a
             `BakeConfig`; or a scene in memory: a mujoco.MjModel or MjSpec, a trimesh.Scene or
             Trimesh. It is not changed.
-        data: the mujoco.MjData whose joint positions and mocap bodies are the pose to bake, of a
-            model or spec; as modelled, or as the settings say, if None.
-        exclude: what is left out besides, as ``{"bodies": […], "geoms": […], "movable": True}``:
-            by name, by id, by name pattern (``"chair*"``) or as ``model.body("table")``. All that
-            hangs on a body is left out with it.
+        data: the mujoco.MjData whose joint positions and mocap bodies are the pose to bake, where
+            `scene` is a model or spec. If None, the pose is that of the settings, or else as
+            modelled.
+        exclude: what to leave out besides what the settings exclude, as
+            ``{"bodies": […], "geoms": […], "movable": True}``: by name, by id, by name pattern
+            (``"chair*"``) or as ``model.body("table")``. All descendants of a body are left out
+            with it.
         robot: the body of the robot, or several, by name, by id or as ``model.body("panda")``;
-            left out with all that hangs on it.
-        threads: how many to use, >= 1; all cores if None. The result doesn't depend on it.
+            left out with all its descendants.
+        threads: number of threads, >= 1; all cores if None. The grid doesn't depend on it.
         isolate: let MuJoCo compile the scene in a process of its own, within 60 s and 4 GiB, so
             that a crash of its compiler is a SceneError. For scene files only.
         settings: sections of settings by name, as in the YAML file, in place of those that
@@ -113,8 +115,8 @@ def bake(
         ``grid.levels`` lists the levels of either, with arrays of shape (height, width).
 
     Raises:
-        ConfigError: a setting is wrong, or names a body that isn't there; the data is of another
-            model; the scene is nothing that can be baked.
+        ConfigError: a setting is wrong, or names a body that doesn't exist; the data belongs to a
+            different model; `scene` has a type that cannot be baked.
         SceneError: the scene cannot be read or compiled, or holds nothing to bake.
 
     Example:
@@ -154,23 +156,23 @@ def run_bake(
 ) -> BakeResult:
     """Bake a scene into a navigation grid.
 
-    Load the scene; compute all that follows from structure, then all that follows from the pose;
-    make the grid of both; verify it, where the settings say so.
+    Load the scene. Compute all that follows from structure, then all that depends on the pose.
+    Make the grid from both, and verify a sample of its cells where the settings ask for it.
 
     Args:
         config: all settings.
-        threads: how many to use, >= 1; all cores if None. The result doesn't depend on it.
-        progress: called with each stage's name and the share of it that is done, 0 or 1.
+        threads: number of threads, >= 1; all cores if None. The grid doesn't depend on it.
+        progress: called with a stage's name and 0 when the stage begins, 1 when it ends.
         limits: limits for MuJoCo's compiler, which then runs in a child process.
         scene_model: the compiled model; None to load the file that `config` names.
         warn_early: called with each warning that axes or units look wrong, before the floors are
             found.
 
     Returns:
-        The grid, the geoms and the timings.
+        The grid, the role of each geom, and the timings of the stages.
 
     Raises:
-        ConfigError: the lattice would have too many cells, or no end.
+        ConfigError: the lattice would have too many cells, or would be endless.
         SceneError: the scene cannot be read, or has nothing to bake.
     """
     clock = StageClock(progress)

@@ -30,7 +30,7 @@ def find_scene_floors(
     """Find the floors of the whole scene, and crop them to the lattice that is baked.
 
     Args:
-        columns: of the structure, on the extended lattice.
+        columns: the vertical columns of the structure, on the extended lattice.
         tile_index: the structure's geometry, by tiles of the extended lattice.
         scene: the posed scene.
         lattice: the cells that are baked.
@@ -66,16 +66,17 @@ def make_occupancy_test(
 ) -> OccupancyTest:
     """Return a function that tests cells for occupancy with an agent of radius 0.
 
-    A region ends where a wall stands, not an agent's radius before the wall.
+    The radius is 0 so that a region of floor ends at a wall, not an agent's radius before it.
 
     Args:
-        columns: of the structure.
+        columns: the vertical columns of the structure.
         tile_index: the structure's geometry, by tiles of the same lattice.
         config: all settings.
 
     Returns:
-        A function of cells, their floors [m], and a range of heights over the floors [m], None
-        for the agent's; it returns a mask of the cells that are occupied.
+        A function that takes cell ids, the heights of their floors [m], and a range of heights
+        over the floors [m], or None for the agent's own. It returns a mask of the cell ids whose
+        cells are occupied.
     """
     point_agent = config.agent.model_copy(update={"radius": 0.0})
     footprint = Footprint.of(point_agent, columns.lattice.cell_size)
@@ -94,11 +95,11 @@ def measure_holes(
 ) -> Float:
     """Measure the holes in a level's floor that `floors.fill` closes, or would close.
 
-    Floor surrounds such holes, and they are no larger than those of a scan.
+    These are the holes that floor surrounds, up to the size of the holes that scanning leaves.
 
     Args:
-        level: the level, whose holes may be closed already.
-        columns: of the structure.
+        level: the level; its holes may be closed already.
+        columns: the vertical columns of the structure.
         tile_index: the structure's geometry, by tiles of the same lattice.
         config: all settings.
 

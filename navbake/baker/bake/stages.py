@@ -8,7 +8,7 @@ A bake loads the scene and gives each geom a role. Structure makes columns, floo
 Leaves are classified as doors or not once the rooms are known. Movables, and leaves that are no
 doors, only block cells. All that follows from structure and from closed leaves is a
 `BakedStructure`; all that depends on the pose is a `BakedPose`. `build_grid` in ``pipeline.py``
-makes the grid of the two.
+makes the grid from these two.
 """
 
 from __future__ import annotations
@@ -86,17 +86,17 @@ def bake_stages(
 ) -> Stages:
     """Load a scene, and return the stages of its bake.
 
-    A stage runs when it is first read, so that the columns of a scene can be inspected even where
-    no floor can be found.
+    A stage is computed when its attribute is first read. So a user can inspect the columns of a
+    scene in which no floor can be found.
 
     Args:
         scene: a path, settings, or a scene in memory, see `navbake.bake`.
         data: the pose of a model in memory, see `navbake.bake`.
-        progress: called with each stage's name and the share of it that is done, 0 or 1.
+        progress: called with a stage's name and 0 when the stage begins, 1 when it ends.
         settings: sections of settings by name, see `navbake.bake`.
 
     Returns:
-        The stages; only the scene is loaded.
+        The stages; so far, only the scene is loaded.
 
     Raises:
         ConfigError: a setting is wrong.
@@ -120,15 +120,15 @@ def open_stages(
 
     Args:
         config: all settings.
-        clock: times the stages.
+        clock: measures how long each stage takes.
         limits: limits for MuJoCo's compiler, which then runs in a child process.
         scene_model: the compiled model; None to load the file that `config` names.
 
     Returns:
-        The stages; only the scene is loaded.
+        The stages; so far, only the scene is loaded.
 
     Raises:
-        ConfigError: the lattice would have too many cells, or no end.
+        ConfigError: the lattice would have too many cells, or would be endless.
         SceneError: the scene cannot be read, or has nothing to bake.
     """
     ensure_compiled()
@@ -142,13 +142,14 @@ def open_stages(
 class Stages:
     """The values of all stages of a bake.
 
-    A stage runs when it is first read, after the stages that it builds on, and keeps its value.
+    Each stage is an attribute. It is computed when it is first read, after the stages that it
+    depends on, and is kept.
 
     Attributes:
         config: all settings.
         scene: the posed scene.
         lattice: the cells that are baked.
-        clock: times the stages.
+        clock: measures how long each stage takes.
     """
 
     config: BakeConfig
@@ -165,7 +166,7 @@ class Stages:
 
     @cached_property
     def extended_lattice(self) -> FloorLattice:
-        """The lattice of the whole scene, on which floors are found, and the window baked of it."""
+        """The lattice of the whole scene, on which floors are found, and its window to bake."""
         return find_floor_lattice(self.lattice, self.scene, self.config)
 
     @cached_property
@@ -181,7 +182,10 @@ class Stages:
 
     @cached_property
     def floor_columns(self) -> ColumnSource:
-        """The columns of the extended lattice; a large lattice's are cast again when needed."""
+        """The vertical columns of the extended lattice.
+
+        Those of a large lattice are not kept; they are cast again each time they are read.
+        """
         return ColumnCaster(
             self.floor_tile_index, self.config.agent, self.config.floors.crack, self.clock
         )
@@ -190,13 +194,13 @@ class Stages:
     def columns(self) -> Columns:
         """All hits of the structure on the vertical line through each cell's centre.
 
-        Where the line falls into a crack of a floor, the floor beside the crack is a hit, too.
+        Where the line falls into a crack of a floor, the floor beside the crack is also a hit.
         """
         return join_columns(self.floor_columns, self.extended_lattice.window, self.lattice)
 
     @property
     def column_blocks(self) -> ColumnSource:
-        """The columns of the lattice; a large lattice's are cast again when needed."""
+        """The vertical columns of the lattice that is baked, see `floor_columns`."""
         columns = self.floor_columns
         if columns.lattice == self.lattice:
             return columns
@@ -230,12 +234,15 @@ class Stages:
 
     @property
     def extents(self) -> Extents | None:
-        """Boxes round the structure's geoms; None where neither names nor rooms need them."""
+        """Bounding boxes of the structure's geoms; None where neither names nor rooms need them."""
         return self._floors_and_extents[1]
 
     @cached_property
     def holes(self) -> Float:
-        """Areas of the holes in the lowest floor of an open mesh, closed or not, (n,) [m²]."""
+        """The area of each hole in the lowest floor of an open mesh [m²], shape (n,).
+
+        Holes that the bake closes are included.
+        """
         if not self.scene.has_open_mesh or self.extended_lattice.lattice != self.lattice:
             return np.empty(0)
         return measure_holes(
@@ -249,7 +256,7 @@ class Stages:
 
     @cached_property
     def standing_cells(self) -> StandingCells:
-        """The structure in each cell, and the flags of its column for rooms, found in one pass."""
+        """The structure in each cell, and the flags of each cell's column that rooms depend on."""
         floors = self.floors
         columns = self.column_blocks
         with self.clock.stage("occupancy"):
@@ -289,14 +296,14 @@ class Stages:
 
     @property
     def contents(self) -> StandingOccupants | None:
-        """`standing_occupants`, by the name that its stage has in timings."""
+        """The same as `standing_occupants`; its stage is called ``contents`` in the timings."""
         return self.standing_occupants
 
     # ------------------------------------------------------------ rooms and doors
 
     @cached_property
     def room_flags(self) -> RoomFlags:
-        """All that rooms depend on, but for settings and leaves."""
+        """All that rooms depend on, except settings and leaves."""
         cells = self.standing_cells
         standing_occupants = self.standing_occupants
         with self.clock.stage("rooms"):
@@ -313,7 +320,7 @@ class Stages:
 
     @cached_property
     def leaf_cells(self) -> list[LeafCells]:
-        """The cells that each leaf blocks in each state, by its own geometry alone."""
+        """For each leaf, the cells that its own geometry blocks in each state."""
         levels = self.floors.levels
         with self.clock.part("doors"):
             leaves = pose_leaves(self.scene, self.scene.leaves, self.lattice, self.footprint.reach)
@@ -321,7 +328,7 @@ class Stages:
 
     @cached_property
     def rooms(self) -> Rooms:
-        """The room of each cell, and the table of rooms, which names no doors yet."""
+        """The room of each cell, and the table of rooms, in which doors are not listed yet."""
         flags = self.room_flags
         leaf_cells = self.leaf_cells
         with self.clock.stage("rooms"):
@@ -334,7 +341,7 @@ class Stages:
 
     @property
     def door_context(self) -> DoorContext:
-        """The columns, floors and rooms that leaves are classified by."""
+        """The columns, floors and rooms on which the classification of leaves depends."""
         return DoorContext(
             columns=self.column_blocks,
             floors=self.floors.levels,
@@ -344,7 +351,11 @@ class Stages:
 
     @cached_property
     def doors(self) -> list[ClassifiedLeaf]:
-        """All leaves: whether each is a door, its rooms, and the cells it blocks in each state."""
+        """All leaves, also those that are no doors.
+
+        Each has the mark `is_door`, the rooms that it connects, and the cells that it blocks in
+        each state.
+        """
         context = self.door_context
         leaf_cells = self.leaf_cells
         with self.clock.stage("doors"):
@@ -354,14 +365,15 @@ class Stages:
 
     @cached_property
     def in_the_way(self) -> Bool:
-        """By geom id, whether the geom only blocks cells; see `mark_in_the_way`."""
+        """Mask by geom id: geoms that only block cells; see `mark_in_the_way`."""
         return mark_in_the_way(self.scene, self.doors, self.config)
 
     @cached_property
     def occupants(self) -> MovableOccupants:
         """Movables, and leaves that are no doors, in each cell; and all occupied cells.
 
-        Doors alone are missing in the occupied cells: the grid adds them in their states.
+        The cells that only doors block are not among the occupied cells: the grid adds them,
+        depending on each door's state.
         """
         in_the_way = self.in_the_way
         movable_context = self.movable_context
@@ -370,7 +382,7 @@ class Stages:
 
     @property
     def movable_context(self) -> MovableContext:
-        """The floors and the occupancy that movables are searched over."""
+        """The floors and the occupancy of structure, over which movables are searched for."""
         return MovableContext(
             lattice=self.lattice,
             floors=self.floors,
@@ -393,7 +405,7 @@ class Stages:
 
     @cached_property
     def links(self) -> BakedLinks:
-        """The named links: those of the settings, and those that their rules find."""
+        """The named links: those that the settings list, and those that rules find."""
         if not self.config.links:
             return BakedLinks([], [])
         baked_structure = self.baked_structure
@@ -414,7 +426,7 @@ class Stages:
 
     @cached_property
     def baked_structure(self) -> BakedStructure:
-        """All that follows from structure and closed leaves, for the grid and its updates."""
+        """All that follows from structure and closed leaves; `Baker` reuses it in updates."""
         link_geometry = None
         if self.config.links:
             link_geometry = CollisionGeometry(
@@ -455,7 +467,7 @@ class Stages:
 
     @cached_property
     def baked_pose(self) -> BakedPose:
-        """All that depends on the scene's pose, for the grid and its updates."""
+        """All that depends on the scene's pose; `Baker` recomputes it in updates."""
         baked_structure = self.baked_structure
         occupants = self.occupants
         doors = select_doors(self.doors)
@@ -494,20 +506,21 @@ def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> Fl
         config: all settings; `grid.max_cells` limits the extended lattice.
 
     Returns:
-        The extended lattice, and the window of it that is baked.
+        The extended lattice, and its window that is baked.
     """
     extended, window = extend_lattice(lattice, scene.bounds, config.grid.max_cells)
     return FloorLattice(extended, window)
 
 
 def mark_in_the_way(scene: Scene, doors: Sequence[ClassifiedLeaf], config: BakeConfig) -> Bool:
-    """Mark the geoms that only block cells: movables, and leaves that are no doors.
+    """Mark the geoms of movables, and of leaves that are no doors.
 
-    With `scene.exclude.movable`, leaves that can move and are no doors are left out.
+    Such geoms block cells; they make no floors, rooms or doors. With `scene.exclude.movable`, a
+    leaf that can move and is no door is not marked.
 
     Args:
         scene: the posed scene.
-        doors: all classified leaves.
+        doors: all classified leaves, doors or not.
         config: all settings.
 
     Returns:
@@ -529,18 +542,19 @@ def make_links(
     occupied: Sequence[Bool],
     config: BakeConfig,
 ) -> BakedLinks:
-    """Find the named links: those of the settings, and those that their rules find.
+    """Find the named links: those that the settings list, and those that the settings' rules find.
 
     Args:
         scene: the posed scene.
         baked_structure: the levels, and the geometry that agents on links may collide with.
-        doors: all classified leaves.
-        in_the_way: by geom id, see `mark_in_the_way`.
-        occupied: the cells of each level that anything but doors occupies, (height, width).
+        doors: all classified leaves, doors or not.
+        in_the_way: mask by geom id, see `mark_in_the_way`.
+        occupied: for each level, a mask of the cells that anything except doors occupies, shape
+            (height, width).
         config: all settings.
 
     Returns:
-        The links, with cells counted on the lattice, and their warnings.
+        The links, with cell ids on the whole lattice, and their warnings.
     """
     if baked_structure.link_geometry is None:
         return BakedLinks([], [])

@@ -34,12 +34,15 @@ MAX_NAMED_BODIES = 3  # movable bodies that a warning names
 
 
 class PatchWarning(NamedTuple):
-    """A warning of surfaces that became no floor, or became one though they are small.
+    """A kind of warning about patches of surface.
+
+    A patch is warned of where it became no floor, or where it is a floor though it is small.
 
     Attributes:
-        min_area: patches from this area on are warned of [m²].
-        text: a format string; ``what`` is the largest patch, ``keep`` how a user keeps it, ``area``
-            [m²], ``z`` [m] and ``name`` are its, ``cells`` is the number of cells of all patches.
+        min_area: the least area of a patch that is warned of [m²].
+        text: a format string. Its fields: ``what`` describes the largest patch, ``keep`` says how a
+            user keeps that patch as a floor; ``area`` [m²], ``z`` [m] and ``name`` are the largest
+            patch's; ``cells`` is the number of cells of all patches together.
     """
 
     min_area: float
@@ -118,7 +121,7 @@ def warn_of_structure(
     boxes: LevelBoxes,
     holes: Float,
 ) -> list[str]:
-    """Collect the warnings of structure, in the order of the stages.
+    """Collect the warnings that concern structure, in the order of the stages.
 
     Args:
         config: all settings.
@@ -128,8 +131,8 @@ def warn_of_structure(
         occupancy: the cells of each level that structure occupies.
         standing_occupants: the structure in each cell; None where it was not needed.
         rooms: the rooms, with their warnings.
-        boxes: the levels' boxes, and what they misplace.
-        holes: areas of the holes in the floor of a mesh, (n,) [m²].
+        boxes: the levels' boxes, and how many cells the original client misplaces.
+        holes: the area of each hole in the floor of a mesh [m²], shape (n,).
 
     Returns:
         The warnings, one printable line each.
@@ -151,7 +154,7 @@ def warn_of_structure(
 def collect_warnings(
     config: BakeConfig, baked_structure: BakedStructure, baked_pose: BakedPose
 ) -> list[str]:
-    """Collect the warnings of a bake: of the scene, of structure, then of the pose.
+    """Collect all warnings of a bake: about the scene, then the structure, then the pose.
 
     Args:
         config: all settings.

@@ -1,8 +1,9 @@
-"""Doors: which leaves are doors, between which rooms, and what each blocks in the grid.
+"""Finds which leaves are doors, which rooms each connects, and which cells each blocks.
 
-Floors and levels are found without the leaves; closed leaves part rooms. Whether a leaf is a
-door depends on floors and rooms alone, not on what moves. The cells of a door are laid over what
-everything else blocks, so that a grid with a door in another state equals a bake of it.
+Floors and levels are found without the leaves; closed leaves separate rooms. Whether a leaf is a
+door depends on floors and rooms alone, not on movables. A door's cells are kept apart from what
+everything else blocks. So switching a door's state in a grid gives the grid that a bake of that
+state gives.
 """
 
 from __future__ import annotations
@@ -40,17 +41,18 @@ STATE_TEXTS = {
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedLeaf:
-    """A leaf among floors and rooms: a door, or something that stands in the way as it is.
+    """A leaf that is classified: a door, or a plain obstacle in its modelled pose.
 
-    It does not depend on what else stands there.
+    It depends on floors and rooms, and not on movables.
 
     Attributes:
-        leaf: the leaf.
-        is_door: whether it is a door; else it has no rooms.
-        rooms: on both sides.
-        blocked: see `LeafCells`.
-        blocked_squares: see `LeafCells`.
-        carried_floor: a warning of the floor that the door carries, empty for none.
+        leaf: the geometry of the leaf in each state.
+        is_door: whether the leaf is a door. A leaf that is no door has no rooms.
+        rooms: the ids of the rooms on both sides.
+        blocked: by state and level, ids of the cells that the leaf blocks, see `LeafCells`.
+        blocked_squares: by state and level, ids of the cells whose square alone the leaf meets,
+            see `LeafCells`.
+        carried_floor: a warning that an agent could walk on the door's top; empty for none.
     """
 
     leaf: Leaf
@@ -62,28 +64,28 @@ class ClassifiedLeaf:
 
     @property
     def candidate(self) -> DoorCandidate:
-        """Whose leaf it is."""
+        """The door candidate of the scene that the leaf belongs to."""
         return self.leaf.candidate
 
     @property
     def closed_cells(self) -> Sequence[Int]:
-        """By level, the cells that the closed leaf blocks."""
+        """For each level, the ids of the cells that the closed leaf blocks."""
         return self.blocked["closed"]
 
     def state(self, wanted: str) -> str:
-        """Return the wanted state if the door has it, else modelled."""
+        """Return `wanted` if the door has that state, else ``modelled``."""
         return wanted if wanted == "removed" or wanted in self.blocked else "modelled"
 
 
 @dataclass(frozen=True)
 class DoorContext:
-    """What leaves are classified by.
+    """The values on which the classification of leaves depends.
 
     Attributes:
-        columns: columns of what stands.
+        columns: the vertical columns of the structure.
         floors: the floors of each level.
-        rooms: the rooms, which closed leaves part.
-        agent: its height and highest step.
+        rooms: the rooms; closed leaves separate them.
+        agent: the agent; its height and highest step are read.
     """
 
     columns: ColumnSource
@@ -101,14 +103,17 @@ def select_doors(leaves: Sequence[ClassifiedLeaf]) -> list[ClassifiedLeaf]:
 
 
 def classify_leaves(leaves: Sequence[LeafCells], context: DoorContext) -> list[ClassifiedLeaf]:
-    """Decide which leaves are doors.
+    """Classify leaves as doors or not.
 
-    One that a pattern or the file names is a door always. Another is one where it stands between
-    two rooms, or between a room and the outside.
+    A leaf that a pattern of the settings or the scene file names as a door is always a door. All
+    other leaves are doors if they stand between two rooms, or between a room and the outside.
 
     Args:
         leaves: all leaves, with the cells that they block.
         context: floors and rooms.
+
+    Returns:
+        A classified leaf for each leaf, in the same order.
     """
     # by level and cell, how many closed leaves block it
     leaf_counts = [np.zeros(level.floor.size, dtype=np.int32) for level in context.floors]
@@ -137,11 +142,13 @@ def _classify_leaf(
 
 
 def closes_same_cells(leaf_cells: LeafCells, former: ClassifiedLeaf) -> bool:
-    """Return whether a leaf in another pose closes the same cells, so that it is a door as before.
+    """Return whether a leaf, when closed, blocks the same cells in its new pose as before.
+
+    If so, rooms and the leaf's classification stay valid.
 
     Args:
         leaf_cells: the leaf in its new pose.
-        former: the same leaf in its former pose.
+        former: the classified leaf in its previous pose.
     """
     lines = leaf_cells.leaf.lines
     former_lines = former.leaf.lines
@@ -159,11 +166,13 @@ def closes_same_cells(leaf_cells: LeafCells, former: ClassifiedLeaf) -> bool:
 def move_leaf(
     leaf_cells: LeafCells, former: ClassifiedLeaf, context: DoorContext
 ) -> ClassifiedLeaf:
-    """Return a classified leaf in another pose, in which it closes the same cells.
+    """Return the classified leaf in its new pose, with the classification and rooms of the old one.
+
+    `closes_same_cells` has to be True for the leaf.
 
     Args:
-        leaf_cells: the leaf in its new pose, see `closes_same_cells`.
-        former: the same leaf in its former pose.
+        leaf_cells: the leaf in its new pose.
+        former: the classified leaf in its previous pose.
         context: floors and rooms.
     """
     carried_floor = _warn_carried_floor(leaf_cells.leaf, context) if former.is_door else ""
@@ -231,12 +240,12 @@ def _room_in_sight(room: Int, seen: Bool, level: int, rooms: Rooms) -> str | Non
 
 @dataclass(frozen=True, eq=False)
 class DoorCells:
-    """The cells of a door that nothing else blocks.
+    """The cells that a door blocks and nothing else blocks.
 
     Attributes:
-        blocked: by state and level.
-        blocked_squares: the cells whose squares nothing else blocks; empty where the footprint is
-            the square.
+        blocked: by state and level, ids of the cells whose footprint only the door meets.
+        blocked_squares: by state and level, ids of the cells whose square only the door meets;
+            empty where the footprint is the square.
     """
 
     blocked: CellsByState
@@ -246,12 +255,14 @@ class DoorCells:
 def find_door_cells(
     door: ClassifiedLeaf, blocked: Sequence[Bool], blocked_squares: Sequence[Bool] | None
 ) -> DoorCells:
-    """Find the cells that a door blocks and nothing else does, in each of its states.
+    """Return the cells that a door blocks and nothing else blocks, in each of its states.
 
     Args:
         door: the door.
-        blocked: the cells of each level that anything but doors blocks, (height, width), bool.
-        blocked_squares: the cells whose squares it blocks; None where these are the same.
+        blocked: for each level, a mask of the cells that anything except doors blocks, (height,
+            width), bool.
+        blocked_squares: for each level, a mask of the cells whose square alone, without the
+            agent's disc, anything except doors meets; None where it equals `blocked`.
     """
     squares: CellsByState = {}
     if blocked_squares is not None:
@@ -271,7 +282,7 @@ def _drop_blocked(cells_by_state: CellsByState, blocked: Sequence[Bool]) -> dict
 
 
 def is_stuck(cells: DoorCells) -> bool:
-    """Return whether a door's open state blocks most of the cells that its closed one does."""
+    """Return whether the open door still blocks most of the cells that the closed door blocks."""
     closed = cells.blocked["closed"]
     num_closed = sum(len(closed_cells) for closed_cells in closed)
     num_in_both = sum(
@@ -287,11 +298,11 @@ def make_door(
     """Make a door of the grid.
 
     Args:
-        leaf: the door.
-        cells: its cells that nothing else blocks, on the whole lattice.
-        windows: the window of each level, on which the door's cells are counted.
-        width: columns of the whole lattice.
-        wanted: the state that the door shall have, if it has it.
+        leaf: a leaf that is a door.
+        cells: the cells that only the door blocks, ids on the whole lattice.
+        windows: the window of each level; the cell ids of the grid's door count from it.
+        width: number of columns of the whole lattice.
+        wanted: the state to put the door in; ``modelled`` is used if the door lacks that state.
     """
     return Door(
         id=leaf.candidate.id,
@@ -324,12 +335,15 @@ def _to_windows(
 def warn_doors(
     doors: Sequence[ClassifiedLeaf], stuck_ids: Collection[str], wanted: str
 ) -> list[str]:
-    """Warn of doors that open nothing, are wanted open without a joint, or carry floor.
+    """Return the warnings of doors.
+
+    They name doors that free no cells when open, doors that should be open and have no joint, and
+    doors with a top that an agent could walk on.
 
     Args:
         doors: the doors.
-        stuck_ids: ids of the doors that open nothing, see `is_stuck`.
-        wanted: the state that doors shall have.
+        stuck_ids: ids of the doors that free no cells when open, see `is_stuck`.
+        wanted: the state that the settings ask for.
     """
     stuck = [
         f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "

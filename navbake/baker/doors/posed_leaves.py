@@ -1,7 +1,7 @@
-"""Leaves of doors in each of their states: their geometry, and the cells that they block.
+"""Poses the leaves of doors in each of their states, and finds the cells that they block.
 
-A leaf is posed in each state whether or not it turns out to be a door. The cells that it blocks are
-those over the floors that are found without leaves, whatever else stands there.
+A leaf is posed in each state, also if it is later classified as no door. Its blocked cells are
+found over the floors, which do not depend on leaves, and without regard to other geometry.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class LeafWindow(NamedTuple):
     """The window of the lattice near a leaf in one state.
 
     Attributes:
-        window: rows and columns of the whole lattice.
-        tiled: the leaf's geometry, on the window.
-        columns: the leaf's columns, on the window.
+        window: the window's rows and columns of the whole lattice.
+        tiled: the leaf's geometry, by tiles of the window.
+        columns: the vertical columns of the leaf's geometry, for the cells of the window.
     """
 
     window: Window
@@ -65,12 +65,13 @@ class Leaf:
     """The geometry of a door candidate in each of its states.
 
     Attributes:
-        candidate: whose leaf it is.
-        windows: by state, the window near it, None for no cells; states at one position of the
-            joint share one.
-        lines: the cells along lines from the closed leaf; None for no geometry that is finite.
-        tops: its geometry by state, where its top is large enough to walk on.
-        travel: by how much its joint opens it, with the unit; empty without a joint.
+        candidate: the door candidate of the scene.
+        windows: by state, the window of the lattice near the leaf, None if no cell is near. States
+            with the same joint position share a window.
+        lines: the cells along lines away from the closed leaf, on both sides; None if the leaf has
+            no finite geometry.
+        tops: the leaf's geometry by state, only if its top is large enough to walk on.
+        travel: how far its joint opens it, as text with the unit; empty without a joint.
     """
 
     candidate: DoorCandidate
@@ -82,13 +83,14 @@ class Leaf:
 
 @dataclass(frozen=True, eq=False)
 class LeafCells:
-    """The cells that a leaf blocks, whatever else stands there.
+    """The cells that a leaf's own geometry blocks, in each state.
 
     Attributes:
         leaf: the leaf.
-        blocked: the cells over whose floor it meets the agent's footprint.
-        blocked_squares: the cells whose squares alone it blocks; empty where the footprint is the
-            square.
+        blocked: by state and level, ids of the cells over whose floor the leaf meets the footprint
+            (the cell's square joined with the agent's disc).
+        blocked_squares: by state and level, ids of the cells whose square alone, without the disc,
+            the leaf meets; empty where the footprint is the square.
     """
 
     leaf: Leaf
@@ -97,7 +99,7 @@ class LeafCells:
 
     @property
     def closed(self) -> ClosedLeaf:
-        """The closed leaf, which may part rooms."""
+        """The closed leaf, as the segmentation of rooms reads it."""
         return ClosedLeaf(self.blocked["closed"], self.leaf.lines)
 
 
@@ -107,12 +109,12 @@ class LeafCells:
 def pose_shapes(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
     """Return the geometry of door candidates in a state.
 
-    Candidates without that state stay as modelled.
+    A candidate without that state is returned as modelled.
 
     Args:
         scene: the scene of the candidates.
         doors: the candidates.
-        state: one of `STATES` but removed.
+        state: one of `STATES` except ``removed``.
     """
     is_door_geom = mark_candidate_geoms(scene.model.ngeom, doors)
     joint_positions: dict[int, float] = {}
@@ -141,9 +143,12 @@ def pose_leaves(
 
     Args:
         scene: the scene of the candidates.
-        candidates: whose leaves are posed.
-        lattice: the cells.
-        reach: how far from the geometry columns are cast [m].
+        candidates: the door candidates to pose.
+        lattice: the whole lattice.
+        reach: distance from the geometry [m] within which columns are cast.
+
+    Returns:
+        A leaf for each candidate, in the same order.
     """
     if not candidates:
         return []
@@ -262,6 +267,9 @@ def find_blocked_cells(
         floors: the floors of each level, on the whole lattice.
         footprint: the volume over a floor that has to be free.
         lattice: the whole lattice.
+
+    Returns:
+        The blocked cells of each leaf, in the order of `leaves`.
     """
     with limit_threads(1):  # a door is too small to be worth more
         return [_block_cells(leaf, floors, footprint, lattice) for leaf in leaves]

@@ -1,4 +1,4 @@
-"""Areas of the settings, painted on the floors: keep-out, slow and expensive zones."""
+"""Paints the areas of the settings on the floors: keep-out, slow and expensive zones."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ class PaintedAreas(NamedTuple):
     """The areas of the settings on the whole lattice.
 
     Attributes:
-        layers: of each level the area of each cell, from 1, 0 for none, (height, width), uint8.
-        table: the areas as a file has them.
-        warnings: what the user should know, one line each.
+        layers: for each level, the number of each cell's area, counted from 1; 0 for none; (height,
+            width), uint8.
+        table: the areas as they are written to a file.
+        warnings: warnings about the areas, one line each.
     """
 
     layers: list[NDArray[np.uint8]]
@@ -48,12 +49,12 @@ class PaintedAreas(NamedTuple):
 
 
 class MarkedArea(NamedTuple):
-    """The cells of an area, with a floor or not.
+    """The cells of an area, also those without a floor.
 
     Attributes:
-        masks: its cells by level, (height, width), bool.
-        width: how wide it is at its narrowest, NaN if unknown [m].
-        warnings: what the user should know, one line each.
+        masks: for each level, a mask of the area's cells, (height, width), bool.
+        width: the width of the area at its narrowest place [m], NaN if unknown.
+        warnings: warnings about the area, one line each.
     """
 
     masks: list[Bool]
@@ -64,17 +65,20 @@ class MarkedArea(NamedTuple):
 def paint_areas(
     scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], rooms: Rooms, config: BakeConfig
 ) -> PaintedAreas:
-    """Paint the areas one over the other; later ones win.
+    """Paint the areas of the settings in their order; a later area overwrites an earlier one.
 
-    A keep-out area, one that bars any agent, takes each cell with a floor whose open square it
-    touches; any other takes the cells whose centres lie in it.
+    A keep-out area (no agent may enter it) takes each cell with a floor whose interior it overlaps.
+    All other areas take the cells with a floor whose centres lie in them.
 
     Args:
         scene: the scene, whose geoms may mark areas.
         lattice: the whole lattice.
         levels: the floors of each level.
-        rooms: the rooms, which may be areas.
-        config: the areas, and the agent's height.
+        rooms: the rooms; an area may be defined as a room.
+        config: all settings; the areas and the agent's height are read.
+
+    Returns:
+        The painted layers, the table of areas, and warnings.
 
     Raises:
         ConfigError: an area's level doesn't exist.

@@ -1,4 +1,4 @@
-"""Links that are found by what carries agents from level to level: ladders and lifts."""
+"""Finds links along things that carry agents from level to level: ladders and lifts."""
 
 from __future__ import annotations
 
@@ -40,15 +40,19 @@ LIFT_GAP = 0.5  # between the floor of a car and a landing [m]
 
 
 def find_ladders(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
-    """Find the ladders: bodies or geoms whose names match, which reach from floor to floor.
+    """Find the ladders: bodies or geoms with matching names that reach from floor to floor.
 
-    A ladder stops on each level that has a free cell within the gap [m] of its box, from above,
-    whose floor lies between a step below its foot and a step above its top: at the nearest one. It
-    is as wide as its box, seen from above.
+    A free cell is a possible stop of a ladder if it lies, seen from above, within the rule's gap
+    [m] of the ladder's box, and if its floor lies between a step below the ladder's foot and a
+    step above its top. The ladder stops on each level with such a cell, at the nearest one. The
+    link is as wide as the ladder's box, seen from above.
 
     Args:
         search: floors, free cells and geometry.
         rule: a rule for ladders.
+
+    Returns:
+        A link for each ladder, with cell ids on the whole lattice.
     """
     max_gap = LADDER_GAP if rule.gap is None else rule.gap
     links = []
@@ -114,17 +118,17 @@ class Car(NamedTuple):
     """The car of a lift.
 
     Attributes:
-        name: of its body.
-        joint: id of its slide joint.
-        geoms: which geoms are its own, shape (ngeom,), bool.
-        window: of the lattice, round the car and its landings.
-        floor: which cells of the lattice its floor covers, (height, width), bool.
-        outline: which cells anything of it covers, (height, width), bool.
-        height: of its floor in the scene's pose [m].
-        min_height: the lowest height of its floor [m].
-        max_height: the highest height of its floor [m].
-        width: of its floor [m].
-        pose: x, y of its middle [m], yaw [rad], width along it and depth [m].
+        name: name of the car's body.
+        joint: id of the car's slide joint.
+        geoms: mask by geom id of the car's geoms, shape (ngeom,), bool.
+        window: window of the lattice round the car and its landings.
+        floor: mask of the lattice's cells that the car's floor covers, (height, width), bool.
+        outline: mask of the cells that any part of the car covers, (height, width), bool.
+        height: height of the car's floor in the scene's pose [m].
+        min_height: lowest height that the floor can reach [m].
+        max_height: highest height that the floor can reach [m].
+        width: width of the floor [m].
+        pose: x and y of the car's middle [m], yaw [rad], width along the yaw [m], depth [m].
     """
 
     name: str
@@ -143,14 +147,18 @@ class Car(NamedTuple):
 def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
     """Find the lifts: bodies with one vertical slide joint whose floor meets two levels or more.
 
-    The car stops where a straight way leads from its floor to a free cell beside it, over a gap up
-    to the rule's [m] and up or down a step at most, with the car at that height and nothing in the
-    way; on each level once at each of its sides, in the middle. A lift is as wide as its floor, or
-    the narrowest way out of it.
+    The car can stop at a height if a straight way leads from its floor to a free cell beside the
+    car. The way crosses a gap no wider than the rule's [m], goes up or down by a step at most, and
+    is free of obstacles while the car is at that height. On each level there is one stop for each
+    side of the car with such ways, in their middle. The link is as wide as the car's floor, or as
+    the narrowest way out where that is narrower.
 
     Args:
         search: floors, free cells and geometry.
         rule: a rule for lifts.
+
+    Returns:
+        A link for each lift, with cell ids on the whole lattice.
     """
     links = []
     max_gap = LIFT_GAP if rule.gap is None else rule.gap

@@ -1,4 +1,4 @@
-"""Links: those of the settings, put on cells, and those that its rules find, as drops and jumps."""
+"""Makes links: those that the settings list, and those that rules find, like drops and jumps."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class BakedLinks(NamedTuple):
     """The named links of a bake.
 
     Attributes:
-        links: with cells counted on the whole lattice.
-        warnings: what the user should know, one line each.
+        links: the links, with cell ids on the whole lattice.
+        warnings: warnings about the links, one line each.
     """
 
     links: list[LatticeLink]
@@ -44,14 +44,17 @@ class BakedLinks(NamedTuple):
 
 
 def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
-    """Put the links of the settings on cells, and find those of its rules, which come last.
+    """Place the stops of the settings' links on cells, and find the links of the settings' rules.
 
-    A stop without a free cell nearby, or on the cell of one before, is left out, and so is a link
-    of fewer than two stops.
+    A stop without a free cell nearby is left out, and so is a stop on the same cell as an earlier
+    stop. A link with fewer than two stops is left out.
 
     Args:
         search: floors, free cells and geometry.
         settings: links and rules, in the order of the settings.
+
+    Returns:
+        The links that the settings list, followed by those that rules find, and warnings.
     """
     links = list[LatticeLink]()
     warnings = list[str]()
@@ -147,19 +150,22 @@ def _find_stop(x: float, y: float, z: float, search: LinkSearch) -> Stop | str:
 
 
 def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
-    """Find the drops or jumps of a rule, up to its height and over gaps up to its own [m].
+    """Find the drops or jumps of a rule, within the rule's height [m] and gap [m].
 
-    An edge is a free cell beside which no floor lies within a step. A drop leads straight from
-    there to the first free cell that is lower than that; the agent goes on at its height and falls.
-    A jump leads over a gap of at least a cell to a floor at about the same height, within a step
-    unless the rule has a height. Nothing stands in the way: between them and over both ends, up to
-    the agent's height over the higher one. Those side by side are one link, at their middle, whose
-    stops are as far from the edge as an agent of its width needs, see
-    `LinkSearch.make_stop_off_edge`.
+    An edge is a free cell beside which no floor lies within a step. A drop leads straight from an
+    edge to the first free cell that is lower by more than a step: the agent moves on at the edge's
+    height, and falls there. A jump leads straight over a gap of at least one cell to a floor whose
+    height differs by at most a step, or by at most the rule's height if it has one. Nothing may be
+    in the way between the two ends and over them, up to the agent's height over the higher end.
+    Drops or jumps side by side become one link, at their middle. Its stops are moved away from the
+    edge, so that an agent as wide as the link can stand there, see `LinkSearch.make_stop_off_edge`.
 
     Args:
         search: floors, free cells and geometry.
         rule: a rule for drops or jumps.
+
+    Returns:
+        The links, with cell ids on the whole lattice.
     """
     is_drop = rule.auto == "drop"
     max_gap = EDGE_GAP if rule.gap is None else rule.gap

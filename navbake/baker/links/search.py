@@ -1,4 +1,4 @@
-"""Where links may lead: the floors of all levels, where they are free, and crossings of gaps."""
+"""Searches for places of links: free cells of all levels, and crossings of gaps between them."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ Crossings = NDArray[np.void]
 
 
 class Landings(NamedTuple):
-    """Where lines over a gap end; arrays of shape (n,).
+    """Whether each line over a gap ends in the cell that it has reached; arrays of shape (n,).
 
     Attributes:
-        level: the level of the floor that each line may end on, int64.
-        lands: whether it ends there, bool.
-        goes_on: whether it goes on to the next cell if it doesn't end, bool.
+        level: number of the level whose floor the line may end on, int64.
+        lands: whether the line ends on that floor, bool.
+        goes_on: whether a line that doesn't end here continues to the next cell, bool.
     """
 
     level: Int
@@ -66,7 +66,7 @@ class LatticeLink(NamedTuple):
 
     Attributes:
         stops: its stops, with cells of the whole lattice.
-        fields: further fields of a `Link`.
+        fields: the remaining fields of a `Link`, by name.
     """
 
     stops: list[Stop]
@@ -74,17 +74,17 @@ class LatticeLink(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """Geometry that an agent may collide with, by columns and by tiles of one lattice."""
+    """Geometry that an agent may collide with: its vertical columns, and its shapes by tiles."""
 
     columns: ColumnSource
     tiles: ShapeSource
 
 
 class CollisionGeometry(NamedTuple):
-    """What an agent on a link may collide with.
+    """The geometry that an agent on a link may collide with.
 
     Attributes:
-        sources: the geometry; each source is checked by itself.
+        sources: the geometry; a place is free if it is free of each of them.
         footprint: the volume over a cell that has to be free.
         window: the part of the whole lattice that the geometry is on; None for all of it.
     """
@@ -94,10 +94,10 @@ class CollisionGeometry(NamedTuple):
     window: Window | None = None
 
     def with_shapes(self, shapes: Shapes, lattice: Lattice) -> CollisionGeometry:
-        """Return the geometry with further shapes.
+        """Return a copy of this geometry to which shapes are added.
 
         Args:
-            shapes: the further shapes.
+            shapes: the shapes to add.
             lattice: the lattice of the geometry.
         """
         tiled = tile_shapes(shapes, lattice, self.footprint.reach)
@@ -109,9 +109,9 @@ class CrossingGroup(NamedTuple):
     """Crossings side by side, which become one link.
 
     Attributes:
-        crossings: all of them.
-        middle: the one in the middle.
-        width: how wide they are together for discs [m].
+        crossings: all crossings of the group.
+        middle: the crossing in the middle of the group.
+        width: the width of the group for the agent's disc [m].
     """
 
     crossings: Crossings
@@ -120,17 +120,17 @@ class CrossingGroup(NamedTuple):
 
 
 class LinkSearch(NamedTuple):
-    """What finders of links read of a bake.
+    """The values of a bake that the search for links reads, and the steps of the search.
 
     Attributes:
         scene: the scene.
-        shapes: geometry of all that is no door.
+        shapes: the geometry of everything except doors.
         lattice: the whole lattice.
-        floors: height of the floor, NaN for none, shape (levels, height, width), float64 [m].
-        free: the cells that nothing blocks, nor any door in any of its states, (levels, height,
-            width), bool.
-        geometry: what an agent on a link may collide with.
-        agent: its radius, height and highest step.
+        floors: height of the floor [m], NaN for none, shape (levels, height, width), float64.
+        free: mask of the cells that nothing blocks, and no door in any of its states, (levels,
+            height, width), bool.
+        geometry: the geometry that an agent on a link may collide with.
+        agent: the agent; its radius, height and highest step are read.
     """
 
     scene: Scene
@@ -143,7 +143,7 @@ class LinkSearch(NamedTuple):
 
     @property
     def max_step(self) -> float:
-        """The highest step, with room for rounding [m]."""
+        """The agent's highest step plus a tolerance for rounding [m]."""
         return self.agent.traversable_floor_height + LIMIT_SLACK
 
     def make_stop(self, level: int, cell: int) -> Stop:
@@ -160,16 +160,17 @@ class LinkSearch(NamedTuple):
         return Stop(level, cell, (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0))
 
     def make_stop_off_edge(self, level: int, cell: int, direction: int, width: float) -> Stop:
-        """Make a stop so far from an edge that an agent as wide as the link may stand there.
+        """Make a stop so far from an edge that an agent as wide as the link can stand there.
 
-        It lies straight beyond a cell, over free cells without a step between, at most
-        `MAX_SETBACK`; where these end earlier, on the last of them.
+        The stop lies in `direction` from the cell at the edge, at most `MAX_SETBACK` away. All
+        cells up to it are free, without a step between them; where such cells end earlier, the
+        stop is on the last of them.
 
         Args:
             level: number of the level.
             cell: id of the cell at the edge.
-            direction: index into `DIRECTIONS`, away from the edge.
-            width: of the link [m].
+            direction: index into `DIRECTIONS` of the direction away from the edge.
+            width: width of the link [m].
         """
         down, right = DIRECTIONS[direction]
         num_rows, num_cols = self.lattice.shape
@@ -197,14 +198,17 @@ class LinkSearch(NamedTuple):
         max_gap: float,
         check_landing: LandingTest,
     ) -> Crossings:
-        """Follow lines straight from cells of a level until they land.
+        """Follow straight lines from cells of a level until they land; return those that do.
 
         Args:
             level: number of the level that the lines start on.
-            starts: the cells that they start from, shape (height, width), bool.
+            starts: mask of the cells that lines start from, shape (height, width), bool.
             directions: indices into `DIRECTIONS`.
-            max_gap: the widest gap between both ends [m].
-            check_landing: decides where a line ends.
+            max_gap: the widest gap between the two ends [m].
+            check_landing: the test that decides in which cell a line ends.
+
+        Returns:
+            The lines that end, an array of `CROSSING`.
         """
         crossings = [np.empty(0, dtype=CROSSING)]
         num_rows, num_cols = self.lattice.shape
@@ -243,14 +247,16 @@ class LinkSearch(NamedTuple):
         return np.concatenate(crossings)
 
     def mark_clear(self, crossings: Crossings, geometry: CollisionGeometry) -> Bool:
-        """Mark the crossings in whose way nothing stands, over the higher end and to the lower one.
+        """Mark the crossings that are free of obstacles.
+
+        The agent moves at the height of the higher end over all cells, and down to the lower end.
 
         Args:
-            crossings: shape (n,).
-            geometry: what may stand in the way.
+            crossings: the crossings, shape (n,).
+            geometry: the geometry that may be in the way.
 
         Returns:
-            The mark of each crossing, shape (n,), bool.
+            A mask of `crossings`, shape (n,), bool.
         """
         width = self.lattice.width
         top = np.maximum(crossings["from_height"], crossings["to_height"])
@@ -302,9 +308,10 @@ class LinkSearch(NamedTuple):
         return is_clear
 
     def group_crossings(self, crossings: Crossings) -> list[CrossingGroup]:
-        """Group crossings of one direction and pair of levels that start and end side by side.
+        """Group the crossings that lie side by side.
 
-        Between neighbors in a group, both ends rise by no more than a step.
+        Crossings of a group have the same direction and the same two levels, and start in adjacent
+        cells. Between two neighbors, the heights of both ends differ by a step at most.
         """
         groups = []
         num_cols = self.lattice.width

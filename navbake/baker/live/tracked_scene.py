@@ -1,4 +1,4 @@
-"""A scene whose poses are tracked: what changes from one pose to the next, and the scene then."""
+"""Tracks the poses of a scene: finds what changes from one pose to the next."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MARKER_ATTRIBUTES = ("geom_type", "geom_dataid", "geom_size")
 
 
 class PoseArrays(NamedTuple):
-    """Copies of the arrays of a data that are its pose.
+    """Copies of the arrays of a mujoco.MjData that make up its pose.
 
     Attributes:
         qpos: joint positions, (nq,).
@@ -57,14 +57,14 @@ class PoseArrays(NamedTuple):
 
 
 class PoseSnapshot(NamedTuple):
-    """What two poses of a model are compared by.
+    """The values of a pose that are compared with those of the next pose to find changes.
 
     Attributes:
-        geom_attributes: what decides which geoms count, as bytes.
-        geom_poses: position and rotation of each geom, (ngeom, 12).
-        joint_attributes: what decides how joints move bodies, as bytes.
-        joint_positions: of the hinges and slides.
-        marker_geoms: the shapes of the geoms that mark rooms by name, as bytes.
+        geom_attributes: the model's arrays that decide which geoms the bake uses, as bytes.
+        geom_poses: position [m] and rotation matrix of each geom, (ngeom, 12).
+        joint_attributes: the model's arrays that decide how joints move bodies, as bytes.
+        joint_positions: the positions of hinges [rad] and slides [m].
+        marker_geoms: the shapes of the geoms whose names mark rooms, as bytes.
         marker_sites: the poses and sizes of the sites that mark rooms.
     """
 
@@ -77,16 +77,17 @@ class PoseSnapshot(NamedTuple):
 
 
 class SceneChange(NamedTuple):
-    """What the next pose changes in a scene.
+    """The difference between a scene's current pose and its next one.
 
     Attributes:
         scene: the scene in the next pose.
-        changed_geoms: by geom id, whether the geom counts now or did before, and its geometry or
-            the way it counts has changed.
-        full_bake_reason: why structure, or what marks rooms, has changed, so that the scene has to
-            be baked as a whole; empty where it hasn't.
-        wait_for_digest: returns the digest of the scene, which `scene` does not have yet.
-        snapshot: what the pose after the next is compared with.
+        changed_geoms: mask by geom id: the geoms that the bake uses in either pose, and whose
+            geometry or role differs between the two.
+        full_bake_reason: why the whole scene has to be baked: structure, or a marker of a room, has
+            changed; empty where an update is enough.
+        wait_for_digest: a function that waits until the digest of the scene is computed, and
+            returns it. `scene` does not have the digest yet.
+        snapshot: the values of the next pose, for comparison with the pose after it.
     """
 
     scene: Scene
@@ -97,9 +98,9 @@ class SceneChange(NamedTuple):
 
 
 class TrackedScene:
-    """A scene of one model, in one pose after the other.
+    """Keeps the scene of a model in its current pose, and finds what a next pose changes.
 
-    It has two datas of the model: one is in the current pose, the other becomes the next.
+    Two mujoco.MjData of the model are kept: one in the current pose, one for the next pose.
 
     Args:
         config: all settings.
@@ -108,7 +109,7 @@ class TrackedScene:
 
     Attributes:
         scene: the scene in the current pose.
-        pose_arrays: a copy of the current pose, which another thread may read at any time.
+        pose_arrays: a copy of the current pose; any thread may read it at any time.
     """
 
     def __init__(self, config: BakeConfig, scene_model: SceneModel, scene: Scene) -> None:
@@ -158,11 +159,11 @@ class TrackedScene:
         )
 
     def commit(self, scene: Scene, snapshot: PoseSnapshot) -> None:
-        """Make a scene the current one, which the next pose is compared with.
+        """Make a scene the current one; `move` compares the next pose with it.
 
         Args:
-            scene: the scene of the last `SceneChange`, or the current one baked again.
-            snapshot: of the same change.
+            scene: the scene of the last `SceneChange`; after a full bake, the scene that was baked.
+            snapshot: the snapshot of that `SceneChange`.
         """
         if scene.data is self._next_data:
             self._next_data = self.scene.data
@@ -177,7 +178,7 @@ class TrackedScene:
         bodies: Mapping[str, ArrayLike] | None,
         joints: Mapping[str, float] | None,
     ) -> SceneChange:
-        """Find what the next pose changes; the current scene stays until `commit`.
+        """Find what the next pose changes. The current scene stays as it is until `commit`.
 
         Args:
             data: the data whose joint positions and mocap bodies are the next pose; the current
@@ -186,12 +187,12 @@ class TrackedScene:
             joints: positions of hinges and slides, by name [rad or m].
 
         Returns:
-            The scene in the next pose, and what has changed.
+            The scene in the next pose, and what differs from the current one.
 
         Raises:
-            QueryError: there is no such body or joint, or a pose is no number.
-            ConfigError: the data is of another model.
-            SceneError: no geom counts any more.
+            QueryError: there is no such body or joint, or a pose is not finite.
+            ConfigError: the data belongs to a different model.
+            SceneError: the scene holds nothing to bake any more.
         """
         old_scene = self.scene
         model = self._model
@@ -417,11 +418,14 @@ def _mark_geoms_moved_by(model: mujoco.MjModel, joint_types: Sequence[int]) -> B
 
 
 def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
-    """Mark the geoms whose geometry differs, shape (ngeom,).
+    """Mark the geoms whose geometry differs between two lists of shapes.
 
     Args:
         old: shapes of a scene.
-        new: shapes of the same model in another pose, or of other geoms of it.
+        new: shapes of the same model, in a different pose or of a different choice of geoms.
+
+    Returns:
+        A mask by geom id, shape (ngeom,), bool.
     """
     is_changed = np.array(old.endless != new.endless)
     _mark_changed_primitives(old.solids, new.solids, is_changed)

@@ -1,8 +1,8 @@
-"""Keeps the grid of a scene up to date while things in it move, by the functions that a bake calls.
+"""Keeps the grid of a scene up to date while things in it move, with the functions of a bake.
 
 A pose → the geoms that moved → the cells near them → the occupants of these cells → the doors near
-them → the grid. Floors, walls and rooms stay the same objects; where structure has changed, the
-whole scene is baked again.
+them → the grid. Floors, walls and rooms stay the same objects. Where structure has changed, the
+whole scene is baked.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ MIN_BOXES_FOR_THREADS = 16
 
 
 class FullBakeRequired(Exception):
-    """Raised when an update needs a full bake; the text says why."""
+    """Raised when an update is not enough and the whole scene must be baked; the text says why."""
 
 
 class Changes(NamedTuple):
@@ -68,11 +68,11 @@ class Changes(NamedTuple):
     Attributes:
         grid: the new grid, `Baker.grid`.
         cells: for each level, the ids of the cells in which any layer changed (floor, room,
-            occupancy with weight, and those of `attributes`), ascending, int64;
-            id = col + row * width.
-        is_new: whether the grid's levels or their rectangles changed: then all cells are listed.
-        reason: why the whole scene was baked again; empty where only cells near moved things were
-            updated.
+            occupancy, weight, or a layer of `attributes`), ascending, int64. A cell's id is
+            col + row * width.
+        is_new: True if the grid's levels, or the rectangle of any level, changed. Cell ids of the
+            old grid are then invalid, and `cells` lists all cells of the new one.
+        reason: why the whole scene was baked; empty if only cells near moved things were updated.
         seconds: how long the update took [s].
     """
 
@@ -84,13 +84,13 @@ class Changes(NamedTuple):
 
 
 class BakedScene(NamedTuple):
-    """The values of a bake that an update needs.
+    """The values of the last bake or update that the next update reads.
 
     Attributes:
         structure: all that follows from structure and closed leaves.
         pose: all that depends on the scene's pose.
-        door_context: what leaves are classified by.
-        movable_context: what movables are searched over.
+        door_context: the columns, floors and rooms on which the classification of leaves depends.
+        movable_context: the floors and the occupancy of structure, for the search for movables.
     """
 
     structure: BakedStructure
@@ -102,18 +102,17 @@ class BakedScene(NamedTuple):
 class Baker:
     """Bakes a scene, and keeps its grid up to date while bodies move and joints turn.
 
-    `grid` is what `navbake.bake` makes of the scene in its current pose, bit for bit. An update
-    recomputes only cells near things that moved; floors, walls and rooms are made by structure, and
-    stay. See ``docs/live.md``.
+    `grid` equals the grid that `navbake.bake` makes of the scene in its current pose, bit for bit.
+    An update recomputes only cells near things that moved. Floors, walls and rooms follow from
+    structure, which does not move, and are kept. See ``docs/live.md``.
 
-    Grids are never written to: each update makes a new one, which shares with the last one what is
-    the same in both. So a grid is a snapshot that stays as it is, and any thread may read `grid`
-    while another one updates. A `PathFinder` keeps its own grid until its method `use` moves it to
-    the new one.
+    A grid is never written to: each update makes a new grid, which shares unchanged arrays with the
+    last one. So any thread may read `grid` while a second thread updates. A `PathFinder` keeps
+    its grid until its method `use` is called with the new grid.
 
     Args:
         scene, data, exclude, robot, settings: see `navbake.bake`.
-        threads: how many to use, >= 1; all cores if None.
+        threads: number of threads, >= 1; all cores if None.
 
     Raises:
         ConfigError: a setting is wrong.
@@ -160,12 +159,12 @@ class Baker:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The scene's mujoco.MjModel."""
+        """The compiled model of the scene."""
         return self._scene_model.model
 
     @property
     def pose(self) -> tuple[Float, Float, Float]:
-        """Copies of the qpos, mocap_pos and mocap_quat of the data in the current pose."""
+        """Copies of qpos, mocap_pos and mocap_quat in the current pose."""
         arrays = self._tracked_scene.pose_arrays
         return arrays.qpos.copy(), arrays.mocap_pos.copy(), arrays.mocap_quat.copy()
 
@@ -176,25 +175,27 @@ class Baker:
         bodies: Mapping[str, ArrayLike] | None = None,
         joints: Mapping[str, float] | None = None,
     ) -> Changes:
-        """Bring the grid up to date.
+        """Update the grid to a new pose, or to changes that were written to the model.
 
-        Without arguments, it reads the model again: a geom whose size, pose on its body, colour
-        or group was written there may have moved, appeared or vanished. What was written into
-        meshes and height fields isn't seen.
+        Each call also compares the model with its last state: a geom whose size, pose on its body,
+        colour or group was written to may have moved, appeared or vanished. So a call without
+        arguments updates the grid to such changes. Changes of the vertices of meshes or of the
+        data of height fields are not noticed.
 
         Args:
             data: the mujoco.MjData whose joint positions and mocap bodies are the new pose; the
                 last pose if None.
-            bodies: bodies with a free joint, and mocap bodies, by name: x, y, z [m], or these and
-                a quaternion w, x, y, z; world frame.
+            bodies: bodies with a free joint, and mocap bodies, by name: x, y, z [m] to keep the
+                orientation, or x, y, z and a quaternion w, x, y, z; world frame.
             joints: positions of hinges and slides, by name [rad or m].
 
         Returns:
             The new grid, and which cells changed.
 
         Raises:
-            QueryError: there is no such body or joint, or a pose is no number.
-            ConfigError: the data is of another model, as when geoms were added to it.
+            QueryError: there is no such body or joint, or a pose is not finite.
+            ConfigError: the data belongs to a different model, for example one compiled after
+                geoms were added.
             SceneError: the scene holds nothing to bake any more; `grid` stays as it was.
 
         Example:
@@ -237,7 +238,7 @@ class Baker:
 
 
 def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfig) -> BakedScene:
-    """Recompute what depends on the pose, near the things that moved.
+    """Return the values of a bake for the next pose, recomputed only near things that moved.
 
     Args:
         baked: the values of the last bake or update.
@@ -245,7 +246,7 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
         config: all settings.
 
     Returns:
-        The values for the next pose; the structure's stay the same objects.
+        The values for the next pose; `structure` is the same object as before.
 
     Raises:
         FullBakeRequired: structure has changed, or the lattice, or the cells that a leaf closes.

@@ -1,4 +1,4 @@
-"""User data: what stands in each cell, by name."""
+"""Makes the user data of a grid: the names of the objects, walls and blockers in each cell."""
 
 from collections.abc import Sequence
 
@@ -25,9 +25,9 @@ NUM_BITS_VALUES = 8  # bits are below this
 
 
 def name_geoms(scene: Scene) -> list[str]:
-    """Name each geom after its topmost body, or by its own name where it hangs on the world.
+    """Return by geom id the name of its topmost body, or the geom's own name if it is on the world.
 
-    What has no name is called ``body 3`` or ``geom 12``.
+    A body or geom without a name is called ``body 3`` or ``geom 12``, after its id.
     """
     model = scene.model
     roots = model.body_rootid[model.geom_bodyid]
@@ -50,16 +50,19 @@ def name_cells(
 
     Args:
         cell: cell ids on the lattice, shape (n,).
-        geom: a geom in each of them, shape (n,).
-        bits: OBJECTS, WALLS and BLOCKERS of each, shape (n,); those with 0 don't count.
-        names: by geom id.
-        lattice: the cells.
-        window: the cells that the grid holds.
+        geom: the id of a geom in each of these cells, shape (n,). A cell with several geoms occurs
+            several times.
+        bits: the bits OBJECTS, WALLS and BLOCKERS of each pair of cell and geom, shape (n,); a pair
+            with 0 is dropped.
+        names: by geom id, see `name_geoms`.
+        lattice: the whole lattice.
+        window: the rows and columns of the lattice that the grid holds.
 
     Returns:
-        The fields of `navbake.navgrid.user_data.Shared`: cell ids on the window, ascending; the
-        entry of each; and the entries: sorted names by key, ``blockers`` only where these differ
-        from all other names.
+        The fields of `navbake.navgrid.user_data.Shared`: the ids on the window of the cells with
+        names, ascending; for each of them, the index of its entry; and the entries, which hold
+        sorted names by key. An entry has ``blockers`` only where these are not the same names as
+        its objects and walls together.
     """
     # names are numbered by their first geoms, so that they keep the order of the scene's geoms
     numbers: dict[str, int] = {}

@@ -15,20 +15,20 @@ COLUMN_FLAGS = (EMPTY, HOLE, BANK, SKY, TALL)
 
 @kernel(nogil=True)
 def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
-    """Find the `COLUMN_FLAGS` of cells ``[begin, end)`` of a level.
+    """Write the `COLUMN_FLAGS` of the cells ``[begin, end)`` of a level.
 
-    A cell without a floor is a HOLE if the next surface more than a step over the ground is higher
-    than the agent, unless it faces up: then something solid is below it.
+    A cell without a floor is a HOLE if the lowest surface that is more than a step above the ground
+    is higher than the agent. It is no HOLE if that surface faces up, as something solid is below.
 
     Args:
-        hits: the columns, numbered as the cells are.
+        hits: the hits of the vertical columns, numbered as the cells are.
         floor: height of each cell's floor, float64, NaN for none [m].
         ground: height of the level's ground [m].
-        limits: the agent's.
-        above_heads: how high over a floor something that stands there is TALL [m].
+        limits: the agent's limits.
+        above_heads: the height over a floor [m] from which on something that stands there is TALL.
         flags: receives the flags of each cell, uint8.
-        begin: first cell.
-        end: cell past the last.
+        begin: id of the first cell.
+        end: id after the last cell.
     """
     start = hits.start
     z = hits.z

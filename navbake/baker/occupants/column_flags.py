@@ -1,4 +1,4 @@
-"""Flags of the cells' columns, which rooms are found by: nothing there, a hole, a bank, the sky."""
+"""Flags of the cells' columns, on which rooms depend: nothing there, a hole, a bank, the sky."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def flag_columns(
     agent: AgentSettings,
     flags: NDArray[np.uint8],
 ) -> None:
-    """Flag the columns of a range of cells, as a level's floor and ground lie in them.
+    """Write the flags of the columns of a range of cells, relative to a level's floor and ground.
 
     Args:
-        hits: columns of these cells alone, in their order.
+        hits: the hits of the vertical columns of these cells only, in the cells' order.
         level: the floor of each cell, and the height of the ground.
         cells: the range of cell ids.
         agent: its height and highest step.
-        flags: by cell of the whole lattice, uint8; receives `COLUMN_FLAGS`.
+        flags: receives the `COLUMN_FLAGS` of the cells; by cell id on the whole lattice, uint8.
     """
     floor = level.floor.ravel()[cells]
     run_in_chunks(

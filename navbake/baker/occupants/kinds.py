@@ -1,4 +1,4 @@
-"""What geoms are: walls, meshes that hold a whole building, its floors and ceilings, or things."""
+"""Classifies geoms: walls, meshes of a whole building, floors and ceilings, or things."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class WallLimits(NamedTuple):
     """Limits of a wall's shape, seen from above.
 
     Attributes:
-        max_thickness: the most thickness [m].
-        min_length: the least length [m].
-        min_ratio: the least ratio of length and thickness [1].
+        max_thickness: the greatest thickness of a wall [m].
+        min_length: the least length of a wall [m].
+        min_ratio: the least ratio of length to thickness.
     """
 
     max_thickness: float
@@ -96,14 +96,17 @@ CEILING_WIDTH = 1.5
 
 
 class OccupantSizes(NamedTuple):
-    """How geoms stand over floors, by geom id.
+    """The heights of geoms over floors, and the areas that they occupy, by geom id.
 
     Attributes:
-        base: least height of its bottom over a floor of a cell it occupies, inf for none [m].
-        rise: greatest height of its top over its bottom or such a floor, whichever is higher,
-            -inf for none [m].
-        area: how much of a level it occupies, at most [m²].
-        area_at_wall_height: the same within `WALL_HEIGHTS`; 0 but for wall candidates [m²].
+        base: the least height of the geom's bottom over the floor of a cell that it occupies [m];
+            inf where it occupies no cell, and for an endless plane.
+        rise: the greatest height of the geom's top over its bottom, or over the floor of such a
+            cell where the floor is higher [m]; -inf where it occupies no cell, and for an endless
+            plane.
+        area: the area that it occupies on the level where that is largest [m²].
+        area_at_wall_height: the same, counting only cells that it occupies within `WALL_HEIGHTS`
+            [m²]; 0 for geoms that are no wall candidates.
     """
 
     base: Float
@@ -113,13 +116,14 @@ class OccupantSizes(NamedTuple):
 
 
 class FloorCounts(NamedTuple):
-    """How often the surfaces of geoms are floors, by geom id, shape (ngeom,).
+    """Counts the cells in which the surface of a geom is the floor; by geom id, shape (ngeom,).
 
     Attributes:
-        num_cells: in how many cells the geom's surface is the floor.
-        num_on_floors: in how many of these the geom lies on another geom's floor.
-        num_covers: in how many of these it only covers another floor, by up to `COVERING`.
-        stood_on: whether an agent can stand on it anywhere, bool.
+        num_cells: number of cells in which the geom's surface is the floor.
+        num_on_floors: number of these cells in which the geom lies on the floor of a second geom.
+        num_covers: number of these cells in which it covers the floor of a second geom by at most
+            `COVERING`.
+        stood_on: whether an agent can stand on the geom in any cell, bool.
     """
 
     num_cells: Int
@@ -129,11 +133,13 @@ class FloorCounts(NamedTuple):
 
 
 class FloorSteps(NamedTuple):
-    """Pairs of geoms whose floors lie side by side, one pair for each pair of cells, shape (n,).
+    """Steps between the floors of two geoms in adjacent cells.
+
+    Arrays of shape (n,), with one entry for each pair of cells.
 
     Attributes:
-        lower: geom of the lower floor.
-        higher: geom of the higher floor.
+        lower: id of the geom whose surface is the lower floor.
+        higher: id of the geom whose surface is the higher floor.
         rise: height of the step, >= 0 [m].
     """
 
@@ -143,12 +149,12 @@ class FloorSteps(NamedTuple):
 
 
 class FloorGeoms(NamedTuple):
-    """The geoms whose surfaces are floors, by geom id, shape (ngeom,), bool.
+    """Masks by geom id of the geoms whose surfaces are floors, shape (ngeom,), bool.
 
     Attributes:
-        building: those that belong to the building.
-        things: those that only lie on its floors.
-        stood_on: those of both that an agent can stand on somewhere; others are floor under things.
+        building: the geoms that are parts of the building.
+        things: the geoms that lie on the building's floors (rugs, pallets).
+        stood_on: the geoms of either mask that an agent can stand on in any cell.
     """
 
     building: Bool
@@ -157,7 +163,7 @@ class FloorGeoms(NamedTuple):
 
 
 class ClassifiedGeoms(NamedTuple):
-    """Kinds of geoms by geom id, see `StandingOccupants`, and warnings."""
+    """The kinds of geoms by geom id, and warnings; see the attributes of `StandingOccupants`."""
 
     kinds: NDArray[np.uint8]
     room_kinds: NDArray[np.uint8]
@@ -175,12 +181,15 @@ def classify_geoms(
     """Classify geoms, and warn of patterns of walls that match nothing.
 
     Args:
-        scene: the scene whose geoms stand.
-        extents: boxes round the geoms.
-        sizes: how the geoms stand over floors.
-        floor_geoms: the geoms that are floors.
-        agent: its height.
-        settings: patterns of the names of walls.
+        scene: the scene of the geoms.
+        extents: bounding boxes of the geoms.
+        sizes: the heights of the geoms over floors, and the areas that they occupy.
+        floor_geoms: the geoms whose surfaces are floors.
+        agent: the agent; its height is read.
+        settings: the patterns of wall names.
+
+    Returns:
+        The kind of each geom, and a warning for each pattern of walls that matches nothing.
     """
     buildings = mark_buildings(scene, extents, sizes)
     ceilings = mark_ceilings(extents, sizes.base, scene.roles == STATIC_STRUCTURE, agent)
@@ -204,14 +213,14 @@ def classify_geoms(
 
 
 def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
-    """Mark the geoms that may be walls, panes or hold a building, by their own shape alone.
+    """Mark the geoms whose shape alone allows that they are walls, panes, or a whole building.
 
     Args:
-        scene: the scene whose geoms stand.
-        extents: boxes round the geoms.
+        scene: the scene of the geoms.
+        extents: bounding boxes of the geoms.
 
     Returns:
-        The mark of each geom, by id, shape (ngeom,), bool.
+        A mask by geom id, shape (ngeom,), bool.
     """
     is_tall = extents.top - extents.bottom >= MIN_WALL_HEIGHT
     is_slender = _is_slender(extents, *THIN_WALLS, THICK_WALL)
@@ -219,7 +228,7 @@ def mark_wall_candidates(scene: Scene, extents: Extents) -> Bool:
 
 
 def mark_buildings(scene: Scene, extents: Extents, sizes: OccupantSizes) -> Bool:
-    """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
+    """Mark, by geom id, the meshes of a whole building: tall, wide along both axes, and hollow."""
     box_area = extents.short_side * extents.long_side
     is_hollow = sizes.area_at_wall_height < MAX_FILLED_SHARE * box_area
     return _may_hold_building(scene, extents) & is_hollow
@@ -234,9 +243,13 @@ def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
 
 
 def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
-    """Mark the geoms that patterns name as walls, and warn of each pattern that matches nothing.
+    """Mark the geoms whose names match a pattern of walls.
 
-    A pattern may match the name of the geom, of its mesh, or of a body from its own to the topmost.
+    A pattern is compared with the names of the geom, of its mesh, of its body, and of all bodies
+    above that one.
+
+    Returns:
+        A mask by geom id, and a warning for each pattern that matches nothing.
     """
     is_match = np.zeros(len(scene.geoms), dtype=np.bool_)
     warnings: list[str] = []
@@ -257,16 +270,18 @@ def match_wall_names(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[
 def mark_wall_geoms(
     scene: Scene, extents: Extents, sizes: OccupantSizes, floor_geoms: FloorGeoms, excluded: Bool
 ) -> Bool:
-    """Mark the walls by their shapes and names; excluded geoms are none.
+    """Mark, by geom id, the geoms whose shapes and names are those of walls.
 
-    A wall is static, rises from near a floor over 1.5 m, straight up, and is thin (0.25 m) and
-    long; a thicker one (0.5 m) is longer. One that is thicker still (1.2 m) has to meet a wall, or
-    another such one, at a corner, and be as high, unlike a rack, a container or a row of cupboards.
-    A panel of a deeper piece of furniture is none, nor is what one can stand on.
+    A wall is static and vertical, begins near a floor, rises more than 1.5 m, and is long and at
+    most 0.25 m thick. A geom up to 0.5 m thick has to be longer. A geom up to 1.2 m thick also has
+    to meet a wall, or a second geom as thick, at a corner, and be as high as that; a rack, a
+    container or a row of cupboards isn't. Excluded geoms, panels of furniture, and geoms that an
+    agent can stand on are no walls.
 
-    With `wall` or `partition` in its geom's, mesh's or body's name, 1 m is tall enough, whatever
-    else; and 0.5 m if it is thin and long. Pieces that continue in the line of a wall are walls,
-    too (parapets, lintels, stubs, windows), unless they carry floors.
+    If `wall` or `partition` is in the name of the geom, its mesh or its body, a height of 1 m is
+    enough, whatever its shape; 0.5 m is enough if it is also thin and long. Pieces that continue
+    in the line of a wall (parapets, lintels, stubs, windows) are also walls, unless they carry
+    floors.
     """
     names = [" ".join(geom_names).lower() for geom_names in all_names(scene.model).geoms]
     has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
@@ -295,10 +310,12 @@ def mark_wall_geoms(
 
 
 def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
-    """Mark what closes an opening in a wall: fixed panes, sliding doors, closed leaves.
+    """Mark, by geom id, the panes that close an opening in a wall.
 
-    A pane is as thin, long and tall as a wall, begins near a floor or a sill, and ends on both
-    sides at walls or other panes of the opening.
+    Panes are fixed panes, sliding doors and closed leaves.
+
+    A pane is as thin, long and tall as a wall, and begins near a floor or a sill. Each of its two
+    ends meets a wall, or a second pane in the same opening.
     """
     is_pane = _is_slender(extents, THIN_WALLS[0])
     is_pane &= extents.top - extents.bottom >= MIN_WALL_HEIGHT
@@ -469,18 +486,23 @@ def classify_floor_geoms(
 
     A geom is a thing (a rug, a pallet, a low box, a boulder) if all of these hold:
 
-    a. Its floor, with the floors that continue it at the same height, covers at most 4 m².
-    b. In at least 90 % of its cells there is another floor below it,
-    c. which is at most 1 m lower, or down to which it is solid.
-    d. It covers 90 % of its cells by at most 3 cm, or no step leads up from it to the building.
+    a. Its floor, together with floors that continue it at the same height, covers at most 4 m².
+    b. In at least 90 % of its cells the floor of a second geom lies below it.
+    c. That lower floor is at most 1 m lower, or the thing is solid down to it.
+    d. It is at most 3 cm above that floor in 90 % of its cells, or no step leads up from it to the
+       building.
 
-    All else is the building's: floors, stairs, ramps, platforms, terrain.
+    All other geoms are parts of the building: floors, stairs, ramps, platforms, terrain.
 
     Args:
-        counts: how often each geom is a floor, and lies on another one (b, c) or covers it (d).
-        steps: where floors of two geoms lie side by side.
+        counts: in how many cells each geom is the floor, lies on a second floor (b, c), and covers
+            it (d).
+        steps: the steps between floors of two geoms in adjacent cells.
         cell_size: edge of a cell [m].
         max_step: the agent's highest step [m].
+
+    Returns:
+        Masks by geom id: parts of the building, things, and geoms that an agent can stand on.
     """
     num_geoms = len(counts.num_cells)
     is_floor = counts.num_cells > 0
@@ -507,9 +529,11 @@ def classify_floor_geoms(
 
 
 def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSettings) -> Bool:
-    """Mark ceilings and roofs: static, wide both ways, no taller than wide, and above head height.
+    """Mark, by geom id, ceilings and roofs.
 
-    `base` is the least height of each geom over a floor that it hangs over, inf for none [m].
+    They are static, at least `CEILING_WIDTH` wide along both axes, no taller than wide, and above
+    the agent's head. `base` is the least height of each geom over a floor below it [m], inf where
+    there is none.
     """
     is_flat = extents.top - extents.bottom <= extents.short_side
     is_above_heads = base >= agent.height - LIMIT_SLACK
@@ -519,12 +543,13 @@ def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSe
 
 
 def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorSteps:
-    """Find where the floors of two geoms lie side by side, on one level or on two.
+    """Find the steps between the floors of two geoms in adjacent cells, on one level or on two.
 
     Args:
-        floors: the floors of all levels, and the links between levels.
-        floor_geom: the geom whose surface each floor is, -1 for none, shape (levels, cells).
-        lattice: the cells.
+        floors: the floors of all levels, and the steps between levels.
+        floor_geom: the id of the geom whose surface is the floor, -1 for none, shape (levels,
+            cells).
+        lattice: the lattice of the floors.
     """
     num_cells = floor_geom.shape[1]
     # cells of all levels are numbered on: level * num_cells + cell

@@ -1,4 +1,4 @@
-"""What can move and would be floor: a bridge, a stage, over which the grid then has none."""
+"""Finds movable bodies (a bridge, a stage) whose tops would be floor if they could not move."""
 
 from __future__ import annotations
 
@@ -27,18 +27,19 @@ def find_lost_floors(
     lattice: Lattice,
     agent: AgentSettings,
 ) -> dict[int, float]:
-    """Find the bodies that can move whose tops would be floor where what stands has none below.
+    """Find the movable bodies whose tops would be floor, where structure has no floor below them.
 
     Args:
-        shapes: all geometry that counts.
-        is_checked: by geom id, whether it can move and is checked, shape (ngeom,), bool.
-        mover_of: by geom id, the body that it moves with.
-        levels: the floors of what stands.
-        lattice: the cells.
-        agent: who would stand on the tops.
+        shapes: all geometry that the bake uses.
+        is_checked: mask by geom id of the movable geoms to check, shape (ngeom,), bool.
+        mover_of: by geom id, the id of the body that the geom moves with.
+        levels: the levels with the floors that structure makes.
+        lattice: the lattice of the floors.
+        agent: the agent that would stand on the tops.
 
     Returns:
-        The area of each body's top over no floor, `MIN_LOST_AREA` or more, by body id [m²].
+        By body id, the area of the body's top [m²] where no floor lies below it. Bodies with less
+        than `MIN_LOST_AREA` are left out.
     """
     min_area = MIN_LOST_AREA - LIMIT_SLACK
     cell_area = lattice.cell_size**2

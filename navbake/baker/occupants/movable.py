@@ -1,7 +1,8 @@
-"""What can move, and leaves that are no doors: which cells they are in, and which they block.
+"""Finds the cells that movables, and leaves that are no doors, are in, and those that they block.
 
-They are checked by themselves over the floors of what stands: all of them once, and again near what
-moved. The grid's occupancy joins what they block, what stands blocks, and what doors block.
+They are checked over the floors that structure makes: in a bake over all cells, in an update over
+the cells near things that moved. A cell of the grid is occupied if a movable, structure or a door
+blocks it.
 """
 
 from __future__ import annotations
@@ -50,12 +51,12 @@ MAX_POINT_SHARE = 1 / 8
 
 
 class OccupantEntries(NamedTuple):
-    """Geoms in cells, by cell and then geom; arrays of one length.
+    """Pairs of a cell and a geom in it, ordered by cell and then geom; arrays of shape (n,).
 
     Attributes:
         cell: cell ids, int64.
         geom: geom ids, int32.
-        flags: of the geom in the cell, see `LevelOccupants`, uint8.
+        flags: how the geom lies in the cell, see `LevelOccupants.flags`, uint8.
     """
 
     cell: Int
@@ -64,12 +65,12 @@ class OccupantEntries(NamedTuple):
 
 
 class LevelMovables(NamedTuple):
-    """What can move over some cells of a level.
+    """The movables over some cells of a level.
 
     Attributes:
         entries: the geoms in the cells.
-        blocked: the cells that these block, ids.
-        blocked_squares: the cells whose squares alone they block, ids.
+        blocked: ids of the cells whose footprint these geoms meet.
+        blocked_squares: ids of the cells whose square alone, without the agent's disc, they meet.
     """
 
     entries: OccupantEntries
@@ -78,14 +79,16 @@ class LevelMovables(NamedTuple):
 
 
 class MovableOccupants(NamedTuple):
-    """What can move, and leaves that are no doors, over the floors of all levels.
+    """Movables, and leaves that are no doors, over the floors of all levels.
 
     Attributes:
         entries: the geoms in cells, by level and row chunk.
-        blocked: the cells of each level that they or what stands blocks, (height, width), bool.
-        blocked_squares: the cells whose squares alone they or what stands blocks; None where these
-            are the same.
-        num_blocked_alone: by body id, how many cells it blocks that nothing which stands blocks.
+        blocked: for each level, a mask of the cells that these geoms or structure block, (height,
+            width), bool.
+        blocked_squares: for each level, a mask of the cells whose square alone, without the
+            agent's disc, these geoms or structure meet; None where it equals `blocked`.
+        num_blocked_alone: by body id, the number of cells that the body blocks and structure
+            doesn't.
     """
 
     entries: list[list[OccupantEntries]]
@@ -95,22 +98,22 @@ class MovableOccupants(NamedTuple):
 
     @property
     def occupied(self) -> list[Bool]:
-        """`blocked`, by its name before 0.4."""
+        """The same as `blocked`: its name before version 0.4."""
         text = "`stages.occupants.occupied` is called `stages.occupants.blocked` since 0.4"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         return self.blocked
 
 
 class MovableContext(NamedTuple):
-    """What does not move, and what can move is checked over.
+    """The values, fixed while things move, that the search for movables reads.
 
     Attributes:
-        lattice: the cells.
+        lattice: the whole lattice.
         floors: the floors of all levels.
-        standing: the cells that are occupied by what stands.
+        standing: the cells that structure occupies.
         footprint: the volume over a floor that has to be free.
-        agent: its height and largest slope.
-        mover_of: by geom id, the body that it moves with.
+        agent: the agent; its height and largest slope are read.
+        mover_of: by geom id, the id of the body that the geom moves with.
     """
 
     lattice: Lattice
@@ -131,12 +134,12 @@ NO_ENTRIES = OccupantEntries(
 def find_movable_occupants(
     context: MovableContext, shapes: Shapes, in_the_way: Bool
 ) -> MovableOccupants:
-    """Find what can move over the floors of all cells.
+    """Find the movables, and leaves that are no doors, over the floors of all cells.
 
     Args:
-        context: the floors, and what stands on them.
-        shapes: all geometry that counts.
-        in_the_way: by geom id, whether it is checked, shape (ngeom,), bool.
+        context: the floors, and the structure that stands on them.
+        shapes: all geometry that the bake uses.
+        in_the_way: mask by geom id of the geoms to search for, shape (ngeom,), bool.
     """
     num_chunks = -(-context.lattice.height // CHUNK_ROWS)
     nothing = MovableOccupants(
@@ -156,14 +159,14 @@ def update_movable_occupants(
     in_the_way: Bool,
     boxes: Float,
 ) -> MovableOccupants:
-    """Return occupants that are up to date in the cells near some boxes.
+    """Return the occupants after things moved; only cells near the given boxes are searched.
 
     Args:
-        occupants: the former ones; they are not changed.
-        context: the floors, and what stands on them.
-        shapes: all geometry that counts, as it is now.
-        in_the_way: by geom id, whether it is checked, shape (ngeom,), bool.
-        boxes: boxes round what moved, before and now, (n, 6) [m].
+        occupants: the occupants before the move; they are not changed.
+        context: the floors, and the structure that stands on them.
+        shapes: all geometry that the bake uses, in the new pose.
+        in_the_way: mask by geom id of the geoms to search for, shape (ngeom,), bool.
+        boxes: bounding boxes of the geoms that moved, in the old and in the new pose, (n, 6) [m].
     """
     lattice = context.lattice
     footprint = context.footprint
@@ -247,7 +250,7 @@ def _select_entries(entries: OccupantEntries, places: Bool | Int) -> OccupantEnt
 
 
 def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
-    """Return the entries of several row chunks, one after the other."""
+    """Concatenate the entries of several row chunks."""
     return OccupantEntries(
         cell=np.concatenate([chunk.cell for chunk in row_chunks]),
         geom=np.concatenate([chunk.geom for chunk in row_chunks]),
@@ -329,22 +332,23 @@ def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, reach: float)
 def name_occupants(
     standing: StandingOccupants, movable: MovableOccupants, level: int, window: Window
 ) -> UserData:
-    """Name what is in a level's cells, as the original client does.
+    """Return the names of the geoms in a level's cells, under the original client's keys.
 
-    `objects` are all things but walls and the building's own floors, ceilings and stairs, also
-    those that one stands on (rugs, pallets); `walls` the walls. Both stand, hang or lie between
-    the floor and the next storey. `blockers` are what the agent's disc or square meets in its
-    volume, where these are not the same names. `navbake.navgrid.door_states.with_door_names` adds
-    the doors.
+    `objects` names all things between the floor and the next storey, also those that an agent
+    stands on (rugs, pallets), except walls and the building's own floors, ceilings and stairs.
+    `walls` names the walls there. `blockers` names the geoms that the agent's disc or the cell's
+    square meets within the agent's height; it is left out where it has the same names as both.
+    `navbake.navgrid.door_states.with_door_names` adds the doors.
 
     Args:
-        standing: what stands in the cells.
-        movable: what can move in them.
+        standing: the structure in the cells.
+        movable: the movables in the cells.
         level: number of the level.
-        window: the cells that the grid holds.
+        window: the rows and columns of the lattice that the grid holds.
 
     Returns:
-        Sorted names under each key that has any, by cell id on the window; made on first use.
+        By cell id on the window, sorted names under each key that has any. They are computed when
+        first read.
     """
     # deferred: planning and plotting don't need it
     return UserData(partial(_name_cells, standing, movable.entries[level], level, window))

@@ -1,4 +1,4 @@
-"""Lists of the geoms in each cell of a level: measure them over the floors, and mark walls."""
+"""Kernels on the lists of geoms in each cell of a level: heights over floors, marks of walls."""
 
 from __future__ import annotations
 
@@ -32,20 +32,23 @@ RISE = 1  # the greatest height of its upper end over its lower end, or over the
 
 
 class LevelOccupants(NamedTuple):
-    """The geoms in a level's cells; the list of cell i is from `first[i]` to the geom -1.
+    """The geoms in a level's cells.
 
-    Arrays that were written are never written over, so that these occupants stay as they are.
+    The list of cell i begins at `geom[first[i]]`, and ends before the next -1. The arrays are not
+    changed after they were filled.
 
     Attributes:
         lattice: the whole lattice.
         first: shape (cells,), int32.
-        geom: MuJoCo's geom ids, ascending in a cell, int32.
-        flags: of the same length, uint8: OCCUPYING if the geom meets the cell's square between
-            floor and ceiling; BLOCKING if it meets the agent's footprint; AT_WALL_HEIGHT if it is
-            OCCUPYING and meets the square in `WALL_HEIGHTS`, of wall candidates alone.
-        floor_geom: the geom whose surface each cell's floor is, -1 for none, (cells,), int32.
-        gap_below: how far the next geom's floor lies below the floor, inf for none, (cells,),
-            float64 [m].
+        geom: MuJoCo's geom ids, ascending within a cell, int32.
+        flags: the flags of each entry of `geom`, uint8: OCCUPYING if the geom meets the cell's
+            square between floor and ceiling; BLOCKING if it meets the agent's footprint;
+            AT_WALL_HEIGHT if it is OCCUPYING and meets the square within `WALL_HEIGHTS`; only wall
+            candidates have it.
+        floor_geom: the id of the geom whose surface is the cell's floor, -1 for none, (cells,),
+            int32.
+        gap_below: how far below the floor the next floor of a different geom lies [m], inf for
+            none, (cells,), float64.
     """
 
     lattice: Lattice
@@ -60,8 +63,8 @@ class FloorLayers(NamedTuple):
     """The floors of a level; arrays of shape (cells,).
 
     Attributes:
-        height: float64, NaN for none [m].
-        standable: whether an agent can stand there, bool.
+        height: height of the floor [m], NaN for none, float64.
+        standable: whether an agent can stand on the floor, bool.
     """
 
     height: Float
@@ -69,13 +72,14 @@ class FloorLayers(NamedTuple):
 
 
 class GeomHeights(NamedTuple):
-    """Heights of all geoms, by geom id.
+    """Heights of all geoms, by geom id, and limits of gaps below their surfaces.
 
     Attributes:
-        low: of the lower end, float64, NaN for an endless plane [m].
-        high: of the upper end, float64 [m].
-        on_floor_gap: up to which gap a geom lies on the floor below its surface, float64 [m].
-        cover_gap: up to which gap any geom only covers the floor below its surface [m].
+        low: height of the lower end [m], NaN for an endless plane, float64.
+        high: height of the upper end [m], NaN for an endless plane, float64.
+        on_floor_gap: by geom id, the widest gap [m] between the geom's surface and the floor below
+            it at which the geom lies on that floor, float64.
+        cover_gap: the widest such gap [m] at which a geom only covers the floor, for all geoms.
     """
 
     low: Float
@@ -106,23 +110,24 @@ def _get_row(rows, row_of_geom, first_row, num_rows, geom):
 
 @kernel(nogil=True)
 def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, end):
-    """Measure how geoms stand over the floors of blocks, and how they are floors; see `list_rows`.
+    """Measure, block by block, the heights of geoms over floors, and count the cells they floor.
 
-    Each block gets a row for each geom in it.
+    One row is written for each pair of a block and a geom in it. The caller is
+    `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        occupants: of the level.
-        floors: of the level.
+        occupants: the geoms in the level's cells.
+        floors: the floors of the level.
         geoms: heights of all geoms.
-        blocks: the blocks that are measured.
+        blocks: ids of the blocks to measure.
         num_in_block: receives the number of rows of each block.
-        rows: receives the rows: ``NUM_CELLS`` to ``GEOM``, (room, 7) int64, and ``BASE`` and
-            ``RISE``, (room, 2) float64.
-        begin: first of the blocks that this call measures.
-        end: past the last of them.
+        rows: two arrays that receive the rows: ``NUM_CELLS`` to ``GEOM``, (capacity, 7) int64; and
+            ``BASE`` and ``RISE`` [m], (capacity, 2) float64.
+        begin: index into `blocks` of the first block that this call measures.
+        end: index after the last of them.
 
     Returns:
-        The place in `blocks` of the first one that there was no room for, or `end`.
+        The index into `blocks` of the first block whose rows did not fit; `end` if all fit.
     """
     counts, heights = rows
     num_rows = np.int64(0)
@@ -171,18 +176,20 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def mark_walls(occupants, kinds, cells, is_wall, is_low_wall, begin, end):
-    """Mark which of ``cells[begin:end]`` a wall occupies and blocks, and which only a low one.
+    """Mark which of ``cells[begin:end]`` a wall blocks, and which a low wall blocks.
 
-    A low wall is a building's mesh that occupies and blocks the cell, but isn't AT_WALL_HEIGHT.
+    In a marked cell the wall is both OCCUPYING and BLOCKING. The mesh of a whole building counts
+    as a wall in a cell where it is AT_WALL_HEIGHT, else as a low wall. A cell with a building's
+    mesh AT_WALL_HEIGHT has no low wall.
 
     Args:
-        occupants: of the level.
-        kinds: by geom id, see `StandingOccupants`, uint8.
+        occupants: the geoms in the level's cells.
+        kinds: kinds by geom id, see `StandingOccupants`, uint8.
         cells: cell ids.
-        is_wall: receives the mark of each of the cells, bool.
-        is_low_wall: receives the other mark, bool.
-        begin: first of the cells that this call marks.
-        end: past the last of them.
+        is_wall: receives for each of `cells` whether a wall blocks it, bool.
+        is_low_wall: receives for each of `cells` whether a low wall blocks it, bool.
+        begin: index into `cells` of the first cell that this call marks.
+        end: index after the last of them.
     """
     for n in range(begin, end):
         i = occupants.first[cells[n]]

@@ -1,7 +1,7 @@
-"""What stands in each cell: whether it is occupied, by which geoms, what they are, their names.
+"""Finds the structure in each cell: occupied cells, the geoms in them, their kinds and names.
 
-Cells of all levels are checked once, block by block, against what stands. What can move is checked
-by itself, see `navbake.baker.occupants.movable`.
+The cells of all levels are checked once, block by block, against structure. Movables are checked
+separately, see `navbake.baker.occupants.movable`.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ class LevelOccupancy(NamedTuple):
     """The occupancy of some cells of a level.
 
     Attributes:
-        cells: those of the cells that have a floor, shape (n,).
-        occupancy: of these.
-        lists: where the lists of their occupants begin; empty if none are wanted.
+        cells: ids of the checked cells that have a floor, shape (n,).
+        occupancy: the occupancy of these cells.
+        lists: where the list of each cell's occupants begins; empty if none were requested.
     """
 
     cells: Int
@@ -67,11 +67,11 @@ class LevelOccupancy(NamedTuple):
 
 
 class StandingCells(NamedTuple):
-    """What one pass over the columns finds in the cells of all levels.
+    """The structure in the cells of all levels, and flags of their columns.
 
     Attributes:
-        occupancy: the cells that are occupied by what stands.
-        occupants: the geoms in each cell, by level; empty if they are not wanted.
+        occupancy: the cells that structure occupies.
+        occupants: the geoms in each cell, by level; empty if they were not requested.
         column_flags: flags of each cell's column, by level, see `flag_columns`.
     """
 
@@ -82,15 +82,15 @@ class StandingCells(NamedTuple):
 
 @dataclass(frozen=True)
 class StandingOccupants:
-    """What stands in all cells with a floor.
+    """The structure in all cells with a floor.
 
     Attributes:
         levels: the geoms in each cell, by level, lowest first.
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
-        room_kinds: the same for the segmentation of rooms: what has a wall's shape, and panes,
-            are WALL whatever their names.
+        room_kinds: like `kinds`, for the segmentation of rooms: panes, and geoms with the shape of
+            a wall, are WALL whatever their names.
         names: by geom id, see `name_geoms`.
-        warnings: what the user should know, one line each.
+        warnings: warnings about wall patterns, one line each.
     """
 
     levels: list[LevelOccupants]
@@ -100,11 +100,12 @@ class StandingOccupants:
     warnings: list[str]
 
     def mark_walls(self, level: int) -> tuple[Bool, Bool]:
-        """Mark the cells of a level that a wall occupies and blocks.
+        """Mark the cells of a level that a wall blocks.
 
         Returns:
-            The cells with a wall; and those that a building's mesh blocks only below
-            `WALL_HEIGHTS`; both (height, width), bool.
+            A mask of the cells that a wall occupies and blocks, and a mask of the cells that the
+            mesh of a whole building blocks without reaching `WALL_HEIGHTS`; both (height, width),
+            bool.
         """
         occupants = self.levels[level]
         cells = np.arange(len(occupants.first))
@@ -125,7 +126,7 @@ class StandingOccupants:
 
 
 def find_level_ceilings(floors: Floors) -> list[float]:
-    """Return the height at which each level ends: the next one's ground; inf for the last [m]."""
+    """Return for each level the height of the next level's ground [m]; inf for the last level."""
     return [*(level.ground for level in floors.levels[1:]), np.inf]
 
 
@@ -142,14 +143,18 @@ def check_level_occupancy(
     """Check which cells of a level are occupied, and list the occupants.
 
     Args:
-        columns: the columns of the cells.
+        columns: the vertical columns of the cells.
         tiled: the geoms near the cells.
         footprint: the volume over a floor that has to be free.
         cells: cell ids, ascending.
         level: the floors.
-        level_ceiling: where the level ends, see `find_level_ceilings` [m].
-        agent: its height and largest slope.
-        wall_candidates: by geom id, whether AT_WALL_HEIGHT is tested, bool; None to list nothing.
+        level_ceiling: height at which the level ends [m], see `find_level_ceilings`.
+        agent: the agent; its height and largest slope are read.
+        wall_candidates: mask by geom id of the geoms that are tested for AT_WALL_HEIGHT, bool;
+            None to list no occupants.
+
+    Returns:
+        The cells that have a floor, their occupancy, and the lists of their occupants.
     """
     floor = level.floor.ravel()[cells]
     has_floor = ~np.isnan(floor)
@@ -181,16 +186,16 @@ def find_standing_cells(
     wall_candidates: Bool | None,
     clock: StageClock,
 ) -> StandingCells:
-    """Find what stands in all cells, and flag their columns for rooms, in one pass over the blocks.
+    """Find the structure in all cells, and the flags of their columns that rooms depend on.
 
     Args:
-        columns: columns of what stands.
-        tiles: what stands, by tiles of the same lattice.
+        columns: the vertical columns of the structure.
+        tiles: the structure's geometry, by tiles of the same lattice.
         floors: the floors of all levels.
         footprint: the volume over a floor that has to be free.
-        agent: its height, highest step and largest slope.
+        agent: the agent; its height, highest step and largest slope are read.
         wall_candidates: see `check_level_occupancy`.
-        clock: times the flags as a part of rooms.
+        clock: measures the time for the flags, which counts as a part of the stage of rooms.
     """
     lattice = columns.lattice
     num_cells = lattice.width * lattice.height
@@ -239,7 +244,7 @@ class OccupantsBuilder:
     """Collects the occupants of a level while cells are checked block by block.
 
     Attributes:
-        occupants: of the cells that were appended; the other cells have none.
+        occupants: the occupants of all cells; cells that were not appended have empty lists.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -259,7 +264,7 @@ class OccupantsBuilder:
 
         Args:
             checked: the cells and their lists.
-            share: share of all cells that are appended once these are, in (0, 1].
+            share: the share of all cells that will have been appended after this call, in (0, 1].
         """
         begin = self._num_entries
         end = begin + len(checked.occupancy.geom)
@@ -286,15 +291,18 @@ def classify_occupants(
     agent: AgentSettings,
     settings: NameSettings,
 ) -> StandingOccupants:
-    """Classify what stands in the cells: walls, buildings, their floors and ceilings, or things.
+    """Classify the structure in the cells: walls, whole buildings, floors and ceilings, or things.
 
     Args:
-        scene: the scene whose geoms stand.
+        scene: the scene of the geoms.
         levels: the geoms in each cell, by level.
         floors: the floors of all levels.
-        extents: boxes round all that stands.
-        agent: its height and highest step.
-        settings: patterns of the names of walls.
+        extents: bounding boxes of the structure's geoms.
+        agent: the agent; its height and highest step are read.
+        settings: the patterns of wall names.
+
+    Returns:
+        The geoms in each cell, with their kinds, names and warnings.
     """
     sizes, floor_counts = _measure_levels(levels, floors, extents)
     lattice = levels[0].lattice
@@ -368,16 +376,17 @@ def _measure_levels(
 def entries_of_cells(
     first: Int32, geom: Int32, flags: NDArray[np.uint8], cells: Int
 ) -> tuple[Int, Int32, NDArray[np.uint8]]:
-    """Return the entries that lists have for some cells, by cell and then geom.
+    """Return the list entries of some cells, ordered by cell and then geom.
 
     Args:
-        first: by cell, where its list begins; it ends before the geom -1.
-        geom: geom ids of all lists.
-        flags: flags of these geoms.
+        first: by cell id, the index into `geom` at which the cell's list begins. The list ends
+            before the next -1 in `geom`.
+        geom: geom ids of all lists, one list after the other.
+        flags: the flags of each entry of `geom`.
         cells: cell ids, shape (n,).
 
     Returns:
-        Of each entry the place of its cell in `cells`, its geom, and its flags.
+        For each entry the index of its cell in `cells`, its geom id, and its flags.
     """
     begin = first[cells]
     counts = np.zeros(len(cells), dtype=np.int64)
