@@ -408,7 +408,15 @@ def select_levels(
 
 
 def check_level(grid: NavGrid, level: int) -> None:
-    """Raise a FormatError for the number of a level that the grid doesn't have."""
+    """Raise a FormatError for the number of a level that the grid doesn't have.
+
+    Args:
+        grid: the grid.
+        level: the number, 0 is the lowest.
+
+    Raises:
+        FormatError: the grid has no such level.
+    """
     if not 0 <= level < len(grid.levels):
         raise FormatError(
             f"no level {level}: the grid has {len(grid.levels)}, counted from 0",

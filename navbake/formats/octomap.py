@@ -70,8 +70,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     bits_per_child = 1 if has_odds else 2
     states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
     if free:
-        known = True if grid.known is None else grid.known
-        states[~grid.occupied & known] = FREE
+        is_known = True if grid.known is None else grid.known
+        states[~grid.occupied & is_known] = FREE
     # of all nodes that have an entry in the file
     orders: list[Int] = []
     entries: list[Int] = []
@@ -137,21 +137,21 @@ def _morton_codes(places: Int) -> Int:
 def _find_first_key(grid: VoxelGrid) -> Int:
     """Return the tree's key of the first voxel along each axis."""
     place = np.array(grid.origin) / grid.res
-    whole = np.round(place)
-    offset = np.abs(place - whole).max()
+    nearest = np.round(place)
+    offset = np.abs(place - nearest).max()
     if offset > LATTICE_TOLERANCE:
         raise FormatError(
             f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
             f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is "
             f"{offset * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
-    if np.abs([whole, whole + grid.shape]).max() > CENTER_KEY:
+    if np.abs([nearest, nearest + grid.shape]).max() > CENTER_KEY:
         reach = CENTER_KEY * grid.res
         raise FormatError(
             f"an octree reaches {reach:g} m from the origin with voxels of {grid.res:g}"
             " m, and this grid goes beyond: expected larger voxels or a grid nearer to the origin"
         )
-    return np.asarray(whole.astype(np.int64) + CENTER_KEY)
+    return np.asarray(nearest.astype(np.int64) + CENTER_KEY)
 
 
 def read_octomap(
@@ -218,14 +218,14 @@ def read_octomap(
     allowance.take_cells(shape, place)
     allowance.take_array(shape, 2, place)
     values = np.zeros(shape, dtype=np.bool_)
-    known = np.zeros(shape, dtype=np.bool_)
-    fill_leaves(leaves, first, values, known)
+    is_known = np.zeros(shape, dtype=np.bool_)
+    fill_leaves(leaves, first, values, is_known)
     origin = tuple(((first - CENTER_KEY) * res).tolist())
     return VoxelGrid(
         values=values,
         origin=origin,
         res=res,
-        known=None if known.all() else known,
+        known=None if is_known.all() else is_known,
         notes=notes,
     )
 

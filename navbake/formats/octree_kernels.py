@@ -93,14 +93,14 @@ def read_leaves(data, odds, has_odds, leaves):
 
 
 @kernel
-def fill_leaves(leaves, first, values, known):
+def fill_leaves(leaves, first, values, is_known):
     """Write leaves into voxels.
 
     Args:
         leaves: the leaves, as `read_leaves` has them, shape (n, 5), int32.
         first: the key of the first voxel along each axis, shape (3,), int64.
         values: receives whether each voxel is occupied, shape (nx, ny, nz), bool.
-        known: receives True in each voxel that a leaf covers, of the same shape.
+        is_known: receives True in each voxel that a leaf covers, of the same shape.
     """
     num_x, num_y, num_z = values.shape
     for leaf in range(leaves.shape[0]):
@@ -111,5 +111,5 @@ def fill_leaves(leaves, first, values, known):
         for i in range(max(x, 0), min(x + size, num_x)):
             for j in range(max(y, 0), min(y + size, num_y)):
                 for k in range(max(z, 0), min(z + size, num_z)):
-                    known[i, j, k] = True
+                    is_known[i, j, k] = True
                     values[i, j, k] = leaves[leaf, 4] != 0
