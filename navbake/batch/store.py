@@ -294,7 +294,7 @@ class Mirror(ExitStack):
         self._folder: Path | None = None
         self._urls: dict[Path, str] = {}  # of roots of stores, and of files
         self._listed: dict[str, dict[str, Any]] = {}  # stores' entries by folder
-        self._entries: dict[Path, Mapping[str, Any] | None] = {}  # of stores, by path
+        self.entries: dict[Path, Mapping[str, Any] | None] = {}  # of stores, by path
 
     def place(self, url: str) -> Path:
         """The path of a store's file in the folder, copied or not."""
@@ -355,9 +355,9 @@ class Mirror(ExitStack):
         if url is None:
             return {} if os.path.isfile(path) else None
         path = Path(os.path.abspath(path))
-        if path not in self._entries:
-            self._entries[path] = self._look(url)
-        return self._entries[path]
+        if path not in self.entries:
+            self.entries[path] = self._look(url)
+        return self.entries[path]
 
     def _look(self, url: str) -> Mapping[str, Any] | None:
         with _naming("read", url):

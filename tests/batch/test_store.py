@@ -284,9 +284,9 @@ def test_a_tag_of_a_store_tells_that_a_file_is_another(memory, key):
     with Mirror() as mirror:
         path = mirror.place("memory://a/b.obj")
         assert mirror.has(path) and not mirror.has(path.with_name("c.obj"))
-        mirror._entries[path] = {"size": 1}
+        mirror.entries[path] = {"size": 1}
         assert mirror.describe(path)["sha256"] == hashlib.sha256(b"1").hexdigest()
-        mirror._entries[path] = {"size": 1, key: "x1"}
+        mirror.entries[path] = {"size": 1, key: "x1"}
         assert mirror.describe(path) == {"size": 1, "tag": f"{key.lower()}:x1"}
 
 
