@@ -99,7 +99,7 @@ def read_routes(path: str | PathLike[str], origin: str | None = None) -> RouteGr
 
 
 class _NodeEntry(NamedTuple):
-    """A node that was read."""
+    """A node of the file."""
 
     number: object  # its place in the graph, if the file states one
     key: object  # its id in the file
@@ -107,7 +107,7 @@ class _NodeEntry(NamedTuple):
 
 
 class _LaneEntry(NamedTuple):
-    """A lane one way that was read."""
+    """A one-way lane of the file."""
 
     number: object  # its place in the graph, if the file states one
     start: object  # keys of its nodes
@@ -209,8 +209,8 @@ def _in_order(entries: list[Entry]) -> list[Entry]:
     return [entries[place] for place in order]
 
 
-def _with_height(x: object, y: object, navbake_entry: Json) -> list[object]:
-    """A position on a map, with the z of navbake's own entry if it has one."""
+def _add_height(x: object, y: object, navbake_entry: Json) -> list[object]:
+    """Return the position of a node on a map, with the z of its entry ``navbake`` if it has one."""
     position = navbake_entry.get("position", [0.0, 0.0, 0.0])
     return [x, y, *(position[2:] if isinstance(position, list) else [])]
 
@@ -359,29 +359,29 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
     content, name = source.read_json(path, expected="a LIF (JSON)")
     reader = _GraphReader(name)
     top = check_object(content, reader.top)
-    layouts = _objects(top, "layouts", reader.top)
+    layouts = _check_objects(top, "layouts", reader.top)
     name_key = _unique_name_key(layouts, reader.top["layouts"])
     for level, layout in enumerate(layouts):
         layout_place = reader.top["layouts"][level]
-        for number, node in enumerate(_objects(layout, "nodes", layout_place)):
+        for number, node in enumerate(_check_objects(layout, "nodes", layout_place)):
             place = layout_place["nodes"][number]
             position = check_object(node.get("nodePosition"), place["nodePosition"])
             navbake_entry = check_optional_object(node, "navbake", place)
             node_name = node.get(name_key) or node.get("nodeId")
             reader.add_node(
                 node.get("nodeId", MISSING),
-                _with_height(position.get("x"), position.get("y"), navbake_entry),
+                _add_height(position.get("x"), position.get("y"), navbake_entry),
                 {"name": node_name, "level": level, **navbake_entry},
                 place,
             )
     for level, layout in enumerate(layouts):
         layout_place = reader.top["layouts"][level]
-        for number, edge in enumerate(_objects(layout, "edges", layout_place)):
+        for number, edge in enumerate(_check_objects(layout, "edges", layout_place)):
             place = layout_place["edges"][number]
             navbake_entry = check_optional_object(edge, "navbake", place)
             entry: Json = {"name": edge.get("edgeId")}
             if not navbake_entry:
-                vehicle_types = _objects(edge, "vehicleTypeEdgeProperties", place)
+                vehicle_types = _check_objects(edge, "vehicleTypeEdgeProperties", place)
                 if vehicle_types and vehicle_types[0].get("maxSpeed"):
                     entry["speed"] = vehicle_types[0]["maxSpeed"]
             start = edge.get("startNodeId", MISSING)
@@ -394,27 +394,27 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
 
 
 def _unique_name_key(layouts: list[Json], place: JsonPath) -> str:
-    """The key of LIF's nodes that has their names: ``nodeId`` if a ``nodeName`` is there twice."""
+    """Return the key of LIF's nodes for names: ``nodeId`` if two nodes have one ``nodeName``."""
     nodes = [
         node
         for level, layout in enumerate(layouts)
-        for node in _objects(layout, "nodes", place[level])
+        for node in _check_objects(layout, "nodes", place[level])
     ]
     names = [str(node.get("nodeName") or node.get("nodeId")) for node in nodes]
     return "nodeName" if len({*names}) == len(names) else "nodeId"
 
 
-def _list_of(content: Json, key: str, place: JsonPath) -> list[object]:
-    """A list that may be missing or null."""
+def _check_list(content: Json, key: str, place: JsonPath) -> list[object]:
+    """Return a list of a file, [] if it is missing or null."""
     entries = content.get(key) or []
     if not isinstance(entries, list):
         place[key].refuse("a list", entries)
     return entries
 
 
-def _objects(content: Json, key: str, place: JsonPath) -> list[Json]:
-    """A list of objects that may be missing or null."""
-    entries = _list_of(content, key, place)
+def _check_objects(content: Json, key: str, place: JsonPath) -> list[Json]:
+    """Return a list of objects of a file, [] if it is missing or null."""
+    entries = _check_list(content, key, place)
     return [check_object(entry, place[key][number]) for number, entry in enumerate(entries)]
 
 
@@ -487,15 +487,15 @@ def _read_rmf_level(
     reader: _GraphReader, level: int, name: str, content: Json, place: JsonPath
 ) -> None:
     """Read the vertices and lanes of a level; the keys of its nodes are its number and theirs."""
-    for number, (x, y, vertex) in enumerate(_triples(content, "vertices", place)):
+    for number, (x, y, vertex) in enumerate(_check_rows(content, "vertices", place)):
         vertex_place = place["vertices"][number]
         navbake_entry = check_optional_object(vertex, "navbake", vertex_place)
         entry: Json = {"name": vertex.get("name") or f"{name} {number}", "level": level}
         if vertex.get("lift"):
             entry |= {"link": vertex["lift"], "kind": "stop"}
-        position = _with_height(x, y, navbake_entry)
+        position = _add_height(x, y, navbake_entry)
         reader.add_node((level, number), position, {**entry, **navbake_entry}, vertex_place)
-    for number, (start, end, lane) in enumerate(_triples(content, "lanes", place)):
+    for number, (start, end, lane) in enumerate(_check_rows(content, "lanes", place)):
         lane_place = place["lanes"][number]
         entry = {"name": f"{name} {number}"}
         if lane.get("door_name"):
@@ -513,7 +513,7 @@ def _read_lanes_between_levels(reader: _GraphReader, about: Json) -> None:
         if isinstance(entry.number, int | float):
             key_of_number.setdefault(entry.number, entry.key)
     place = reader.top["navbake"]
-    for index, (start, end, lane) in enumerate(_triples(about, "lanes", place)):
+    for index, (start, end, lane) in enumerate(_check_rows(about, "lanes", place)):
         lane_place = place["lanes"][index]
         for number in (start, end):
             if not isinstance(number, int | float) or number not in key_of_number:
@@ -532,10 +532,10 @@ def _join_lifts(reader: _GraphReader) -> None:
             reader.add_lane(start.key, end.key, entry, reader.top)
 
 
-def _triples(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
-    """A list of rows of two numbers and an object, which may be missing."""
+def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any, Json]]:
+    """Return a list of rows of two numbers and an object, which is {} where it is missing."""
     triples = []
-    for number, row in enumerate(_list_of(content, key, place)):
+    for number, row in enumerate(_check_list(content, key, place)):
         if not isinstance(row, list) or len(row) < 2:
             place[key][number].refuse("a list of two numbers and an object", row)
         triples.append((row[0], row[1], row[-1] if isinstance(row[-1], dict) else {}))
