@@ -42,7 +42,7 @@ MIN_ROOM_AREA = 1.0  # that one can stand on, if a room is to need a door [m²]
 
 
 def check_lattices(facts: Facts) -> Iterator[Finding]:
-    """A level lies nowhere, or its cells have no size."""
+    """Finds: levels whose lattice has no place in the world, or whose cells have no size."""
     for number, level in enumerate(facts.levels):
         lattice = level.lattice
         if not 0 < lattice.cell_size < math.inf:
@@ -53,7 +53,7 @@ def check_lattices(facts: Facts) -> Iterator[Finding]:
 
 
 def check_order(facts: Facts) -> Iterator[Finding]:
-    """Levels aren't in order, lie on different lattices, or are there twice."""
+    """Finds: levels that are out of order, are not aligned with the lowest, or appear twice."""
     first = facts.levels[0].lattice
     for number, level in enumerate(facts.levels[1:], start=1):
         below = facts.levels[number - 1]
@@ -77,7 +77,7 @@ def check_order(facts: Facts) -> Iterator[Finding]:
 
 
 def check_boxes(facts: Facts) -> Iterator[Finding]:
-    """A level's box leaves out free cells of its own, or another level's takes them."""
+    """Finds: free cells of a level that lie outside of its box, or in the box of a lower level."""
     boxes = [level.bbox_yup for level in facts.levels]
     for number, box in enumerate(boxes):
         if box is None:
@@ -118,7 +118,7 @@ def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bo
 
 
 def check_links(facts: Facts) -> Iterator[Finding]:
-    """Links lead to cells that there aren't, that have no floor, that are far away, or too high."""
+    """Finds: links to cells that don't exist, have no floor, are too far away, or too high."""
     links = facts.grid.step_array
     starts = _link_ends(facts, links[:, :2])
     ends = _link_ends(facts, links[:, 2:])
@@ -175,7 +175,10 @@ def _max_link_rise(facts: Facts) -> float:
 
 
 def check_missing_links(facts: Facts) -> Iterator[Finding]:
-    """Free neighbours on two levels lie within a step, but nothing joins their islands."""
+    """Finds: free cells a step apart on two levels that no link connects.
+
+    They are reported only where nothing else connects the islands of both cells.
+    """
     if not facts.grid.navbake:
         return  # files of other programs know no links
     for lower, upper in itertools.combinations(range(len(facts.levels)), 2):
@@ -211,7 +214,10 @@ def _mark_unlinked(facts: Facts, lower: int, upper: int, rows: Int, cols: Int) -
 
 
 def check_agent(facts: Facts) -> Iterator[Finding]:
-    """The agent's sizes are none, or others than the settings', or it steps as high as itself."""
+    """Finds: impossible sizes of the agent, and sizes that differ from the bake's settings.
+
+    A step that is at least as high as the agent is impossible.
+    """
     grid = facts.grid
     agent_settings = facts.settings.get("agent", {})
     problems = find_wrong_sizes(grid)
@@ -237,7 +243,7 @@ def check_agent(facts: Facts) -> Iterator[Finding]:
 
 
 def check_room_table(facts: Facts) -> Iterator[Finding]:
-    """The table of rooms and the cells contradict each other."""
+    """Finds: contradictions between the table of rooms and the rooms of the cells."""
     table = facts.grid.stated_rooms
     if table is None:
         return
@@ -270,13 +276,13 @@ def check_room_table(facts: Facts) -> Iterator[Finding]:
 
 
 def find_room_centers(level: SceneGrid2D) -> dict[int, Vector3]:
-    """The mean position of the cells of each room, by its index.
+    """Return the mean position of the cells of each room, by the room's index.
 
     Args:
         level: a level of a grid.
 
     Returns:
-        World x, y, z [m], rounded to a micrometre as the table of rooms states them.
+        World x, y and z by room index [m], rounded to a micrometre as in the table of rooms.
     """
     rooms, room_of_cell, num_cells = np.unique(
         level.room_index, return_inverse=True, return_counts=True
@@ -293,7 +299,7 @@ def find_room_centers(level: SceneGrid2D) -> dict[int, Vector3]:
 
 
 def check_rooms_without_way_out(facts: Facts) -> Iterator[Finding]:
-    """Nothing leads out of a room, be all doors open."""
+    """Finds: rooms that nothing leads out of, even with all doors open."""
     names = {(room.level, room.index): room.name or room.id for room in facts.rooms or ()}
     for number, level in enumerate(facts.levels):
         room_index = level.room_index
@@ -325,7 +331,10 @@ def check_rooms_without_way_out(facts: Facts) -> Iterator[Finding]:
 
 
 def check_doors(facts: Facts) -> Iterator[Finding]:
-    """A door joins a room to itself, or to none that there is; or its cells aren't as it says."""
+    """Finds: doors between a room and itself, doors of missing rooms, and wrong cells of doors.
+
+    A door's cells are wrong where their occupancy contradicts the door's state.
+    """
     room_ids = None if facts.rooms is None else {room.id for room in facts.rooms}
     doors = facts.grid.doors
     door_cells = facts.cells_of([(door, door.state) for door in doors])
@@ -387,7 +396,11 @@ def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tupl
 
 
 def check_named_links(facts: Facts) -> Iterator[Finding]:
-    """A link's stop is blocked, a lift's stops are on one level, or one leads to a dead spot."""
+    """Finds: links with blocked stops, stops in dead spots, and lifts within one level.
+
+    A dead spot is a small piece of floor that only this link leads to. Agents of a link that the
+    grid doesn't list are found, too.
+    """
     links = facts.grid.links
     agents = facts.grid.agents
     islands = facts.islands_without_links if links else []
@@ -418,7 +431,7 @@ def check_named_links(facts: Facts) -> Iterator[Finding]:
 
 
 def check_areas(facts: Facts) -> Iterator[Finding]:
-    """An area covers no cell of any level, is for an unknown agent, or cells are in none."""
+    """Finds: areas without cells, areas for unknown agents, and cells of unlisted areas."""
     areas = facts.grid.areas
     agents = facts.grid.agents
     if not areas:
@@ -466,14 +479,14 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
 
 
 def run_check(check: Callable[[Facts], Iterator[Finding]], facts: Facts) -> Iterator[Finding]:
-    """Run a check.
+    """Run a check, and report metadata that it can't read as an error.
 
     Args:
-        check: one of `CHECKS`.
-        facts: of the grid.
+        check: one of the functions of `CHECKS`.
+        facts: the facts about the grid.
 
     Yields:
-        What it finds; or an error if the metadata that it reads are broken.
+        The findings of the check. Where it raises a FormatError, the last one is that error.
     """
     try:
         yield from check(facts)
@@ -482,7 +495,7 @@ def run_check(check: Callable[[Facts], Iterator[Finding]], facts: Facts) -> Iter
 
 
 def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
-    """Look at a grid of any program for what a person would notice.
+    """Check a grid of any program for faults that a person would notice.
 
     Args:
         grid: the grid, or the path of its file.
@@ -491,7 +504,7 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
         The remarks, errors first; the report is `ok` without errors.
 
     Raises:
-        FormatError: it is neither a grid nor a path, or the file can't be read.
+        FormatError: `grid` is neither a grid nor a path, or the file can't be read.
 
     Example:
         >>> report = navbake.audit("house.grid.json")

@@ -32,7 +32,7 @@ MAX_GAPS = 10  # that are reported, the largest islands first
 
 
 def check_all_free(facts: Facts) -> Iterator[Finding]:
-    """All cells are free: nothing stands there, not even a wall."""
+    """Finds: a grid whose cells are all free, without even a wall."""
     total = sum(free.size for free in facts.free)
     if total >= MIN_CELLS and all(free.all() for free in facts.free):
         text = f"all {total} cells are free: nothing stands on the floor, and it ends nowhere"
@@ -40,7 +40,10 @@ def check_all_free(facts: Facts) -> Iterator[Finding]:
 
 
 def check_empty_levels(facts: Facts) -> Iterator[Finding]:
-    """A level has no floor, or nowhere to stand, which an inflation may do; or so has the grid."""
+    """Finds: levels without a floor, and levels or grids without a free cell.
+
+    Missing free cells are a remark only if the grid is inflated: the inflation may have closed all.
+    """
     severity = ERROR
     inflated = ""
     if facts.inflation_reach is not None:
@@ -61,7 +64,7 @@ def check_empty_levels(facts: Facts) -> Iterator[Finding]:
 
 
 def check_free_share(facts: Facts) -> Iterator[Finding]:
-    """Hardly any cell is free: a map that is black but for a few specks."""
+    """Finds: levels where hardly any cell is free, such as a black map with a few specks."""
     for number, (level, free) in enumerate(zip(facts.levels, facts.free, strict=True)):
         is_floor = free | ~np.isnan(facts.floors[number])
         total = np.count_nonzero(is_floor) if level.uses_cell_floors else free.size
@@ -72,7 +75,7 @@ def check_free_share(facts: Facts) -> Iterator[Finding]:
 
 
 def check_weights(facts: Facts) -> Iterator[Finding]:
-    """Weights and occupancy contradict each other, or a weight is none."""
+    """Finds: cells whose weight contradicts their occupancy, or is NaN or negative."""
     reach = facts.inflation_reach
     for number, level in enumerate(facts.levels):
         weights = level.weights
@@ -96,17 +99,18 @@ def check_weights(facts: Facts) -> Iterator[Finding]:
 def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
     """Mark the cells of a level that an inflation may have closed.
 
-    They have within reach, in a square, which misses none: an occupied cell, one without a floor,
-    a floor more than a step off, one of another level less than the agent's height away, or the
-    edge.
+    A cell is marked if a square around it holds a reason: an occupied cell, a cell without a floor,
+    a floor more than a step higher or lower, a floor of another level less than the agent's height
+    away, or the edge of the level. The square is slightly larger than the reach, so that no reason
+    is missed.
 
     Args:
         grid: the grid.
-        number: of the level.
-        reach: [m].
+        number: the level's index.
+        reach: how far from a cell's centre an inflation looks for reasons [m].
 
     Returns:
-        A mask, shape (height, width).
+        A mask of the cells, shape (height, width).
     """
     level = grid.levels[number]
     floor = level.floor
@@ -135,7 +139,7 @@ def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
 
 
 def check_inflation(facts: Facts) -> Iterator[Finding]:
-    """The metadata don't tell for which radius a grid was inflated."""
+    """Finds: metadata that don't state properly for which radius the grid was inflated."""
     _, problem = read_inflations(facts.grid)
     if problem is not None:
         # in files of other programs it may mean anything
@@ -143,7 +147,7 @@ def check_inflation(facts: Facts) -> Iterator[Finding]:
 
 
 def check_layers(facts: Facts) -> Iterator[Finding]:
-    """Stored layers contradict what they follow from: islands and clearance."""
+    """Finds: stored `island` and `clearance` layers that differ from the computed ones."""
     if not facts.grid.navbake:
         return  # in files of other programs they may be anything
     for number, level in enumerate(facts.levels):
@@ -163,7 +167,7 @@ def check_layers(facts: Facts) -> Iterator[Finding]:
 
 
 def check_floors(facts: Facts) -> Iterator[Finding]:
-    """Free cells have no floor, or one that is absurdly high or low."""
+    """Finds: free cells without a floor, or with one that is absurdly high or low."""
     for number, level in enumerate(facts.levels):
         if level.uses_cell_floors:
             floor = facts.floors[number]
@@ -184,9 +188,10 @@ class _Patch(NamedTuple):
 
 
 def check_jumps(facts: Facts) -> Iterator[Finding]:
-    """A patch of floor lies more than a step above or below what is round it.
+    """Finds: patches of floor more than a step above or below the floor around them.
 
-    It is a spike, a pit, or the top of something: an error if it is too small for a floor.
+    Such a patch is a spike, a pit, or the top of an object. It is an error if it is too small for a
+    floor, and nearly all of its outline jumps.
     """
     patches = sorted(_find_jumping_patches(facts))
     for patch in patches[:MAX_PATCHES]:
@@ -259,7 +264,13 @@ class _Jumps(NamedTuple):
         return cls(np.zeros(num_islands), np.zeros(num_islands))
 
     def add(self, islands: NDArray[np.int32], heights: Float) -> None:
-        """Add edges of islands, with their heights where these are > 0 [m]."""
+        """Add edges to the outlines of islands.
+
+        Args:
+            islands: the island of each edge, shape (n,).
+            heights: the height of each edge's jump, shape (n,) [m]; edges with heights <= 0 are
+                ignored.
+        """
         is_jump = heights > 0
         jumping = islands[is_jump]
         self.num_edges[:] += np.bincount(jumping, minlength=len(self.num_edges))
@@ -267,14 +278,15 @@ class _Jumps(NamedTuple):
 
 
 def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
-    """The cells whose value differs from that of a cell to the right, then below.
+    """Yield pairs of cells in a row, then pairs in a column, whose values differ.
 
     Args:
-        values: by cell, shape (height, width).
-        gap: how many columns, or rows, that cell is away.
+        values: the value of each cell, shape (height, width).
+        gap: the distance between both cells of a pair, in columns or rows.
 
     Yields:
-        Flat ids of the cells, and how far the others are in the flat array.
+        The flat ids of the left or upper cells of the pairs, shape (n,), and the offset to add to
+        an id to get the pair's second cell.
     """
     width = values.shape[1]
     differs_right = values[:, :-gap] != values[:, gap:]
@@ -293,10 +305,11 @@ class _Gap(NamedTuple):
 
 
 def check_cut_off(facts: Facts) -> Iterator[Finding]:
-    """One cell, or two or three side by side, cut off an island, with all doors open.
+    """Finds: islands that one to three cells side by side cut off, with all doors open.
 
-    More cells between the same two islands are a thin wall; cells in it that nothing occupies are a
-    gap closed for a larger agent. The floors on both sides are within a step of each other.
+    More blocked cells between the same two islands are taken for a thin wall. In a wall, cells that
+    nothing occupies are a gap that was closed for a larger agent. The floors on both sides have to
+    be within a step of each other.
     """
     gaps = sorted(_find_gaps(facts), key=lambda gap: -gap.area)
     for gap in gaps[:MAX_GAPS]:
@@ -338,7 +351,7 @@ def _find_gaps(facts: Facts) -> Iterator[_Gap]:
 
 
 def check_unreached_levels(facts: Facts) -> Iterator[Finding]:
-    """No link leads to a level from the one with the most free cells."""
+    """Finds: levels that no links connect with the level that has the most free cells."""
     num_levels = len(facts.levels)
     num_free = [int(free.sum()) for free in facts.free]
     linked_levels = tuple(facts.links[:, ::2].T)

@@ -34,7 +34,7 @@ RIGHT = (np.s_[:, :-1], np.s_[:, 1:])
 
 
 class Finding(NamedTuple):
-    """What a check yields; `Remark` adds the name of the check."""
+    """A fault that a check yields. `Remark` adds the name of the check."""
 
     severity: str  # ERROR or REMARK
     level: int | None  # 0 is the lowest; None for the whole grid
@@ -75,7 +75,7 @@ class AuditReport:
 
     @property
     def errors(self) -> list[Remark]:
-        """The remarks that can't be right."""
+        """The remarks that are errors: what they describe can't be right."""
         return [remark for remark in self.remarks if remark.severity == ERROR]
 
     @property
@@ -102,20 +102,20 @@ def number_islands(
 ) -> list[Int32]:
     """Number the connected components of all levels' marked cells.
 
-    It shares no code with a bake. Neighbours by an edge are connected unless their floors lie more
-    than a step apart.
+    This shares no code with the bake. Cells that share an edge are connected unless their floors
+    lie more than a step apart.
 
     Args:
-        masks: the cells of each level, shape (height, width).
-        floors: their floors, NaN for none, of the same shapes [m].
+        masks: the marked cells of each level, shape (height, width).
+        floors: the floor of each cell of each level, shape (height, width) [m]; NaN for none.
         step_limit: how far the floors of connected neighbours may lie apart [m].
-        links: level and cell of both ends of links, shape (n, 4), which connect both ways.
-        one_way_links: of the same shape: what they connect in both directions together is
-            connected.
+        links: links that connect both ways: level and cell of both ends, shape (n, 4).
+        one_way_links: links that lead from their first end to their second one, shape (n, 4). They
+            connect cells between which they lead in both directions together.
 
     Returns:
-        The island of each cell of each level, from 1, the largest first; 0 for none. Of islands of
-        one size, that with the lowest cell comes first.
+        The island of each cell of each level, numbered from 1 by descending size; 0 for unmarked
+        cells. Among islands of one size, the one with the lowest cell id comes first.
     """
     labels = list[Int32]()
     num_labels = 1
@@ -167,14 +167,14 @@ def _label_walkable(mask: Bool, floor: Float, step_limit: float) -> tuple[Int32,
 
 
 def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
-    """Read what a grid was inflated for.
+    """Read from a grid's metadata how it was inflated.
 
     Args:
         grid: a grid of any program.
 
     Returns:
-        Entries with a ``mode``, ``radius`` and ``clearance`` [m]; and what is wrong with the first
-        entry that can't be read, None if nothing is.
+        The inflations, each with ``mode``, and ``radius`` and ``clearance`` [m]; and a message
+        about the first entry that can't be read, None if all can.
     """
     entries = grid.metadata.get("inflation", [])
     if not isinstance(entries, list):
@@ -193,14 +193,19 @@ def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
 
 
 def is_within(value: object, least: float, most: float) -> bool:
-    """Whether a value is a number, no bool, from `least` to `most`."""
+    """Return whether a value is a number from `least` to `most`; a bool is no number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return least <= value <= most
 
 
 def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
-    """What is wrong with the sizes of the agent that a grid states, by their keys."""
+    """Return what is wrong with the agent's sizes in a grid's metadata.
+
+    Returns:
+        Messages by the metadata's keys, such as ``agentHeight``; under ``step`` if the agent's step
+        is at least as high as the agent. Empty if nothing is wrong.
+    """
     problems = {}
     for key, least, expected in (
         ("agentHeight", math.ulp(0.0), "> 0"),
@@ -219,19 +224,20 @@ def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
 class Facts:
     """The layers, tables and islands of a grid, without obstacles that were added to it.
 
-    Tables that are broken count as empty, and `rooms` are None then: checks report them.
+    Broken tables count as empty, and `rooms` is None then; checks report them.
 
     Attributes:
         grid: the grid without added obstacles.
-        levels: its levels, 0 is the lowest; the lists below have an entry for each.
-        free: the free cells, shape (height, width).
-        floors: the floors, NaN for none [m].
-        settings: those of the bake; empty for grids of other programs.
-        doors: its doors.
-        rooms: its rooms.
-        links: level and cell of both ends of steps between levels, shape (n, 4).
-        passages: so of open links that the agent fits, from stop to stop.
-        forbidden_areas: the numbers of areas that nobody may enter.
+        levels: the grid's levels, lowest first; the lists below have an entry for each.
+        free: masks of the free cells, shape (height, width).
+        floors: heights of the floors, shape (height, width) [m]; NaN for none.
+        settings: the settings of the bake; empty for grids of other programs.
+        doors: the grid's doors.
+        rooms: the grid's rooms; None if their table is broken.
+        links: steps between levels: level and cell of both ends, shape (n, 4).
+        passages: directed connections by open named links that the agent fits: level and cell of
+            the first and of the last stop, shape (n, 4).
+        forbidden_areas: the numbers of the areas that no agent may enter.
     """
 
     def __init__(self, grid: GridBase) -> None:
@@ -276,23 +282,23 @@ class Facts:
 
     @cached_property
     def step_limit(self) -> float:
-        """How far apart floors of one walk may be: a step, and what float32 rounds off [m]."""
+        """The greatest height between connected floors: a step, and float32's rounding [m]."""
         highest = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
         rounding = float(np.spacing(np.float32(min(highest, FARTHEST))))
         return self.grid.max_step + STEP_SLACK + rounding
 
     @cached_property
     def inflation_reach(self) -> float | None:
-        """How far from a cell's centre the cause may be for which an inflation closed it [m].
+        """How far from a closed cell's centre the reason may lie that an inflation had [m].
 
-        The radius and clearance, the largest of several inflations; None without any.
+        That is the radius plus the clearance, the largest of several inflations; None without any.
         """
         inflations, _ = read_inflations(self.grid)
         reaches = [float(entry["radius"] + entry["clearance"]) for entry in inflations]
         return max(reaches, default=None)
 
     def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
-        """Mark the cells of each level that doors block in given states."""
+        """Return masks of the cells that doors block in given states, one for each level."""
         masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
         for door, state in doors:
             for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
@@ -301,24 +307,24 @@ class Facts:
 
     @cached_property
     def passable(self) -> list[Bool]:
-        """The cells that are free, or would be without doors."""
+        """Masks of the cells that are free, or would be free without doors, by level."""
         all_states = [(door, state) for door in self.doors for state in door.cells]
         door_cells = self.cells_of(all_states)
         return [free | door for free, door in zip(self.free, door_cells, strict=True)]
 
     @cached_property
     def islands(self) -> list[Int32]:
-        """The connected parts of the free cells, numbered from 1, the largest first; 0 for none."""
+        """The island of each cell, by level: numbered from 1, the largest first; 0 for none."""
         return self._number_islands(self.free)
 
     @cached_property
     def open_islands(self) -> list[Int32]:
-        """The islands if no door blocked anything."""
+        """The island of each cell, by level, as if no door blocked anything."""
         return self._number_islands(self.passable)
 
     @cached_property
     def islands_without_links(self) -> list[Int32]:
-        """The islands if there were no named links."""
+        """The island of each cell, by level, as if there were no named links."""
         return number_islands(self.free, self.floors, self.step_limit, self.links)
 
     def _number_islands(self, masks: list[Bool]) -> list[Int32]:
@@ -331,24 +337,27 @@ class Facts:
         return number_islands(masks, self.floors, self.step_limit, self.links, self.passages)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
-        """World x, y and z of a cell of a level; its ground where the floor has no height [m]."""
+        """Return the position of a level's cell, at the level's ground if it has no floor [m]."""
         level = self.levels[number]
         x, y = level.lattice.positions(row, col).tolist()
         z = float(self.floors[number][row, col])
         return x, y, z if np.isfinite(z) else level.ground
 
     def first_place(self, number: int, mask: Bool) -> Vector3:
-        """The place of the first marked cell of a level."""
+        """Return the position of the first marked cell of a level, world x, y and z [m]."""
         row, col = np.unravel_index(int(np.argmax(mask)), mask.shape)
         return self.place(number, int(row), int(col))
 
     def error_on_cells(self, number: int, mask: Bool, predicate: str) -> Iterator[Finding]:
-        """One error on all marked cells of a level, at the first of them; none if none is marked.
+        """Yield one error about all marked cells of a level; nothing if none is marked.
+
+        The error is located at the first marked cell.
 
         Args:
-            number: of the level.
+            number: the level's index.
             mask: the wrong cells, shape (height, width).
-            predicate: follows "3 cells are", or "3 cells have" where it begins with "a".
+            predicate: what is wrong, such as ``free by weight``. The message puts "3 cells are"
+                before it, or "3 cells have" if it begins with the article "a".
         """
         count = int(np.count_nonzero(mask))
         if not count:

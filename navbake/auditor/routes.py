@@ -29,12 +29,12 @@ MAX_NAMES = 5  # that a remark lists
 def audit_routes(
     graph: RouteGraph | str | PathLike[str], grid: NavGrid, *, radius: float | None = None
 ) -> AuditReport:
-    """Look at a graph of routes for lanes that cross walls, and for what isn't reached.
+    """Check a graph of routes for lanes that cross walls, and for unreached places.
 
     Args:
         graph: the graph, or the path of its file.
-        grid: of the graph's scene, inflated or not, or a map of one level.
-        radius: of the agent [m]; None for the graph's.
+        grid: a grid of the graph's scene, inflated or not, or a map of one level.
+        radius: the agent's radius [m]; None for the radius that the graph states.
 
     Returns:
         The remarks, errors first.
@@ -60,7 +60,7 @@ def audit_routes(
 
 
 def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
-    """A node is on no level, in no cell, or in one that isn't free."""
+    """Finds: nodes on no level, in no cell, or in a cell that isn't free."""
     for node in graph.nodes:
         problem = None
         if node.level >= len(facts.levels):
@@ -77,7 +77,7 @@ def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
 
 
 def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Finding]:
-    """A lane crosses what is occupied, or passes it nearer than the agent's radius."""
+    """Finds: lanes that cross occupied cells, or pass nearer to them than the agent's radius."""
     for lane in graph.lanes:
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
@@ -97,19 +97,19 @@ def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Find
 def lane_clearance(
     graph: RouteGraph, lane: Lane, facts: Facts, radius: float
 ) -> tuple[float, Vector3]:
-    """How far the nearest occupied square is from a lane, and where.
+    """Return the distance from a lane to the nearest occupied square, and its position.
 
-    Cells without a floor count as occupied. Squares where another level has a free cell, within
-    the agent's height of the lane, don't: stairs go on there.
+    Cells without a floor count as occupied. Squares where another level has a free cell, within the
+    agent's height of the lane, don't count: stairs continue there.
 
     Args:
         graph: the lane's graph.
-        lane: along a straight line on one level.
-        facts: of the grid.
-        radius: within which squares are looked for [m].
+        lane: a lane along a straight line on one level.
+        facts: the facts about the grid.
+        radius: the largest distance to search [m].
 
     Returns:
-        The distance [m], inf if there is nothing within the radius; and the square's centre at the
+        The distance [m], inf if no square is within the radius; and the square's centre, at the
         lane's height.
     """
     start = graph.nodes[lane.start]
@@ -154,15 +154,15 @@ def _has_free_cell_of_other_level(facts: Facts, number: int, positions: Float, z
 
 
 def distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
-    """How far squares along the axes are from a line.
+    """Return the distances from a line segment to axis-aligned squares.
 
     Args:
-        ends: of the line, shape (2, 2) [m].
-        centers: of the squares, shape (n, 2) [m].
+        ends: the ends of the segment, shape (2, 2) [m].
+        centers: the centres of the squares, shape (n, 2) [m].
         half: half of a square's edge [m].
 
     Returns:
-        Distances, shape (n,), 0 where the line enters the square [m].
+        Distances, shape (n,) [m]; 0 where the segment enters the square.
     """
     start = ends[0]
     direction = ends[1] - ends[0]
@@ -191,7 +191,7 @@ def distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
 
 
 def check_components(graph: RouteGraph) -> Iterator[Finding]:
-    """Nodes that no lanes connect with the others, and lanes that lead nowhere back."""
+    """Finds: nodes that no lanes connect with the main part, and lanes without a way back."""
     if not graph.nodes:
         yield Finding(ERROR, None, None, "the graph has no nodes")
         return
@@ -214,7 +214,7 @@ def check_components(graph: RouteGraph) -> Iterator[Finding]:
 
 
 def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
-    """Junctions and waypoints with less than two neighbours."""
+    """Finds: junctions and waypoints with fewer than two neighbours."""
     neighbors: list[set[int]] = [set() for _ in graph.nodes]
     for lane in graph.lanes:
         neighbors[lane.start].add(lane.end)
@@ -232,7 +232,7 @@ def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
 
 
 def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
-    """Islands of the grid, as it is, that are large and have no node."""
+    """Finds: large islands of the grid, in its present state, that have no node."""
     areas: dict[int, float] = {}
     for level, islands in zip(facts.levels, facts.islands, strict=True):
         for island, count in enumerate(np.bincount(islands.ravel()).tolist()):

@@ -34,14 +34,14 @@ PATIENCE = 5.0  # for a slice that looks whether the whole batch runs [s]
 
 
 class Slice(NamedTuple):
-    """Every `total`-th scene of a batch, from scene `number` on; 1 is the first."""
+    """A slice of a batch: every `total`-th scene, from scene `number` on, counted from 1."""
 
     number: int
     total: int
 
     @property
     def file(self) -> str:
-        """The name of its part of the index."""
+        """The file name of the slice's part of the index."""
         return f"index-{self.number}-of-{self.total}.jsonl"
 
 
@@ -49,8 +49,9 @@ class Slice(NamedTuple):
 def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
     """Hold the lock of an output folder; the system releases it when the process ends.
 
-    Slices exclude themselves and whole batches, and a whole batch all others. Raises a NavbakeError
-    if another batch holds a lock, or the folder can't be made or written.
+    A whole batch excludes all others. A slice excludes whole batches and other runs of the same
+    slice. Raises a NavbakeError if another batch holds a lock, or the folder can't be made or
+    written.
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
@@ -87,9 +88,10 @@ def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
 
 
 class LineFile:
-    """A file of JSON lines, each added in one write, so that several may write and read it.
+    """A file of JSON lines, to which several processes may append at once.
 
-    It is made if missing; a NavbakeError calls it `what` if it can't be written.
+    Each line is added in one write. The file is created if it is missing. If it can't be written, a
+    NavbakeError calls it `what`.
     """
 
     def __init__(self, path: Path, what: str) -> None:
@@ -119,10 +121,10 @@ class LineFile:
 def write_index(
     folder: store.Folder, rows: Iterable[Json], has_table: bool, part: Slice | None = None
 ) -> None:
-    """Write a batch's rows in its order, then the existing rows of other scenes.
+    """Write the index: a batch's rows in its order, then the existing rows of other scenes.
 
-    The latter include those of slices, whose parts of the index are then removed. A slice writes
-    its own rows alone.
+    The existing rows include those of slices, whose parts of the index are then removed. A slice
+    writes only its own rows.
     """
     row_of_scene = {row["id"]: row for row in rows}
     if part is not None:
@@ -140,16 +142,19 @@ def write_index(
 
 
 def find_parts(folder: store.Folder) -> list[str]:
-    """The names of the parts of the index that slices wrote, by count and number."""
+    """Return the file names of the parts of the index that slices wrote, sorted.
+
+    They are sorted by the number of slices, then by the slice's number.
+    """
     names = store.sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
     matches = [match for match in map(PART.fullmatch, names) if match]
     return [match[0] for match in sorted(matches, key=lambda match: (int(match[2]), int(match[1])))]
 
 
 def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
-    """The last row of each scene, by its id; {} without an index.
+    """Read an index: the last row of each scene, by the scene's id; {} without an index.
 
-    A truncated line, as of a killed batch, is skipped.
+    A truncated line, which a killed batch may leave, is skipped.
     """
     rows: dict[str, Json] = {}
     content = b""
@@ -167,7 +172,7 @@ def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
 
 
 def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, Json]:
-    """The rows of an index and parts of it, by id: of each scene, the one that ended last."""
+    """Merge the rows of several index files; return the latest row of each scene, by its id."""
     rows: dict[str, Json] = {}
     for name in names:
         for id, row in read_index(folder, name).items():
@@ -178,7 +183,7 @@ def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, Json]:
 
 
 def line_of(row: Json) -> bytes:
-    """A row as a line of JSON."""
+    """Return a row as a line of JSON."""
     return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
@@ -193,7 +198,7 @@ def _refuse(word: str) -> float:
 def encode_rows(rows: Iterable[Json]) -> bytes:
     """Encode rows as Parquet with the fixed columns of `_schema`; equal rows give equal bytes.
 
-    Raises a NavbakeError if a row has a value of another type, as in an edited index.
+    Raises a NavbakeError if a value has a type other than its column's, as in an edited index.
     """
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     pyarrow = import_extra("pyarrow", "batch", "Parquet")

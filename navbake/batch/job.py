@@ -69,20 +69,23 @@ class Plan(NamedTuple):
     hosts: tuple[str, ...] = ()
 
     def place(self, job: Job) -> store.Folder:
-        """A scene's output folder; a NavbakeError if it is a link out of `folder`."""
+        """Return a scene's output folder.
+
+        Raises a NavbakeError if the folder is a link that leads out of the batch's output folder.
+        """
         place = store.as_folder(store.join(self.folder, job.id))
         store.check_inside(self.folder, place)
         return place
 
     def trusted_urls(self, job: Job) -> list[str]:
-        """The URLs of a scene that the user gave, not a list on a store."""
+        """Return the URLs of a scene that the user gave, not those that a list gave."""
         settings = [self.settings, apply_overrides({}, self.overrides)]
         settings += [] if job.list else [job.settings]
         return [name for name in (job.list or job.source, *map(outlines_of, settings)) if name]
 
 
 class Scene(NamedTuple):
-    """A scene before its bake."""
+    """The settings, input files and digests of a scene that is to be baked."""
 
     config: BakeConfig  #: Its settings, with paths on this machine.
     #: Size and digest of each input file, by its path from the output folder, or its URL.
@@ -101,9 +104,10 @@ class Scene(NamedTuple):
 def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[Scene]:
     """Find a scene's files and compute its key; copies from stores exist inside the with statement.
 
-    The key is a digest of the settings, navbake's version, the products, and name and content (or a
-    store's digest) of each input file. Textures and skins change no cell and are left out. With
-    `copy_all`, all files are copied from stores, else only those that name others.
+    The key is a digest of the settings, navbake's version, the products, and the name and content
+    (on a store: the store's digest) of each input file. Textures and skins are left out, as they
+    change no cell. With `copy_all`, all files are copied from stores; without, only files that name
+    further files.
     """
     store.allow_hosts(plan.hosts)
     store.check_host(job.source, plan.trusted_urls(job))
@@ -160,11 +164,12 @@ def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
 def check_record(
     plan: Plan, job: Job, sizes: Mapping[str, int] | None = None
 ) -> tuple[Json | None, str]:
-    """The row of a scene that is done (its key is the same, and its files exist), else why not.
+    """Return the row of a scene that is done, or the reason why it has to be baked.
 
-    Why is ``new``, ``made files`` (missing, or of another size), or what changed of the key:
-    ``version``, ``products``, ``settings``, or ``files`` and their names. `sizes` are those of all
-    files in the output folder if it is on a store.
+    A scene is done if its recorded key is the same and its files exist. Of the two values, the row
+    is None if it isn't done. The reason is ``new``; ``made files`` if files are missing or have
+    another size; or the part of the key that changed: ``version``, ``products``, ``settings``, or
+    ``files`` and their names. `sizes` has the sizes of all files in an output folder on a store.
     """
     if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
         return None, NEW
@@ -195,7 +200,7 @@ def check_record(
 
 
 def read_record(place: store.Folder) -> Json:
-    """The record in a scene's folder of the files made there; {} if none."""
+    """Return the record of the files that a batch made in a scene's folder; {} if none."""
     with suppress(NavbakeError, ValueError):
         record = json.loads(store.read_file(store.join(place, RECORD)))
         if isinstance(record, dict) and isinstance(record.get("files"), dict):
@@ -211,8 +216,8 @@ def write_record(place: store.Folder, record: Json) -> None:
 def remove_made(place: store.Folder) -> None:
     """Remove a scene's recorded outputs and leftovers of killed writers, and nothing else.
 
-    A scene's folder may hold the user's own files. So the names of all products are recorded before
-    they are made.
+    A scene's folder may hold the user's own files. To tell them apart, the names of all products
+    are recorded before they are made.
     """
     record = read_record(place)
     made = filter(OWN.fullmatch, {*record.get("files", ()), *record.get("more", ())} - {GRID})
@@ -226,11 +231,12 @@ def remove_made(place: store.Folder) -> None:
 
 
 def bake_scene(plan: Plan, job: Job) -> Json:
-    """Bake a scene and write all products; returns its row of the index.
+    """Bake a scene and write all products; return the scene's row of the index.
 
-    Files appear whole, the grid last; a scene that fails leaves none, and its row has the reason.
-    Only a MemoryError is raised, also for errors that `lacked_memory` recognizes, as the state of
-    the process is unknown then. If the output has no room, the status is ``left``.
+    Each file appears whole, and the grid appears last. A scene that fails leaves no files, and its
+    row has the reason. Of all errors, only a MemoryError is raised, also in place of errors that
+    `lacked_memory` recognizes, as the state of the process is unknown then. If the output has no
+    room, the row's status is ``left``.
     """
     begin = time.perf_counter()
     try:
@@ -249,19 +255,19 @@ def bake_scene(plan: Plan, job: Job) -> Json:
 
 
 def begin_row(plan: Plan, job: Job, status: str) -> Json:
-    """The first fields of a scene's row in the index."""
+    """Return the first fields of a scene's row in the index."""
     return {"id": job.id, "status": status, "source": _name(plan, job.source)}
 
 
 def fail(plan: Plan, job: Job, how: str, why: str, seconds: float) -> Json:
-    """The row of a failed scene, whose files are removed."""
+    """Remove the files of a failed scene, and return its row of the index."""
     with suppress(NavbakeError):
         remove_made(plan.place(job))
     return {**begin_row(plan, job, FAILED), "how": how, "error": why, **_times(seconds)}
 
 
 def stamp() -> str:
-    """The time as ISO 8601: UTC, to a millisecond."""
+    """Return the current time in UTC as ISO 8601, to a millisecond."""
     now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
     return now.replace("+00:00", "Z")
 
@@ -269,7 +275,7 @@ def stamp() -> str:
 def prepare(products: Iterable[str], thumbnail: bool) -> None:
     """Set up a worker, and make all products of a sample once.
 
-    So modules are loaded outside of the scenes' times.
+    Thus modules are loaded before the first scene, and don't count in its time.
     """
     limit_mesh_cache(CACHE)
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])

@@ -57,9 +57,9 @@ NAMED = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")  # in a path, a file's name or
 def write_page(
     folder: store.Folder, path: Path | None = None, *, progress: tuple[int, int] | None = None
 ) -> None:
-    """Write the page of a batch, whole or not at all: to `path`, or into its folder.
+    """Write the page of a batch to `path`, or into the batch's folder, whole or not at all.
 
-    `progress` is the number of ended scenes of a running batch, and of all.
+    `progress` is the number of ended scenes of a running batch, and the number of all scenes.
     """
     base = "."
     if path is not None:
@@ -89,9 +89,9 @@ def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
 
 
 def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
-    """Draw missing thumbnails from the grids; returns how many are still missing.
+    """Draw missing thumbnails from the grids; return how many are still missing.
 
-    `show` is called with the share that is done. Raises FullError if the folder has no room.
+    `show` is called with the fraction that is done. Raises FullError if the folder has no room.
     """
     has_thumbnail = _find_thumbnails(folder)
     num_failed = 0
@@ -116,7 +116,10 @@ def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
 
 
 class LivePage:
-    """The page of a running batch, in a small share of its time; on a store, only at its end."""
+    """Keeps the page of a running batch up to date, in a small share of the batch's time.
+
+    On a store, the page isn't written while the batch runs.
+    """
 
     def __init__(self, folder: store.Folder, total: int) -> None:
         self._folder = folder
@@ -135,10 +138,11 @@ class LivePage:
 
 
 def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -> Json:
-    """The page's data of the rows of an index.
+    """Return the data that the page shows, from the rows of an index.
 
-    ``scenes``; ``work``, see `measure_work` [s]; ``groups``, the group of each status and of each
-    of `TEXTS`; ``edges`` of the bars of each chart; ``classes``, lower edges of the episodes'
+    Its keys are ``scenes``, a list of the scenes; ``work``, see `measure_work` [s]; ``groups``,
+    which maps each status, and each text of the kinds in `TEXTS`, to the name of its group;
+    ``edges``, the edges of each chart's bars; and ``classes``, the lower edges of the episodes'
     classes.
     """
     scenes: list[Json] = []
@@ -163,7 +167,7 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
 
 
 def measure_work(scenes: Iterable[Json]) -> float:
-    """The time in which at least one scene was being baked [s], over all runs of the batch."""
+    """Return for how long at least one scene was being baked [s], over all runs of the batch."""
     work = 0.0
     reached = -math.inf
     spans = []
@@ -201,10 +205,10 @@ def _group(texts: Iterable[str]) -> dict[str, str]:
 
 
 def fold(text: str) -> str:
-    """A text without scene-specific parts, to group similar messages.
+    """Replace the scene-specific parts of a message, so that similar messages become equal.
 
-    Quoted parts, paths, names of files and words with digits become ``…``, numbers ``#``. Settings
-    in backticks stay.
+    Quoted parts, paths, file names and words with digits become ``…``, and numbers become ``#``.
+    Settings in backticks stay.
     """
 
     def replace(match: re.Match[str]) -> str:

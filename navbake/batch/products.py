@@ -59,10 +59,11 @@ KINDS = {
 
 
 def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
-    """Check ``KIND`` or ``KIND:VALUE:…``; unique, sorted, numbers in their shortest form.
+    """Parse products written as ``KIND`` or ``KIND:VALUE:…``, and return them normalized.
 
-    So equal products have equal keys in any order. Raises a ConfigError for an unknown kind or
-    wrong values, and a MissingDependencyError without an extra.
+    They are unique and sorted, and numbers have their shortest form, so that equal products give
+    equal keys in any order. Raises a ConfigError for an unknown kind or wrong values, and a
+    MissingDependencyError if an extra isn't installed.
     """
     unknown = (0, -1, f"one of {', '.join(usage for *_, usage in KINDS.values())}")
     products = set()
@@ -109,7 +110,7 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
 
 
 def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
-    """Write the files of a product, each whole or not at all; returns its values for the row."""
+    """Write the files of a product, each whole or not at all; return fields for the scene's row."""
     kind, *values = product.split(":")
     if kind == "inflated":
         clearance = float(values[1]) if len(values) > 1 else None
@@ -155,10 +156,10 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
 
 
 def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
-    """Merge several scenes' sets of episodes in order; returns pieces of a file.
+    """Merge several scenes' sets of episodes in order; return the pieces of the merged file.
 
-    `sets` are the scenes' ids and files. Raises a NavbakeError if the agents differ, or two scenes
-    have one id.
+    `sets` has a scene's id and file for each set. Raises a NavbakeError if the agents differ, or
+    two scenes have one id.
     """
     headers = list[Header]()
     pieces = list[bytes]()

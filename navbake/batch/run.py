@@ -71,7 +71,7 @@ there is none to bake; ``scene-begin`` with an `id`; ``retry`` with why; ``scene
 
 @dataclass
 class BatchResult:
-    """The result of a batch."""
+    """The outcome of a batch."""
 
     #: Of each scene, in the batch's order, as in the index.
     rows: list[Json] = field(default_factory=list)
@@ -79,7 +79,7 @@ class BatchResult:
     stopped: str | None = None  #: Why the batch ended early, None if it didn't.
 
     def count(self, status: str) -> int:
-        """Number of scenes with a status: ``ok``, ``failed`` or ``left``."""
+        """Return the number of scenes with a status: ``ok``, ``failed`` or ``left``."""
         return sum(row["status"] == status for row in self.rows)
 
 
@@ -212,7 +212,7 @@ def run_batch(
 
 
 def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
-    """Merge the scenes' sets of episodes, of each product, into a file beside the index.
+    """Merge the scenes' sets of episodes; write one file for each product beside the index.
 
     Raises a NavbakeError if they can't be merged, see `products.merge_sets`, or written.
     """
@@ -226,11 +226,12 @@ def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
 
 
 def write_shards(folder: store.Folder, rows: Sequence[Json], count: int | None) -> None:
-    """Write ``shard-000000.tar`` and on, `count` of them, or one a scene if there are fewer scenes.
+    """Pack the scenes into `count` tar files: ``shard-000000.tar`` and so on.
 
-    `rows` are those of the index; scenes that aren't ``ok`` are left out. Shards are recorded as
-    the files of a scene are. Outdated ones are removed, all of them if `count` is None; other files
-    of such a name are left alone.
+    If there are fewer scenes than `count`, each gets a shard. `rows` are the rows of the index;
+    scenes that aren't ``ok`` are left out. Shards are recorded as a scene's files are. Recorded
+    shards of earlier runs are removed, all of them if `count` is None; other files of such a name
+    are left alone.
     """
     packed = [row for row in rows if row["status"] == OK] if count else []
     number = min(count or 0, len(packed))
@@ -270,17 +271,18 @@ def _member(name: str, content: bytes) -> Iterator[bytes]:
 
 
 def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, str]]:
-    """What `job.check_record` returns for each scene."""
+    """Return the result of `job.check_record` for each scene, in order."""
     sizes = store.sizes_below(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(AT_ONCE) as pool:  # stores respond slowly
         return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
 
 
 def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dict[str, str]:
-    """The scenes that aren't done but equal another one: its id, by theirs.
+    """Find scenes that aren't done but have the same content as another scene.
 
-    That is one that is done, else the first of them. Scenes on stores are compared with those of
-    the same URL only, as their content isn't here.
+    Returns the id of the twin by the scene's id. The twin is a scene that is done, or else the
+    first of the equal scenes. Scenes on stores are compared only with those of the same URL, as
+    their content isn't on this machine.
     """
 
     def content_of(job: Job) -> str:
@@ -307,7 +309,7 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dic
 
 
 def line_of_event(event: str, values: Json) -> Json:
-    """An event as a line of JSON for log collectors.
+    """Return an event of a batch as an object for one line of JSON, for log collectors.
 
     It has ``time``, ``level`` (``info``, ``warning`` or ``error``) and ``event``: ``begin``,
     ``scene-begin``, ``retry``, ``scene`` or ``end``. Its other keys are those of the index.
@@ -328,10 +330,11 @@ def line_of_event(event: str, values: Json) -> Json:
 def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
     """Find out what a batch would do, and write nothing.
 
-    Returns an object for each scene, in order: `id`, `source`, `bytes` of its files, and `why` it
-    would be baked: ``new``, ``failed before``, ``equal to ID`` (which is baked once for both), or a
-    reason of `job.check_record`. Or ``done``, or ``broken: REASON`` for a scene that can't be read.
-    Raises a ConfigError if an override or a shared setting is wrong.
+    Returns an object for each scene, in order, with `id`, `source`, the `bytes` of its files, and
+    `why`. `why` is the reason why it would be baked: ``new``, ``failed before``, ``equal to ID``
+    (which is baked once for both), or a reason of `job.check_record`. For a scene that would not be
+    baked it is ``done``, or ``broken: REASON`` if the scene can't be read. Raises a ConfigError if
+    an override or a shared setting is wrong.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     checked = check_records(plan, jobs)
@@ -367,10 +370,10 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
 
 
 def measure_cost(rows: Iterable[Json]) -> Json | None:
-    """What scenes that are ``ok`` cost, None without one.
+    """Return statistics of what the scenes that are ``ok`` cost; None without such a scene.
 
-    Returns how many `scenes` there are, and of their `seconds`, and of the `bytes` of the files
-    that were made, the sum, the median, the 90th percentile and the largest.
+    The object has the number of `scenes`, and the sum, the median, the 90th percentile and the
+    maximum of two quantities: the `seconds` of a scene, and the `bytes` of the files made of it.
     """
     done = [row for row in rows if row.get("status") == OK]
     if not done:

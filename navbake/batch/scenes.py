@@ -102,9 +102,10 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -
 def check_id(name: str, place: str) -> None:
     r"""Refuse an id that may lead out of the output folder, or that some file system refuses.
 
-    Raises a ConfigError if it is empty or absolute, or the name of a file that navbake writes of
-    another scene; or if a part of it begins with a dot, ends with a dot or a space, is too long, is
-    a name that Windows reserves, or has one of ``\:*?"<>|`` or an unprintable character.
+    Raises a ConfigError if the id is empty, is absolute, or names a file that navbake writes for
+    another scene. Raises it as well if a part of the id begins with a dot, ends with a dot or a
+    space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or an
+    unprintable character.
     """
     for part in name.split("/"):
         is_fit = part.isprintable() and 0 < len(part.encode()) <= MOST_NAME
@@ -119,7 +120,7 @@ def check_id(name: str, place: str) -> None:
 
 
 def fold_name(name: str) -> str:
-    """A name under Unicode's canonical caseless matching, as some file systems compare names."""
+    """Fold a name by Unicode's canonical caseless matching, as some file systems compare names."""
     return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
 
 
@@ -365,10 +366,10 @@ def check_shared(settings: Mapping[str, Any], place: str) -> None:
 
 
 def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str]) -> None:
-    """Check the shared settings and overrides before any scene.
+    """Check the shared settings and overrides before any scene is baked.
 
-    A file of outlines must exist, unless it is on a store, or an override makes it relative to each
-    scene's YAML. Raises a ConfigError.
+    A file of room outlines must exist. It isn't checked if it is on a store, or if an override
+    names it relative to each scene's YAML. Raises a ConfigError.
     """
     for override in overrides:
         key = override_key(override)
@@ -387,11 +388,11 @@ def settings_of(
     overrides: Sequence[str],
     fetch: Callable[[str], Path] = Path,
 ) -> BakeConfig:
-    """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
+    """Return a scene's settings, merged from four sources; each replaces those before it.
 
-    Its own are those of its YAML file, replaced by those of its row in a list. Paths in its YAML
-    and overrides are relative to the YAML's folder. `fetch` returns the local path of a file,
-    copied if it is on a store. Raises a ConfigError.
+    In order: the batch's shared settings, the scene's YAML file, the scene's row in a list, and the
+    overrides. Paths in the YAML and in overrides are relative to the YAML's folder. `fetch` returns
+    the local path of a file, after copying it if it is on a store. Raises a ConfigError.
     """
     place = f"the settings of {job.place}"
     own_settings: Mapping[str, Any] = {"scene": {"path": job.source}}
@@ -410,14 +411,15 @@ def settings_of(
 
 
 def of_id(name: str) -> Json:
-    """The settings that give a grid its scene's id, which may have folders; `scene.id` may not."""
+    """Return settings with a scene's id as `scene.id`, in which ``_`` replaces slashes."""
     return {"scene": {"id": name.replace("/", "_")}}
 
 
 def nest(settings: Iterable[tuple[str, Any]], folder: store.Folder, place: str) -> dict[str, Any]:
-    """Nest settings with keys such as ``agent.radius`` by section; paths are relative to a folder.
+    """Nest flat settings with keys such as ``agent.radius`` into sections.
 
-    Raises a ConfigError, with the `place`, if a key is unknown, or has keys below a value.
+    Relative paths are joined to `folder`. Raises a ConfigError, which names `place`, if a key is
+    unknown, or continues below a key that has a value.
     """
     nested: dict[str, Any] = {}
     for key, value in settings:
@@ -438,7 +440,7 @@ def nest(settings: Iterable[tuple[str, Any]], folder: store.Folder, place: str) 
 
 
 def outlines_of(settings: Mapping[str, Any]) -> str | None:
-    """The file of room outlines in settings, None for none."""
+    """Return the path of the file of room outlines in settings, None if there is none."""
     rooms = settings.get("rooms")
     name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
     return name if isinstance(name, str) else None

@@ -57,7 +57,7 @@ class MissingFileError(NavbakeError):
 
 
 def is_url(path: object) -> bool:
-    """Whether a path is the URL of a file on a store; ``file://`` is this machine's own."""
+    """Return whether a path is the URL of a file on a store; ``file://`` URLs are local."""
     match = URL.match(path) if isinstance(path, str) else None
     return match is not None and match[1].lower() not in HERE
 
@@ -67,26 +67,26 @@ def _is_web(url: str) -> bool:
 
 
 def plain_path(path: str) -> str:
-    """The path of a URL such as ``file:///a/b``; other paths and URLs are returned as they are."""
+    """Return the path of a URL such as ``file:///a/b``; other paths and URLs stay as they are."""
     match = URL.match(path)
     return match[2] if match is not None and match[1].lower() in HERE else path
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
-    """A folder as a URL without a slash at its end, or a Path."""
+    """Return a folder as a URL without a slash at its end, or as a Path if it is local."""
     text = plain_path(os.fspath(path))
     return text.rstrip("/") if is_url(text) else Path(text)
 
 
 def parent(path: str) -> Folder:
-    """The folder of a file."""
+    """Return the folder of a file."""
     if not is_url(path):
         return Path(path).parent
     return _without_query(path).rpartition("/")[0]
 
 
 def join(folder: Folder, name: str) -> str:
-    """The path of a name in a folder; a URL or an absolute path is returned as it is.
+    """Return the path of a name in a folder; a URL or an absolute path stays as it is.
 
     Raises a ConfigError if the name leads out of the folder's store.
     """
@@ -104,7 +104,7 @@ def join(folder: Folder, name: str) -> str:
 
 
 def shown(url: str) -> str:
-    """A URL for messages and the index: without a password or a query."""
+    """Return a URL without its password and query, to show in messages and the index."""
     match = URL.match(url)
     if match is None:
         return url
@@ -120,19 +120,19 @@ def _without_query(url: str) -> str:
 
 
 def allow_hosts(hosts: Iterable[str]) -> None:
-    """Allow lists and redirects on the web to lead to these hosts, in this process."""
+    """Allow lists, settings and redirects on the web to lead to these hosts, in this process."""
     _hosts.update(map(str.lower, hosts))
 
 
 def check_host(url: str, trusted_urls: Iterable[str]) -> None:
-    """Check that a list or settings on the web lead to no other host.
+    """Check that a URL that a list or settings on the web name is on a trusted host.
 
     Args:
-        url: to which they lead.
-        trusted_urls: URLs that the user gave; their hosts are allowed, and those of `allow_hosts`.
+        url: the URL that they name.
+        trusted_urls: URLs that the user gave. Their hosts are allowed, and those of `allow_hosts`.
 
     Raises:
-        NavbakeError: the URL is on the web, and on another host.
+        NavbakeError: the URL is on the web, and on a host that isn't allowed.
     """
     host = _host(url)
     hosts = {*map(_host, trusted_urls), *_hosts}
@@ -170,7 +170,7 @@ def _client_options() -> Json:
 
 
 def check_inside(folder: Folder, path: Folder) -> None:
-    """Raise a NavbakeError for a link in a local output folder that leads out of it."""
+    """Raise a NavbakeError if a path in a local output folder is a link that leads out of it."""
     if isinstance(folder, Path):
         real = Path(os.path.realpath(path))
         if not real.is_relative_to(os.path.realpath(folder)):
@@ -179,7 +179,7 @@ def check_inside(folder: Folder, path: Folder) -> None:
 
 
 def read_file(path: str | Path) -> bytes:
-    """Read a file whole; raises a NavbakeError."""
+    """Read a whole file; raises a NavbakeError if it can't be read."""
     with _naming("read", path):
         if isinstance(path, str) and is_url(path):
             system, inner = _open_store(path)
@@ -189,9 +189,10 @@ def read_file(path: str | Path) -> bytes:
 
 
 def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> None:
-    """Write a file atomically, given as bytes or pieces.
+    """Write a file atomically from bytes, or from pieces of bytes.
 
-    Raises a FullError if the folder has no room, and else a NavbakeError if it can't be written.
+    Raises a FullError if the folder has no room, and a NavbakeError if the file can't be written
+    for another reason.
     """
     with _naming("write", folder):
         if isinstance(folder, Path):
@@ -219,7 +220,7 @@ def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> N
 
 
 def remove_files(folder: Folder, names: Iterable[str]) -> None:
-    """Remove files in this order; missing ones are skipped."""
+    """Remove files in the given order; missing files are skipped."""
     with _naming("write", folder):
         for name in names:
             with suppress(FileNotFoundError, NotADirectoryError):
@@ -231,7 +232,7 @@ def remove_files(folder: Folder, names: Iterable[str]) -> None:
 
 
 def sizes_below(folder: str) -> dict[str, int]:
-    """The size of each file below a folder of a store [bytes], by its path."""
+    """Return the size of each file below a folder of a store [bytes], by the file's path."""
     with _naming("list", folder):
         system, path = _open_store(folder)
         system.invalidate_cache()  # others may have written since
@@ -244,9 +245,10 @@ def sizes_below(folder: str) -> dict[str, int]:
 
 
 def match_files(pattern: str) -> list[str]:
-    """The URLs of the files that a pattern with ``*``, ``?`` or ``[`` matches, sorted.
+    """Return the URLs of the files that a pattern with ``*``, ``?`` or ``[`` matches, sorted.
 
-    A file with exactly this name is preferred. Hidden files, with a dot first, are left out.
+    If a file has exactly the pattern as its name, only this file is returned. Hidden files, whose
+    names begin with a dot, are left out.
     """
     with _naming("list", pattern):
         system, path = _open_store(pattern)
@@ -272,7 +274,7 @@ def _digest(path: str, size: int, modified_ns: int) -> str:
 
 
 def describe_file(path: Path) -> Json:
-    """Size and sha256 of a local file."""
+    """Return the size and the sha256 of a local file."""
     status = os.stat(path)
     digest = _digest(str(path), status.st_size, status.st_mtime_ns)
     return {"size": status.st_size, "sha256": digest}
@@ -297,7 +299,7 @@ class Mirror(ExitStack):
         self.entries: dict[Path, Mapping[str, Any] | None] = {}  # of stores, by path
 
     def place(self, url: str) -> Path:
-        """The path of a store's file in the folder, copied or not."""
+        """Return the path that a store's file has in the folder, whether or not it is copied."""
         if self._folder is None:
             self._folder = Path(os.path.realpath(self.enter_context(scratch_folder())))
         scheme, _, authority_path = shown(url).partition("://")
@@ -308,7 +310,7 @@ class Mirror(ExitStack):
         return root / path
 
     def url_of(self, path: Path) -> str | None:
-        """The URL of a path in the folder; None outside."""
+        """Return the URL of a path in the folder; None for a path outside of it."""
         path = Path(os.path.abspath(path))
         for above in (path, *path.parents) if self._urls else ():
             if above in self._urls:
@@ -320,14 +322,17 @@ class Mirror(ExitStack):
         return self._find(path) is not None
 
     def ensure_local(self, path: Path) -> None:
-        """Copy a file if it isn't yet."""
+        """Copy a file from its store unless that is done already."""
         url = self.url_of(path)
         if url is not None and not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(read_file(url))
 
     def fetch(self, name: str) -> Path:
-        """The local path of a file, copied if it is on a store; for errors see `check_host`."""
+        """Return the local path of a file, after copying it if it is on a store.
+
+        Raises the errors of `check_host`.
+        """
         if not is_url(name):
             return Path(name)
         check_host(name, self._trusted_urls)
@@ -336,7 +341,7 @@ class Mirror(ExitStack):
         return path
 
     def describe(self, path: Path) -> Json:
-        """Size and a fingerprint of a file: the store's tag, else its sha256."""
+        """Return the size and a fingerprint of a file: the store's tag, or else its sha256."""
         info = self._find(path) or {}
         facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
         tag = next((f"{key}:{facts[key]}" for key in TAGS if key in facts), None)
@@ -346,7 +351,7 @@ class Mirror(ExitStack):
         return {"size": facts["size"], "tag": tag}
 
     def translate_paths(self, text: str) -> str:
-        """Replace paths of the folder in a text by the stores' URLs."""
+        """Replace the mirror's local paths in a text by the URLs of the files on their stores."""
         return re.sub(re.escape(f"{self._folder}{os.sep}") + r"([\w+.-]+)[/\\]", r"\1://", text)
 
     def _find(self, path: Path) -> Mapping[str, Any] | None:
@@ -383,7 +388,7 @@ class Mirror(ExitStack):
 
 
 def why_full(error: BaseException | None) -> OSError | None:
-    """The "disk full" error of the system, among an error and its causes, or None."""
+    """Return the system's "disk full" error among an error and its causes; None if none is."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in REMEDIES:
             return error
@@ -392,7 +397,7 @@ def why_full(error: BaseException | None) -> OSError | None:
 
 
 def refused(what: str, error: OSError) -> NavbakeError:
-    """The error for a failed write; a FullError if there is no room."""
+    """Return the error to raise for a failed write; a FullError if there is no room."""
     why = error.strerror or str(error)
     if error.errno in REMEDIES:
         remedy = REMEDIES[error.errno]

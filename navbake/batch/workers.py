@@ -57,7 +57,7 @@ Result = TypeVar("Result")
 
 
 class JobLimits(NamedTuple):
-    """The limits of one job."""
+    """The limits of time and memory of one job, and how often it is retried."""
 
     seconds: float | None = None  #: Time [s]; None for no limit.
     #: Beyond the process's own at its start [GiB]; None for no limit. On Linux only.
@@ -86,7 +86,7 @@ def do_jobs(
     on_event: OnEvent = lambda event, ended: None,
     **options: Any,
 ) -> Generator[Ended, None, None]:
-    """Do jobs in at most `count` worker processes; see `Workers` for the arguments and errors.
+    """Run jobs in at most `count` worker processes; see `Workers` for the arguments and errors.
 
     The workers end when the iterator is closed or exhausted.
     """
@@ -105,9 +105,10 @@ class Workers:
         limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
         prepare: Callable[[], None] | None = None,
     ) -> None:
-        """Set up `count` workers, >= 1, for `work`, a module's function with a picklable result.
+        """Set up `count` workers, >= 1, that call `work` for each job.
 
-        `limits` are those of each job; each worker calls `prepare`, a module's function, first.
+        `work` is a module's function with a picklable result. `limits` apply to each job. Each
+        worker calls `prepare`, a module's function, before its first job.
         """
         self._work = work
         self._count = count
@@ -126,11 +127,12 @@ class Workers:
         self._closing.close()
 
     def do(self, jobs: Sequence[Any], on_event: OnEvent) -> Iterator[Ended]:
-        """Do picklable jobs, and yield their ends in the order of completion.
+        """Run picklable jobs, and yield their results in the order of completion.
 
-        `on_event` is called when a job begins, and when it will be tried again. A job that crashed
-        its worker, or took too much memory, is tried again at the end, in a process of its own, in
-        case an earlier job in the process was the cause. Raises a NavbakeError if no worker starts.
+        `on_event` is called when a job begins, and when it will be retried. A job that crashed its
+        worker, or took too much memory, is retried after the other jobs, in a process of its own,
+        in case an earlier job in the process was the cause. Raises a NavbakeError if no worker
+        starts.
         """
         num_failures = [0] * len(jobs)
         num_breaks = 0  # of the pool, in a row
@@ -320,19 +322,21 @@ def do_on_ray(
     prepare: Callable[[], None] | None = None,
     on_event: OnEvent = lambda event, ended: None,
 ) -> Generator[Ended, None, None]:
-    """Do jobs on a Ray cluster, as `do_jobs` on one machine.
+    """Run jobs on a Ray cluster, as `do_jobs` does on one machine.
 
-    All nodes must be able to import `work`; see `Workers` for other arguments.
+    All nodes must be able to import `work`; see `Workers` for the arguments that aren't listed
+    here.
 
     Args:
-        count: the most tasks at once; None for the cluster's CPUs. More than these are requested,
-            so that an autoscaling cluster grows.
-        address: of the cluster; ``local`` starts one on this machine's loopback device for the
-            batch; None for ``RAY_ADDRESS``, else ``local``.
-        witness: a file in the output folder, which all nodes must see; None for no such check.
+        count: the largest number of tasks at once; None for the cluster's number of CPUs. More
+            tasks than CPUs are requested, so that an autoscaling cluster grows.
+        address: the cluster's address; ``local`` starts a cluster on this machine's loopback device
+            for the batch; None for ``RAY_ADDRESS``, else ``local``.
+        witness: a file in the output folder, by which each node checks that it sees the folder;
+            None for no such check.
 
     Raises:
-        NavbakeError: there is no cluster, or a node can't do the jobs; or ray isn't installed.
+        NavbakeError: there is no cluster, a node can't do the jobs, or ray isn't installed.
     """
     if not jobs:
         return

@@ -362,17 +362,18 @@ def _bake_one(
 
 
 def is_folder(output: str) -> bool:
-    """Whether an output is a folder: it exists, or ends in a slash."""
+    """Return whether an output path means a folder: it exists as one, or ends in a slash."""
     return output.endswith(("/", os.sep)) or os.path.isdir(output)
 
 
 def lay_out(
     jobs: Sequence[tuple[Path, BakeConfig]], output: str | None, name: str | None
 ) -> list[Path]:
-    """Find the output file of each CONFIG.
+    """Return the output file of each CONFIG.
 
-    That is `output`, or a file in that folder, or the settings' output, or a file in the current
-    folder. In a folder, files are named by `name`, or else by the scene's id.
+    If `output` is a file, it is that file. Otherwise it is a file in the folder `output`, by
+    default the current folder, named by `name`, or else by the scene's id. The settings' output
+    comes first if neither `output` nor `name` is given.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
@@ -387,7 +388,7 @@ def lay_out(
 
 
 def fill_name(name: str, scene_id: str, path: Path) -> str:
-    """Fill in the fields of a file's name; refuses one that leads out of the folder."""
+    """Fill in the fields of a file's name; refuse a name that leads out of the folder."""
     try:
         filled = name.format(id=scene_id, stem=path.stem, parent=path.parent.name)
     except (AttributeError, LookupError, ValueError) as error:

@@ -42,7 +42,7 @@ MAX_NAMES = 5  # of scenes in a line of --plan
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Which scenes a batch bakes, and with which settings."""
+    """The options that say which scenes a batch bakes, and with which settings."""
 
     sources: list[str] = argument(
         "SOURCE",
@@ -64,7 +64,7 @@ class SceneOptions:
 
 @dataclass(frozen=True)
 class ProductOptions:
-    """What a batch writes."""
+    """The options that say what a batch writes."""
 
     output: str = option(
         "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT, default=...
@@ -84,7 +84,7 @@ class ProductOptions:
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """The worker processes of a batch, and the limits of a scene."""
+    """The options of a batch's worker processes, and the limits of a scene."""
 
     count: int | None = option(
         "N", "Worker processes: 1 unless given, on a cluster one a CPU.", "-j", "--jobs", min=1
@@ -107,7 +107,7 @@ class WorkerOptions:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Whether a batch bakes at all, and what it prints."""
+    """The options that say whether a batch bakes at all, and what it prints."""
 
     preview: bool = flag("--plan", "Bake nothing: say what would be baked, why, and its size.")
     merge: bool = flag("--merge", "Bake nothing: merge the indexes of slices into one.")

@@ -31,30 +31,31 @@ if TYPE_CHECKING:
 
 
 def option(metavar: str, text: str, *names: str, default: Any = None, **limits: Any) -> Any:
-    """An option with a value.
+    """Return typer's declaration of an option that takes a value.
 
     Args:
-        metavar: what help shows in place of the value.
-        text: what help says.
-        names: ``--name`` and others; those of the parameter unless given.
-        default: the value unless the option is given; ``...`` for an option that has to be given.
-        limits: `min` and `max` of a number.
+        metavar: the placeholder for the value in the help, such as ``FILE``.
+        text: the option's help.
+        names: the option's names, such as ``--name`` and ``-n``; by default typer derives one from
+            the parameter's name.
+        default: the value if the option isn't given; ``...`` if it has to be given.
+        limits: the smallest (`min`) and the largest (`max`) number that is accepted.
     """
     return Option(default, *names, metavar=metavar, help=text, **limits)
 
 
 def argument(metavar: str, text: str, default: Any = ...) -> Any:
-    """An argument, which has to be given unless it has a default."""
+    """Return typer's declaration of an argument, which is required unless it has a default."""
     return Argument(default, metavar=metavar, help=text)
 
 
 def flag(name: str, text: str, *names: str) -> Any:
-    """An option without a value."""
+    """Return typer's declaration of an option without a value, off by default."""
     return Option(False, name, *names, help=text)
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
-    """Check that overrides are KEY=VALUE; the settings check the keys."""
+    """Check that each override has the form KEY=VALUE; loading the settings checks the keys."""
     for override in overrides or []:
         if "=" not in override:
             raise BadParameter(f"expected KEY=VALUE, got {override!r}")
@@ -62,7 +63,7 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
 
 
 def override_model_path(folders: list[Path] | None) -> list[str]:
-    """The override of `--model-path`, relative to the current folder."""
+    """Return the overrides that `--model-path` stands for; paths become absolute."""
     listed = [str(folder.absolute()) for folder in folders or []]
     return [f"scene.model_path={json.dumps(listed)}"] if listed else []
 
@@ -139,18 +140,18 @@ def check_output(
     may_make_folder: bool = False,
     option: str = "-o",
 ) -> None:
-    """Check that an output can be written and does no harm, before any work is done.
+    """Check, before any work is done, that an output can be written and overwrites no input.
 
     Args:
-        path: of the file; ``-``, which is stdout, is always valid.
-        suffixes: one of these must end its name.
-        inputs: files that it must not be.
+        path: the output file; ``-``, which is stdout, is always valid.
+        suffixes: the suffixes that its name may end in.
+        inputs: the files that it must not be.
         may_make_folder: whether its folder may be missing.
-        option: which names it, for errors.
+        option: the name of the option that gives the path, for errors.
 
     Raises:
-        BadParameter: its name ends in another suffix.
-        ConfigError: it is an input, or can't be written.
+        BadParameter: the name has a suffix that isn't allowed.
+        ConfigError: the output is an input, or can't be written.
     """
     if path == STDOUT:
         return
@@ -189,7 +190,7 @@ def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
 
 
 def write_output(content: bytes, output: Path) -> None:
-    """Write a file, whole or not at all, or to stdout."""
+    """Write content to a file, whole or not at all, or to stdout."""
     if output != STDOUT:
         write_bytes(content, output)
         return
@@ -200,12 +201,12 @@ def write_output(content: bytes, output: Path) -> None:
 
 
 def beside_output(path: Path | None) -> AbstractContextManager[object]:
-    """A context in which prints go to stderr if the command's output goes to stdout."""
+    """Return a context in which prints go to stderr if the command's output goes to stdout."""
     return redirect_stdout(sys.stderr) if path == STDOUT else nullcontext()
 
 
 def say_if_sample(path: Path) -> None:
-    """Print on stderr that a bare name is an installed sample's; with --quiet nothing."""
+    """Print on stderr, unless --quiet, that a bare name stands for an installed sample."""
     if VOLUME.quiet:
         return
     sample = samples.find(path)
@@ -214,11 +215,11 @@ def say_if_sample(path: Path) -> None:
 
 
 def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
-    """Refuse options that would have no effect.
+    """Refuse options that are given but would have no effect.
 
     Args:
-        uses: of each option its name, whether it is given, whether it has an effect, and what it is
-            for.
+        uses: an entry for each option: its name, whether it is given, whether it has an effect, and
+            its purpose, for the error.
 
     Raises:
         BadParameter: an option is given and has no effect.
@@ -229,9 +230,9 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
 
 
 class Command(TyperCommand):
-    """A command whose help has plain metavars, without Python types, and --output first.
+    """A command whose help shows plain metavars, without Python types, and --output first.
 
-    Errors of values that are no numbers name the value.
+    Where an option's value is not a number, the error quotes the value.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -259,10 +260,10 @@ class Command(TyperCommand):
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:
-    """Prepare a command for typer, which makes an option of each parameter.
+    """Prepare a command for typer, which makes an option of each parameter of a function.
 
     The options -q and -v are added. A parameter whose type is a dataclass is a group of options:
-    its fields become options of the command, which receives the dataclass.
+    its fields become options of the command, and the command receives the dataclass.
     """
     # `get_type_hints` of Python 3.10 would hide the options whose default is None
     hints = inspect.get_annotations(command, eval_str=True)
@@ -310,7 +311,7 @@ def _keyword(name: str, default: object, annotation: object) -> inspect.Paramete
 
 
 class Place(NamedTuple):
-    """A place as an option states it: either z, or a level, or neither."""
+    """A place that a user typed: x and y, and either z, a level, or neither."""
 
     x: float  # world [m]
     y: float
@@ -323,10 +324,10 @@ def parse_place(text: str, option: str) -> Place:
 
     Args:
         text: ``x,y``, ``x,y,z`` or ``x,y,L1``.
-        option: which has it, for errors.
+        option: the name of the option that gives it, for errors.
 
     Raises:
-        BadParameter: it is written otherwise, or has numbers that are not finite.
+        BadParameter: the text has another form, or a number is not finite.
     """
     match = PLACE_PATTERN.fullmatch(text)
     if not match:
@@ -344,22 +345,22 @@ def parse_place(text: str, option: str) -> Place:
 
 
 def position_of_place(grid: NavGrid, place: Place, option: str) -> list[float]:
-    """The position of a place, on the floor of its level if it has no z.
+    """Return the position of a place; if the place has no z, on the floor of its level.
 
-    A place without a level is on the only level with a floor there. On a grid of one level it stays
-    x, y.
+    A place without a level is on the only level with a floor there. On a grid of one level, a place
+    without z stays x and y.
 
     Args:
         grid: the grid.
         place: the place.
-        option: which has it, for errors.
+        option: the name of the option that gives the place, for errors.
 
     Returns:
         World x, y and maybe z [m].
 
     Raises:
-        BadParameter: no level has a floor there, or several have one and none is stated, or the
-            level is open to the one below.
+        BadParameter: no level has a floor at the place, or several have one and the place names
+            none, or its level is open to the level below there.
         QueryError: the grid has no such level.
     """
     x, y, z, level = place

@@ -30,10 +30,10 @@ VOLUME = SimpleNamespace(quiet=False, verbose=False)
 
 @contextmanager
 def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
-    """Print less or more inside.
+    """Set within a with statement how much is printed, for --quiet and --verbose.
 
-    With `verbose`, the records of the logger ``navbake`` go to stderr, except warnings, which
-    commands print anyway, and at the end the duration.
+    With `verbose`, the log records of the logger ``navbake`` go to stderr, except warnings, which
+    commands print in any case. The duration is printed at the end.
     """
     VOLUME.quiet = quiet
     VOLUME.verbose = verbose
@@ -67,7 +67,10 @@ def print_json_line(value: object) -> None:
 
 
 def print_json(value: object) -> None:
-    """Print a value, which may hold arrays, as JSON; refuses NaN and infinity, which JSON lacks."""
+    """Print a value, which may hold arrays, as JSON.
+
+    Refuses NaN and infinity, which JSON lacks.
+    """
     text = json.dumps(
         value,
         indent=2,
@@ -85,7 +88,7 @@ def say(text: object) -> None:
 
 
 def say_unless_quiet(text: object) -> None:
-    """Print one line of information, nothing with --quiet."""
+    """Print one line of information; with --quiet, print nothing."""
     if not VOLUME.quiet:
         say(text)
 
@@ -109,7 +112,7 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def is_terminal(stream: TextIO | None) -> bool:
-    """Whether a stream is a terminal; None is a closed one."""
+    """Return whether a stream is a terminal; None, which stands for a closed stream, is not."""
     return stream is not None and stream.isatty()
 
 
@@ -121,7 +124,7 @@ def print_tables(*tables: Table) -> None:
 
 
 def cell_table(facts: Json) -> Table:
-    """A row for each fact about a cell, from `navbake.views.describe.describe_cell`."""
+    """Return a table with a row for each fact of `navbake.views.describe.describe_cell`."""
     blocked = "no floor here" if facts["floor"] is None else "blocked"
     verdict = "an agent can stand here" if facts["free"] else blocked
     rows = {"verdict": verdict, "blocked by": facts["blockers"], **cell_facts(facts)}
@@ -130,7 +133,7 @@ def cell_table(facts: Json) -> Table:
 
 
 def lay_out(table: Table, width: int | None = None) -> list[str]:
-    """The lines of a table; rich wraps the cells of a table wider than `width` characters."""
+    """Return a table's lines; cells of a table wider than `width` characters are wrapped."""
     shown = [table.headings, *table.rows] if any(table.headings) else table.rows
     widths = [max(map(text_width, column)) for column in zip(*shown, strict=True)]
     is_number = [heading in table.numbers for heading in table.headings]
@@ -159,7 +162,7 @@ def lay_out(table: Table, width: int | None = None) -> list[str]:
 
 
 def text_width(text: str) -> int:
-    """The width of a text in a terminal: a Chinese character takes two columns."""
+    """Return a text's width in a terminal in characters; a Chinese character counts as two."""
     if text.isascii():
         return len(text)
     from rich.cells import cell_len  # rich slows --help by a fifth
@@ -169,7 +172,7 @@ def text_width(text: str) -> int:
 
 @contextmanager
 def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
-    """Yields a function that shows progress: a name, the share done, and a note.
+    """Yield a function that shows progress, and takes a name, the fraction done, and a note.
 
     Each name has a bar on stderr, if that is a terminal; other output appears above the bars.
     """

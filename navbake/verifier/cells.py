@@ -70,11 +70,11 @@ class StandingPlace(NamedTuple):
 
 
 class OutlineEdge(NamedTuple):
-    """How a region ends at one side of one of its places.
+    """What lies beyond one side of a place at the edge of a region.
 
     Attributes:
         is_wall: Whether a wall stands there.
-        landing: The highest place below, where the region drops; None for none.
+        landing: The highest place below, where the region ends at a drop; None for none.
     """
 
     is_wall: bool
@@ -82,7 +82,7 @@ class OutlineEdge(NamedTuple):
 
 
 class RegionSearch(NamedTuple):
-    """What a search over places a step apart returns.
+    """The result of a search for all places that steps connect with a place.
 
     Attributes:
         places: The places that no level has.
@@ -96,14 +96,14 @@ class RegionSearch(NamedTuple):
 
 
 class LevelCell(NamedTuple):
-    """A level's cell: its floor [m], NaN for none, and whether it is free."""
+    """A cell of a level: the height of its floor [m], NaN for none, and whether it is free."""
 
     floor: float
     is_free: bool
 
 
 class LevelArrays(NamedTuple):
-    """The floors [m] and free cells of a level, and its shift to the lowest level's lattice."""
+    """A level's floors [m], its free cells, and its shift to the lowest level's lattice."""
 
     floor: Float
     free: Bool
@@ -112,7 +112,11 @@ class LevelArrays(NamedTuple):
 
 
 def floor_tolerance(*coordinates: float) -> float:
-    """Return how far a floor at some world coordinates [m] may be off a surface [m]."""
+    """Return by how much a floor may differ from a surface in height [m].
+
+    Args:
+        coordinates: World coordinates [m].
+    """
     return FLOOR_TOLERANCE + FLOOR_TOLERANCE_SHARE * max(map(abs, coordinates))
 
 
@@ -169,17 +173,18 @@ class FloorCheck:
         )
 
     def check(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
-        """Check the floors of a level, and look for places to stand that no level has.
+        """Check the floors of a level, and search for places to stand that no level has.
 
-        A floor may lie inside of a solid: things lower than a step block nothing. No places are
-        looked for in columns whose floor is off, or is a surface beside the centre.
+        A floor may lie inside a solid, as things lower than a step block nothing. Columns whose
+        floor is wrong, or is a surface beside the cell's centre, are not searched.
 
         Args:
             sample: The cells of the level.
             counts: The level's counts, which the check adds to.
 
         Returns:
-            A finding for each floor that is off, and for each lost region that begins here.
+            A finding for each wrong floor, and for each region that no level has and that is first
+            met in one of these cells.
         """
         findings = list[Finding]()
         shift = shift_between(sample.level.lattice, self._lattice)
@@ -453,9 +458,9 @@ class CellContacts(NamedTuple):
     """What the prisms over the cells of a sample touch.
 
     Attributes:
-        obstacle: The id of an obstacle that is touched, (n,), -1 for none.
-        prism: The index of the prism that touches it, (n,).
-        disputed: Where MuJoCo and FCL contradict each other, (n,).
+        obstacle: The id of an obstacle that a prism touches, (n,); -1 for none.
+        prism: The index of the prism that touches the obstacle, (n,).
+        disputed: Whether MuJoCo and FCL contradict each other, (n,).
     """
 
     obstacle: Int
@@ -469,8 +474,8 @@ class CellCrossing(NamedTuple):
     Attributes:
         obstacle: The obstacle's id.
         cell: The cell's index in the sample.
-        num_exits: How often the ray leaves what the surface encloses.
-        num_entries: How often the ray enters it.
+        num_exits: How often the ray leaves the volume that the surface encloses.
+        num_entries: How often the ray enters that volume.
     """
 
     obstacle: int
@@ -493,8 +498,8 @@ class OccupancyCheck:
         reach: The reach of the inflation that closed cells [m], 0 for none.
 
     Attributes:
-        num_groundless: How many blocked cells have no place to stand at their level's ground, of
-            levels that state no floors of cells.
+        num_groundless: The number of blocked cells that have no place to stand at their level's
+            ground; counted only on levels that state no floors of cells.
     """
 
     def __init__(

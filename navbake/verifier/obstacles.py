@@ -46,12 +46,12 @@ LEVEL_NORMAL = 1 - 1e-12  # least cosine between two directions that count as th
 
 
 class SolidGeometry(NamedTuple):
-    """How FCL and a support function represent a type of MuJoCo's solid geoms.
+    """How FCL and a support function represent one type of MuJoCo's solid geoms.
 
     Attributes:
         make_shape: Makes FCL's shape from the geom's size, (3,) [m].
-        extent: Returns how far the solid reaches from its centre along a unit vector of its own
-            frame [m], from its size, (3,) [m], and the vector, (3,).
+        extent: Returns how far the solid reaches from its centre in a direction [m]. It takes the
+            geom's size, (3,) [m], and a unit vector in the geom's frame, (3,).
     """
 
     make_shape: Callable[[Float], fcl.CollisionGeometry]
@@ -86,12 +86,12 @@ SOLID_GEOMETRIES: dict[int, SolidGeometry] = {
 
 
 class PlacedShape(NamedTuple):
-    """One convex solid, plane, height field, or part of a mesh, at its place in the world.
+    """A convex solid, plane, height field or part of a mesh, posed in the world.
 
     Attributes:
         geom: The id of the geom in the scene's model.
         kind: The kind of shape, such as `CONVEX`.
-        collision_object: FCL's object, at its place.
+        collision_object: FCL's object, at its pose.
         low: The lower corner of the bounding box, (3,) [m]; may be infinite.
         high: The upper corner of the bounding box, (3,) [m]; may be infinite.
         hull_points: The corners of a hull, (n, 3) [m]; None for shapes that are no hulls.
@@ -106,7 +106,7 @@ class PlacedShape(NamedTuple):
 
     @property
     def is_same_in_mujoco(self) -> bool:
-        """Whether MuJoCo collides the same shape; it does not for surfaces and finite planes."""
+        """Whether MuJoCo collides this same shape; for surfaces and finite planes it does not."""
         return self.kind in (CONVEX, HALF_SPACE)
 
 
@@ -116,9 +116,9 @@ class GeomShape(NamedTuple):
     Attributes:
         kind: The kind of shape, such as `CONVEX`.
         geometry: FCL's geometry.
-        geom_attributes: The attributes of the MuJoCo geom that stands for it.
+        geom_attributes: The attributes of the MuJoCo geom that represents the shape.
         points: Corners, (n, 3) [m]; None for solids and half-spaces.
-        triangles: The corners' indices of each triangle, (m, 3), of parts of meshes; else None.
+        triangles: The indices of each triangle's corners, (m, 3); None for shapes that are no mesh.
     """
 
     kind: str
@@ -133,7 +133,7 @@ class MeshArrays(NamedTuple):
 
     Attributes:
         vertices: (n, 3) [m].
-        faces: The vertices' indices of each triangle, (m, 3).
+        faces: The indices of each triangle's vertices, (m, 3).
         hull_vertices: The vertices of MuJoCo's convex hull, all vertices if it has none, (k, 3).
     """
 
@@ -147,7 +147,7 @@ class ClassifiedPart(NamedTuple):
 
     Attributes:
         kind: `OPEN_SURFACE`, `SOLID`, `CAVITY` or `UNCLEAR`.
-        faces: The vertices' indices of each of its triangles, (m, 3).
+        faces: The indices of the vertices of each of its triangles, (m, 3).
     """
 
     kind: str
@@ -456,7 +456,7 @@ def _find_inverted_faces(vertices: Float, faces: Int, edge: Int, direction: Int,
 
     Args:
         vertices: (n, 3) [m].
-        faces: The vertices' indices of each triangle, (m, 3).
+        faces: The indices of each triangle's vertices, (m, 3).
         edge: The id of the edge that begins at each corner, (3 m,).
         direction: Whether the triangle runs through that edge forwards, 1, or backwards, -1.
         part: The part of the mesh that each triangle belongs to, (m,).
@@ -522,7 +522,7 @@ def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
 
     Args:
         vertices: (n, 3) [m].
-        faces: The vertices' indices of each triangle, (m, 3).
+        faces: The indices of each triangle's vertices, (m, 3).
 
     Returns:
         The parts that enclose, or may enclose, a volume; then all open surfaces as one part, if

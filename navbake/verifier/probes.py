@@ -53,7 +53,7 @@ MIN_DIRECTION_LENGTH = 1e-12  # shorter vectors between points give no direction
 
 
 class RayHit(NamedTuple):
-    """Where a vertical ray meets a geom.
+    """A point where a vertical ray meets a geom.
 
     Attributes:
         z: The height [m].
@@ -86,21 +86,21 @@ class HeightRange(NamedTuple):
 
 
 class SurfaceCrossings(NamedTuple):
-    """How often the vertical ray up from a point leaves and enters what a surface encloses."""
+    """How often the vertical ray up from a point leaves and enters the inside of a surface."""
 
     num_exits: int
     num_entries: int
 
 
 class NearestObstacle(NamedTuple):
-    """The obstacle that is nearest to a prism, and its gap to the prism [m]."""
+    """The id of the obstacle that is nearest to a prism, and its gap to the prism [m]."""
 
     gap: float
     obstacle: int
 
 
 class VerticalLine(NamedTuple):
-    """What a vertical line meets.
+    """The surfaces and solids that a vertical line meets.
 
     Attributes:
         hits: All crossings with surfaces, lowest first.
@@ -111,13 +111,13 @@ class VerticalLine(NamedTuple):
     solid_ranges: list[HeightRange]
 
     def is_inside(self, z: float) -> bool:
-        """Whether a height [m] lies inside of a solid, or a solid stands directly on it."""
+        """Return whether a height [m] lies inside of a solid, or a solid stands directly on it."""
         return any(
             low <= z + SAME_HEIGHT and high > z + SAME_HEIGHT for low, high in self.solid_ranges
         )
 
     def has_upward_hit(self, low: float, high: float) -> bool:
-        """Whether a surface between two heights [m] faces up; it may lie inside of a solid."""
+        """Return whether a surface between two heights [m] faces up, even inside of a solid."""
         return any(
             hit.normal_z >= MIN_UPWARD_NORMAL_Z and low <= hit.z <= high for hit in self.hits
         )
@@ -168,7 +168,7 @@ class PlacedPrism(NamedTuple):
 
 
 class PrismObject(NamedTuple):
-    """A prism as FCL's collision object, whose centre may be moved, and its rotation, (3, 3)."""
+    """FCL's collision object of a prism, whose centre may be moved, and its rotation, (3, 3)."""
 
     collision_object: fcl.CollisionObject
     rotation: Float
@@ -209,7 +209,7 @@ class ObstacleProbe:
         self._ray_origin = np.zeros(3)
 
     def cast_line(self, x: float, y: float) -> VerticalLine:
-        """Return all that the vertical line at world x, y [m] meets."""
+        """Return the surfaces and solids that the vertical line at world x, y [m] meets."""
         hits: list[SurfaceHit] = []
         solid_ranges: list[HeightRange] = []
         boundaries: list[tuple[float, int]] = []  # heights, and by how much the depth changes there
@@ -243,14 +243,16 @@ class ObstacleProbe:
         *,
         min_normal_z: float = np.inf,
     ) -> bool:
-        """Return whether a surface near a position faces up: its own line may run through a crack.
+        """Return whether a surface near a position faces up.
+
+        Lines beside the position are cast, too, as the one through it may run through a crack.
 
         Args:
             position: World x, y, z [m].
             height_tolerance: How far above or below the position the surface may be [m].
             reach: How far beside the position the surface may be [m].
-            min_normal_z: The least z of the unit normal of slopes, which may be farther above or
-                below, by what they rise between the lines that are cast. No slope may by default.
+            min_normal_z: The least z of the unit normal of slopes. The height of a slope may differ
+                more: by what it rises between the lines that are cast. By default no slope may.
         """
         x, y, z = position
         half_size = np.array([reach + EDGE_TOLERANCE, reach + EDGE_TOLERANCE, height_tolerance])
@@ -355,7 +357,7 @@ class ObstacleProbe:
             prism: The prism.
             center: The position of the prism's centre, (3,) [m].
             margin: By how much the prism is enlarged on all sides [m]; a negative margin shrinks
-                it. A prism of which nothing is left is apart from everything.
+                it. A prism that vanishes by it is apart from everything.
 
         Returns:
             `APART`, `TOUCHES`, or `DISPUTED` where MuJoCo alone finds a touch, and no plane is
@@ -449,7 +451,7 @@ class ObstacleProbe:
         return False
 
     def measure_depth(self, prism: UprightPrism, center: Float, obstacle: int) -> float:
-        """Return by how much a prism must shrink on all sides to leave an obstacle [m].
+        """Return by how much a prism must shrink on all sides until an obstacle does not touch it.
 
         Args:
             prism: A prism that touches the obstacle.
@@ -457,7 +459,7 @@ class ObstacleProbe:
             obstacle: The obstacle's id.
 
         Returns:
-            The depth, at most half of the prism's least size.
+            The depth [m], at most half of the prism's smallest dimension.
         """
         largest_depth = min(prism.half_x, prism.half_y, prism.half_z)
         return -self._bisect_margin(prism, center, obstacle, low=-largest_depth, high=0.0)

@@ -46,7 +46,7 @@ class Finding:
     size: float | None = None
 
     def to_json(self) -> Json:
-        """Return the finding as a JSON object, with numbers rounded to the micrometre."""
+        """Return the finding as a JSON object, with numbers rounded to a micrometre."""
         size = None if self.size is None else round(self.size, 6)
         position = [round(coordinate, 6) for coordinate in self.position]
         cell = None if self.cell is None else list(self.cell)
@@ -97,7 +97,8 @@ class SweepCounts:
         length: Their length in all [m].
         touching: How many of them touch something.
         beside: How many of them touch something only within a step of the cylinder's lower or
-            upper end, where neighboring cells with other floors promise nothing; no faults.
+            upper end. These are no faults: a free cell says nothing of these heights where
+            neighboring cells have floors at different heights.
     """
 
     radius: float
@@ -115,7 +116,7 @@ class VerifyReport:
         scene_id: The grid's scene.
         num_cells: The number of cells of all levels.
         seed: The seed of the sample and of the paths.
-        tolerance: Touches that are less deep are put down to rounding [m].
+        tolerance: The depth [m] up to which touches are attributed to rounding.
         radius: The radius of the cylinder on free cells [m]; None for the baked footprint.
         levels: The counts of each level, lowest first.
         sweeps: The counts of the paths; None where no paths were swept.
@@ -140,7 +141,7 @@ class VerifyReport:
 
     @property
     def ok(self) -> bool:
-        """Whether the grid and the scene agree in all that was checked."""
+        """Whether the grid and the scene agree in everything that was checked."""
         return not self.findings
 
     @property
@@ -154,7 +155,7 @@ class VerifyReport:
 
     @property
     def total(self) -> LevelCounts:
-        """The sums over all levels."""
+        """The counts of all levels added up."""
         total = LevelCounts("all")
         for level in self.levels:
             for name, count in vars(level).items():

@@ -25,11 +25,11 @@ PRISM_DIGITS = 6  # of the heights of prisms [m]: to the micrometre, so that few
 
 
 class AgentSizes(NamedTuple):
-    """The agent that a grid was baked for.
+    """The sizes of the agent that a grid was baked for.
 
     Attributes:
-        height: [m].
-        radius: [m].
+        height: The agent's height [m].
+        radius: The agent's radius [m].
         step: The highest step that the agent takes [m].
         min_normal_z: The least z of a floor's unit normal: the cosine of the steepest slope.
     """
@@ -41,7 +41,7 @@ class AgentSizes(NamedTuple):
 
     @classmethod
     def of_grid(cls, grid: GridBase) -> AgentSizes:
-        """Return the agent that a grid states, with the format's defaults for missing sizes.
+        """Return the sizes of the agent that a grid states; missing ones are the format's defaults.
 
         Raises:
             FormatError: the grid states sizes that no agent can have.
@@ -59,15 +59,16 @@ class AgentSizes(NamedTuple):
 
 
 class InflatedGrid(NamedTuple):
-    """A grid as it is verified, and its inflation.
+    """A grid, inflated as it is to be verified, and what the inflation closed cells for.
 
     Attributes:
         grid: The grid, inflated for the radius.
         radius: The radius of the cylinder that has to fit on free cells [m]; None for the baked
             footprint.
-        reach: How far from the centre of a closed cell the reason may be that closed it [m]; 0 for
-            a grid that is not inflated.
-        by_centers: Whether any occupied cell in reach is such a reason, as in the mode ``minos``.
+        reach: How far from the centre of a closed cell the reason may lie for which the inflation
+            closed it [m]; 0 for a grid that is not inflated.
+        by_centers: Whether any occupied cell within the reach is such a reason, as in the mode
+            ``minos``.
     """
 
     grid: NavGrid
@@ -127,8 +128,8 @@ class LevelSample:
         cols: Columns of the cells, (n,).
         centers: World x and y of the cells' centres, (n, 2) [m].
         floor: Heights of the floors, (n,) [m], NaN for none.
-        free: Whether an agent can stand there, (n,).
-        occupied: What the occupancy layer says, (n,); an inflation leaves it as baked.
+        free: Whether an agent can stand on the cell, (n,).
+        occupied: Whether the occupancy layer marks the cell, (n,); an inflation does not change it.
         has_cell_floors: Whether the grid states a floor for each cell; otherwise all floors are
             at the level's ground.
     """
@@ -222,18 +223,18 @@ def take_sample(
 
 
 class CellShift(NamedTuple):
-    """The rows and columns to add to a cell of one lattice to get the same cell of another."""
+    """The rows and columns to add to a cell's row and column to convert it to another lattice."""
 
     rows: int
     cols: int
 
 
 def shift_between(source: Lattice, target: Lattice) -> CellShift:
-    """Return what to add to a cell's row and column on one lattice to get those on another.
+    """Return the rows and columns that convert a cell of one lattice to a cell of another one.
 
     Args:
         source: The lattice that rows and columns refer to.
-        target: The lattice that they are wanted for, with the same cell size.
+        target: The lattice to convert them to, with the same cell size.
     """
     down = target.y_max - source.y_max
     right = source.x_min - target.x_min
@@ -241,13 +242,13 @@ def shift_between(source: Lattice, target: Lattice) -> CellShift:
 
 
 class LevelCells(NamedTuple):
-    """What a level has at some cells, which may lie beside it.
+    """The floors of some cells of a level, and whether they exist; cells may lie beside the level.
 
     Attributes:
         level_id: The level's index.
         floor: Heights of the floors, (n,) [m], NaN for none.
-        closes: Whether the cell may close others when the grid is inflated, (n,).
-        is_inside: Whether the level has such a cell, (n,).
+        closes: Whether an inflation may close cells near this cell, (n,).
+        is_inside: Whether the cell lies on the level's lattice, (n,).
     """
 
     level_id: int
@@ -257,13 +258,13 @@ class LevelCells(NamedTuple):
 
 
 class CellNeighborhood:
-    """The floors, and the cells that close others, of all levels of a grid.
+    """Looks up floors near cells, and reasons for which an inflation closes cells, on all levels.
 
     Args:
         grid: The inflated grid.
         step: The highest step that the agent takes [m].
-        by_centers: Whether any occupied cell closes its neighbors, as in the mode ``minos``; else
-            those with a solid do.
+        by_centers: Whether any occupied cell closes its neighbors, as in the mode ``minos``;
+            otherwise cells with a solid do.
     """
 
     def __init__(self, grid: GridBase, step: float, *, by_centers: bool = False) -> None:
@@ -279,19 +280,19 @@ class CellNeighborhood:
     def floors_under(
         self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float
     ) -> tuple[Float, Float]:
-        """Return the lowest and the highest floor under discs, of any level.
+        """Return the lowest and the highest floor under discs, on any level.
 
-        Floors that are more than a step from the disc's floor are left out.
+        Floors that are more than a step above or below the disc's own floor are ignored.
 
         Args:
-            level_id: The level of the cells.
+            level_id: The level of the discs' centres.
             rows: Rows of the discs' centres, (n,).
             cols: Columns of the discs' centres, (n,).
             floor: The floor of each disc, (n,) [m].
             radius: The discs' radius [m].
 
         Returns:
-            The lowest and the highest floor of each disc, (n,) [m].
+            The lowest floor and the highest floor of each disc, (n,) each [m].
         """
         low = floor.copy()
         high = floor.copy()
@@ -349,7 +350,7 @@ class CellNeighborhood:
     def cells_on_level(
         self, source_level: int, target_level: int, rows: Int, cols: Int
     ) -> LevelCells:
-        """Return what one level has at cells that are stated on the lattice of another level.
+        """Return the cells of one level at cells that are given on another level's lattice.
 
         Args:
             source_level: The level that rows and columns refer to.
@@ -410,11 +411,11 @@ def volume_over(
         sample: The cells.
         agent: The agent that the grid was baked for.
         neighborhood: The floors of the grid.
-        radius: The radius of a larger agent [m], whose disc reaches between the heights that all
-            floors under it leave free; None for the volume of the bake.
+        radius: The radius of a larger agent [m]; None for the volume of the bake. The larger
+            agent's disc spans only the heights that are free above all floors under it.
 
     Returns:
-        One or two prisms over each cell.
+        One or two sets of prisms, each with a prism over each cell.
     """
     half = sample.level.lattice.cell_size / 2
     floor = sample.floor

@@ -62,8 +62,8 @@ def find_source(
         data: The pose of a scene in memory; None for the pose that the settings state.
 
     Returns:
-        The scene; the settings of the bake, None if the scene's settings are others than those;
-        and notes for the user.
+        The scene; the settings of the bake, None if the scene's settings differ from them; and
+        notes for the user.
 
     Raises:
         NoSceneError: no source is given, and the grid names no scene that exists.
@@ -151,7 +151,7 @@ def _find_file(grid: GridBase, stated_path: object, grid_path: Path | None) -> P
 
 
 class DoorPose(NamedTuple):
-    """The pose of a scene whose doors stand as a grid states.
+    """The pose of a scene with its doors in the states that a grid states.
 
     Attributes:
         data: The pose, with kinematics computed.
@@ -168,7 +168,7 @@ class DoorPose(NamedTuple):
 
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
-    """Move the doors of a scene into the states that a grid states.
+    """Return the pose of a scene whose doors are in the states that a grid states.
 
     Args:
         scene: The scene, which stays as it is.

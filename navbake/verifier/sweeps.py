@@ -57,7 +57,7 @@ class PathStretch(NamedTuple):
 
 
 class SweptContact(NamedTuple):
-    """The obstacle that a swept cylinder touches first, and how deep [m]."""
+    """The id of the obstacle that a swept cylinder touches first, and the depth [m]."""
 
     obstacle: int
     depth: float
@@ -69,8 +69,8 @@ class PathContacts(NamedTuple):
     Attributes:
         findings: The first touch between the heights that all floors under the cylinder leave free;
             empty if there is none.
-        touches_near_ends: Whether it touches anything else, within a step of its lower or upper
-            end.
+        touches_near_ends: Whether the cylinder touches anything outside of these heights, within a
+            step of its lower or upper end.
     """
 
     findings: list[Finding]

@@ -67,8 +67,8 @@ def verify(
             swept along paths. If None, that of the grid's inflation, else the baked footprint. A
             grid that is not inflated, or for a smaller radius, is inflated for it.
         paths: The number of paths to plan, and to sweep the cylinder along, >= 0.
-        tolerance: Touches that are less deep are put down to rounding [m], > 0; at most a quarter
-            of a cell's edge, and of the height of the volume over a cell.
+        tolerance: The depth up to which touches are attributed to rounding [m], > 0; at most a
+            quarter of a cell's edge, and of the height of the volume over a cell.
         force: Whether to compare the grid with a scene that is not the one of its bake.
         data: The pose of a model or spec. If None, the pose that the grid states: a keyframe and
             joints.

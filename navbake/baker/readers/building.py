@@ -53,11 +53,11 @@ GEOGRAPHIC_SYSTEMS = ("web_mercator", "wgs84")
 
 
 class PlanTransform(NamedTuple):
-    """How the plan of a level lies in the world: complex numbers x + iy are mapped by f z + s.
+    """Maps the plan of a level to the world: a complex number z = x + iy to factor z + shift.
 
     Attributes:
-        factor: turns and scales.
-        shift: moves [m].
+        factor: rotates and scales.
+        shift: translates [m].
     """
 
     factor: complex
@@ -68,9 +68,9 @@ class Leaf(NamedTuple):
     """A leaf of a door.
 
     Attributes:
-        name: of the leaf.
+        name: the leaf's name.
         side: 1 at the start of the door, -1 at its end.
-        width: [m].
+        width: the leaf's width [m].
     """
 
     name: str
@@ -79,11 +79,11 @@ class Leaf(NamedTuple):
 
 
 class CarWall(NamedTuple):
-    """A wall of a lift's car, in the car's frame, its height left out.
+    """The position and size in plan of a wall of a lift's car, in the car's frame.
 
     Attributes:
-        middle: x and y [m].
-        half_size: along x and y [m].
+        middle: x and y of its centre [m].
+        half_size: half of its size along x and y [m].
     """
 
     middle: tuple[float, float]
@@ -95,7 +95,7 @@ def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
 
     Args:
         path: the file.
-        settings: not needed; as for all readers.
+        settings: unused; all readers take them.
 
     Returns:
         The parsed scene.
@@ -429,7 +429,7 @@ def make_pose(position: ArrayLike, yaw: float = 0.0) -> Float:
 
 
 def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
-    """Make a closed slab of `FLOOR_THICKNESS` of a polygon without its holes.
+    """Make a closed slab, `FLOOR_THICKNESS` thick, of a polygon with holes.
 
     Args:
         outline: corners of the polygon, (n, 2) [m].

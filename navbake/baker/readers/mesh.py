@@ -65,10 +65,10 @@ class NamedMesh(NamedTuple):
     """One named mesh of a scene: an object, a group, a solid or a node of a file.
 
     Attributes:
-        name: the file's; unique once the mesh is in the world frame.
+        name: its name in the file; names become unique when meshes are moved to the world frame.
         vertices: shape (n, 3).
         faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
-        mode: as what the file says that `scene.meshes: auto` counts it.
+        mode: how `scene.meshes: auto` represents it, as the file says.
     """
 
     name: str
@@ -118,14 +118,14 @@ def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> lis
 
 
 def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
-    """Whether an object is a trimesh.Scene or a Trimesh; trimesh is loaded for these only."""
+    """Return whether an object is a trimesh.Scene or a Trimesh; imports trimesh for these only."""
     if not any(kind.__module__.partition(".")[0] == "trimesh" for kind in type(scene).__mro__):
         return False
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
 
 
 def join_meshes(meshes: Sequence[NamedMesh]) -> Triangles:
-    """Join meshes to one."""
+    """Join the triangles of several meshes."""
     first_vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)]).astype(np.int32)
     faces = [mesh.faces + first for mesh, first in zip(meshes, first_vertices, strict=False)]
     return Triangles(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
@@ -267,7 +267,10 @@ def _silence_trimesh() -> Iterator[None]:
 
 
 def file_up_axis(path: Path) -> str | None:
-    """Return the axis that a mesh file says is up: y of glTF, a DAE's own, else None."""
+    """Return the axis that a mesh file states is up; None if it states none.
+
+    That is y for all glTF files; a DAE states its own.
+    """
     suffix = path.suffix.lower()
     if suffix == ".dae" and path.is_file():
         with suppress(ElementTree.ParseError):  # reading the mesh will say what is wrong
@@ -291,11 +294,11 @@ def rotation_to_z_up(up: Direction) -> Float:
 
 
 class DaeAsset(NamedTuple):
-    """What a DAE says of its frame.
+    """The unit and the up axis that a DAE states.
 
     Attributes:
-        meters_per_unit: 1 if it says nothing.
-        up_axis: a name of `AXES`; None if it says nothing.
+        meters_per_unit: the length of one unit [m]; 1 if the file states none.
+        up_axis: a name of `AXES`; None if the file states none.
     """
 
     meters_per_unit: float
@@ -348,7 +351,7 @@ def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
 
     Args:
         mesh: in the world frame [m].
-        path: of the scene, for errors.
+        path: the scene's path, for errors.
 
     Returns:
         The mesh; it may have no triangles.
@@ -378,7 +381,9 @@ MIN_CHUNK = 1 << 16  # vertices or triangles of a plain file that a thread reads
 
 
 def repair_obj(path: Path) -> bytes:
-    """Return an OBJ's text so that trimesh reads it rightly: UTF-8, no indents, absolute indices.
+    """Return an OBJ's text, rewritten so that trimesh reads it correctly.
+
+    It becomes UTF-8, without indents, and with absolute indices.
 
     Raises:
         SceneError: a face refers to no vertex.
@@ -430,7 +435,7 @@ def repair_stl(path: Path) -> bytes:
 
 
 def repair_ply(path: Path) -> bytes:
-    """Return a PLY's bytes, as UTF-8 if it is text."""
+    """Return a PLY's bytes; text is converted to UTF-8."""
     content = path.read_bytes()
     return _to_utf8(content) if b"format ascii" in content[:200] else content
 

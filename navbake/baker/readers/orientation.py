@@ -63,9 +63,9 @@ class Orientation(NamedTuple):
 
     Attributes:
         direction: of unit length, in the frame of the mesh.
-        floor_area: of the largest flat surface that faces along it [m²].
-        furniture_area: of what stands on such surfaces and is no wall, at heights from
-            `FURNITURE_LOW` to `FURNITURE_HIGH` [m²].
+        floor_area: area of the largest flat surface that faces in this direction [m²].
+        furniture_area: area of furniture on such surfaces [m²]: of surfaces that belong to no wall,
+            at heights from `FURNITURE_LOW` to `FURNITURE_HIGH` above.
     """
 
     direction: Float
@@ -77,9 +77,9 @@ class TriangleSample(NamedTuple):
     """A sample of a mesh's triangles.
 
     Attributes:
-        center: (n, 3) [m].
-        normal: of unit length, (n, 3).
-        area: of each, and of the triangles that it stands for, (n,) [m²].
+        center: the triangles' centres, (n, 3) [m].
+        normal: the triangles' unit normals, (n, 3).
+        area: the area of each triangle and of those that it represents in the sample, (n,) [m²].
     """
 
     center: Float
@@ -195,13 +195,14 @@ def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
 
 
 def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
-    """Whether a mesh in the world frame looks as if its y axis were the vertical one.
+    """Return whether a mesh in the world frame looks as if its y axis were vertical.
 
-    Its box is lowest along y, and `LYING_RATIO` times as much area faces within 45° of y as of z.
+    This is so if its bounding box is smallest along y, and the area that faces within 45° of y is
+    at least `LYING_RATIO` times the area that faces within 45° of z.
 
     Args:
-        meshes: in the world frame [m].
-        sample: of their triangles.
+        meshes: meshes in the world frame [m].
+        sample: a sample of their triangles.
     """
     faces_along_y = np.abs(sample.normal[:, 1]) >= np.sqrt(0.5)
     faces_along_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)

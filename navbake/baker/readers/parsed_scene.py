@@ -56,14 +56,14 @@ class ParsedGeom(NamedTuple):
     """A shape of a scene file, which becomes one geom of MuJoCo's model.
 
     Attributes:
-        name: need not be unique.
+        name: the shape's name; it need not be unique.
         body: the name of the body that it belongs to.
         kind: one of `GEOM_TYPES`.
-        size: MuJoCo's [m]; of a mesh empty.
+        size: the size as MuJoCo states it [m]; empty for a mesh.
         pose: (4, 4), from its own frame to the world [m]; rigid unless it is a mesh.
         mesh: the triangles of a mesh, in the geom's frame; None for a solid.
-        heights: of a height field, 0 to 1, row 0 at the smallest y.
-        mode: as what `scene.meshes: auto` counts a mesh: ``surface`` or ``hull``.
+        heights: the heights of a height field, from 0 to 1, row 0 at the smallest y.
+        mode: how `scene.meshes: auto` represents a mesh: ``surface`` or ``hull``.
         collides: whether it can collide.
         drawn: whether it is drawn.
     """
@@ -81,15 +81,15 @@ class ParsedGeom(NamedTuple):
 
 
 class ParsedJoint(NamedTuple):
-    """How a body moves against its parent, in the world frame as the scene stands.
+    """How a body moves relative to its parent, in the world frame of the scene's initial pose.
 
     Attributes:
         name: of the joint.
         kind: one of `JOINT_TYPES`.
-        anchor: a point that it turns about, (3,) [m].
-        axis: that it turns about, or slides along, (3,).
+        anchor: a point on the axis of rotation, (3,) [m].
+        axis: the axis that the body rotates about, or slides along, (3,).
         limits: lowest and highest position [m or rad]; None for none.
-        position: as the scene stands [m or rad].
+        position: the position in the scene's initial pose [m or rad].
     """
 
     name: str
@@ -107,7 +107,7 @@ class ParsedBody(NamedTuple):
         name: of the body.
         parent: another body's name, or empty for the world.
         pose: (4, 4), rigid, world frame [m].
-        joint: how it moves against its parent; None for not at all.
+        joint: how it moves relative to its parent; None if it does not.
     """
 
     name: str
@@ -136,11 +136,11 @@ class ParsedScene:
 
 
 def check_count(count: int, path: Path) -> None:
-    """Refuse more geoms than a few lines of instances in instances should make.
+    """Refuse scenes with too many geoms, as a few lines of nested instances may make.
 
     Args:
-        count: of geoms, and of models that they are in.
-        path: of the scene, for the error.
+        count: the number of geoms, and of models that contain them.
+        path: the scene's path, for the error.
 
     Raises:
         SceneError: there are more than `MAX_GEOMS`.
@@ -152,10 +152,10 @@ def check_count(count: int, path: Path) -> None:
 
 @contextmanager
 def reading(what: str) -> Iterator[None]:
-    """Raise a SceneError, which names the file or a part of it, for all errors of a reader.
+    """Convert all errors inside a with statement to SceneErrors that name what was read.
 
     Args:
-        what: what is read, such as ``prim /World of room.usda``.
+        what: the file or the part of it, such as ``prim /World of room.usda``.
     """
     try:
         yield
@@ -167,10 +167,12 @@ def reading(what: str) -> Iterator[None]:
 
 
 class JointTree:
-    """Joints between bodies, as a tree: a body hangs on the first one that it is attached to.
+    """A tree of bodies and the joints between them.
+
+    A body that several joints attach is the child of the first one's parent.
 
     Args:
-        poses: of all bodies that may move, by name, (4, 4), rigid [m].
+        poses: poses of all bodies that may move, by name, (4, 4), rigid [m].
     """
 
     def __init__(self, poses: Mapping[str, Float]) -> None:
@@ -180,16 +182,16 @@ class JointTree:
         self._joints: dict[str, ParsedJoint | None] = {}
 
     def attach(self, parent: str, child: str, joint: ParsedJoint | None) -> bool:
-        """Attach a body to another one, or to the world.
+        """Make a body the child of another body, or of the world.
 
         Args:
-            parent: the other body's name; empty for the world.
+            parent: the parent's name; empty for the world.
             child: the body's name.
-            joint: how it moves against its parent; None where both are one piece.
+            joint: how the child moves relative to the parent; None where both are one piece.
 
         Returns:
-            Whether it was attached: not where the child hangs on a body already, or the parent
-            hangs on the child.
+            Whether the body was attached. It isn't if it has a parent already, or if the parent is
+            one of its descendants.
         """
         ancestor = parent
         while ancestor and ancestor != child:
@@ -201,16 +203,16 @@ class JointTree:
         return True
 
     def is_attached(self, name: str) -> bool:
-        """Whether a body hangs on another one, or on the world."""
+        """Return whether a body is the child of another body, or of the world."""
         return name in self._parents
 
     def make_bodies(self, fixed: Collection[str] = ()) -> dict[str, ParsedBody]:
-        """Return all bodies that move, parents first.
+        """Return all bodies that move, by name, parents first.
 
-        Bodies that hang on nothing are free.
+        A body without a parent is free to move, unless it is fixed.
 
         Args:
-            fixed: the names of bodies that stay where they are, if they hang on nothing.
+            fixed: the names of bodies that don't move if they have no parent.
         """
         zero = np.zeros(3)
         for name in self._poses:
@@ -240,8 +242,8 @@ def build_model(
     """Build and compile a model of a parsed scene.
 
     Args:
-        parsed_scene: what a reader parsed.
-        path: of the scene, for errors.
+        parsed_scene: the scene that a reader parsed.
+        path: the scene's path, for errors.
         ground: the height of `scene.ground` [m]; None for none.
         warnings: the list to which warnings are added.
 
@@ -386,18 +388,19 @@ def _join_at_poses(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -
 
 
 def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> list[ParsedGeom]:
-    """Merge static geoms with a common body, or a common path, to meshes, until few are left.
+    """Merge static geoms of large scenes into meshes, so that fewer geoms remain.
 
-    Where most stand together goes first. Such a mesh has the name of what they have in common.
-    Geoms that move, planes and height fields are not merged.
+    Geoms of one body, or below one path, are merged, starting with the largest groups. A merged
+    mesh has the name of that body or path. Geoms that move, planes and height fields are not
+    merged.
 
     Args:
-        parsed_scene: what a reader parsed.
-        path: of the scene, for the warning.
+        parsed_scene: the scene that a reader parsed.
+        path: the scene's path, for the warning.
         warnings: the list to which a warning is added where geoms are merged.
 
     Returns:
-        The geoms; those of the scene where there are no more than `MERGE_ABOVE`.
+        The geoms; all geoms of the scene, unchanged, where there are no more than `MERGE_ABOVE`.
     """
     geoms = parsed_scene.geoms
     if len(geoms) <= MERGE_ABOVE:
@@ -490,8 +493,8 @@ def model_of_meshes(
     would compile the mesh's triangles for many seconds.
 
     Args:
-        meshes: with unique names.
-        path: of the scene, for errors.
+        meshes: the meshes, which have unique names.
+        path: the scene's path, for errors.
         ground: the height of `scene.ground` [m]; None for none.
         warnings: the list to which warnings are added.
 
@@ -520,8 +523,8 @@ def compile_model(
     """Call a function that compiles a model; raise MuJoCo's error as a SceneError.
 
     Args:
-        path: of the scene, for the error.
-        warnings: MuJoCo's so far, which the error quotes.
+        path: the scene's path, for the error.
+        warnings: MuJoCo's warnings so far, which the error quotes.
         load: the function.
         hint: added to the error, unless memory was lacking.
 

@@ -63,9 +63,9 @@ class SolidSize(NamedTuple):
     """How SDF states the size of a solid.
 
     Attributes:
-        element: that has the numbers.
-        num_values: how many numbers there are.
-        factor: from these to MuJoCo's.
+        element: the XML element that has the numbers.
+        num_values: the number of values in the element.
+        factor: factor from these values to MuJoCo's sizes.
     """
 
     element: str
@@ -81,11 +81,12 @@ SOLID_SIZES = {
 
 
 class HeightField(NamedTuple):
-    """A height field of an image.
+    """A height field that is read from an image.
 
     Attributes:
         heights: from 0 to 1, row 0 at the smallest y.
-        size: MuJoCo's: half its width and depth, the range of its heights, its base [m].
+        size: the size as MuJoCo states it: half of the width, half of the depth, the range of the
+            heights, and the thickness of the base [m].
         lowest: its lowest height [m].
     """
 
@@ -98,7 +99,7 @@ class MeshKey(NamedTuple):
     """The key by which meshes that were read are cached.
 
     Attributes:
-        file: of the mesh.
+        file: the mesh's file.
         submesh: the name of the part of it that counts; empty for all.
         is_centered: whether the part is moved to the origin.
     """
@@ -109,7 +110,7 @@ class MeshKey(NamedTuple):
 
 
 class JointOfScope(NamedTuple):
-    """A ``<joint>``, and the world or model that it stands in."""
+    """A ``<joint>``, and the scope of the world or model that contains it."""
 
     scope: Scope
     element: Element

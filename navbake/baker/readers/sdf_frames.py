@@ -26,8 +26,8 @@ class FrameInScope(NamedTuple):
     """A frame of a scope.
 
     Attributes:
-        scope: the world or model that the frame stands in.
-        name: its name there; empty for the scope's own frame.
+        scope: the world or model that the frame belongs to.
+        name: the frame's name in that scope; empty for the scope's own frame.
     """
 
     scope: Scope
@@ -42,17 +42,17 @@ class Scope:
     Args:
         find_models: returns the models in a world or a model, in order.
         element: the ``<world>`` or ``<model>``.
-        placement: the element that has its name and pose: ``<include>``, or `element` itself.
+        placement: the element with the scope's name and pose: the ``<include>``, or `element`.
         file: the file that the element stands in.
         parent: the world or model that it stands in; None for a world.
 
     Attributes:
-        element: see above.
-        file: see above.
-        parent: see above.
+        element: the argument.
+        file: the argument.
+        parent: the argument.
         name: with the names of the models around it, as ``house::door``; empty for a world.
         local_name: its name alone; empty for a world.
-        depth: how many models and worlds it stands in.
+        depth: how many models and worlds contain it.
         is_static: whether it, or a model around it, never moves.
         is_merged: whether it is part of the model around it, by ``<include merge="true">``.
     """
@@ -102,7 +102,7 @@ class Scope:
 
     @cached_property
     def models(self) -> list[Scope]:
-        """The models in it, and those that it includes."""
+        """The scopes of the models directly in this scope, with included ones."""
         return self._find_models(self)
 
     @cached_property
@@ -111,7 +111,7 @@ class Scope:
         return {model.local_name: model for model in self.models if not model.is_merged}
 
     def full_name(self, name: str) -> str:
-        """Return a name with the names of the models around it."""
+        """Return a name of this scope with the names of the enclosing models before it."""
         return f"{self.name}::{name}" if self.name else name
 
     def frame(self, name: str) -> Element:
@@ -233,30 +233,30 @@ class Scope:
 
 
 def is_true(text: str) -> bool:
-    """Whether a text is SDF's for true: 1 or true."""
+    """Return whether a text means true in SDF: ``1`` or ``true``."""
     return text.strip().lower() in ("1", "true")
 
 
 def text_of(element: Element, path: str) -> str:
-    """Return the stripped text of an element below another one; empty for none.
+    """Return the stripped text of a descendant of an element; empty if there is none.
 
     Args:
-        element: the upper one.
-        path: leads to the lower one, as in ElementTree.
+        element: the element.
+        path: the path to the descendant, as in ElementTree.
     """
     return (element.findtext(path) or "").strip()
 
 
 def numbers_of(text: str, count: int, where: str) -> list[float]:
-    """Return the numbers in a text.
+    """Parse numbers that are separated by spaces.
 
     Args:
-        text: numbers between spaces.
+        text: the numbers.
         count: how many there have to be.
         where: the place in the file, for errors.
 
     Raises:
-        SceneError: there are not so many finite numbers.
+        SceneError: the text has not exactly `count` finite numbers.
     """
     try:
         numbers = [float(word) for word in text.split()]
@@ -279,7 +279,7 @@ def read_pose(element: Element | None, file: Path) -> Float:
         The pose, (4, 4) [m]; the identity for none.
 
     Raises:
-        SceneError: it has no such numbers.
+        SceneError: the element has not as many finite numbers as such a pose.
     """
     pose = np.eye(4)
     text = "" if element is None else (element.text or "").strip()

@@ -31,13 +31,13 @@ FLOOR_FLATNESS = 0.01
 
 
 class CarFloor(NamedTuple):
-    """The floor of a car on a lattice.
+    """The floor of a lift's car on a lattice.
 
     Attributes:
         cells: ids of the cells that the floor covers, ascending.
         outline: ids of the cells that any geometry of the car covers; they may repeat.
-        height: of the highest place of the floor [m].
-        geom: the id of the geom that most of the floor is on.
+        height: the height of the floor's highest place [m].
+        geom: the id of the geom that most of the floor belongs to.
     """
 
     cells: Int
@@ -49,11 +49,13 @@ class CarFloor(NamedTuple):
 def find_lift_joints(
     model: mujoco.MjModel, data: mujoco.MjData, patterns: Sequence[str]
 ) -> list[int]:
-    """Find the joints that may carry a lift: vertical slides with limits, alone on their bodies.
+    """Find the joints that may carry a lift: vertical slides with limits.
+
+    A body has no joint besides such a slide.
 
     Args:
         model: the model.
-        data: its pose.
+        data: the model's pose.
         patterns: name patterns of the bodies.
 
     Returns:
@@ -72,12 +74,15 @@ def find_lift_joints(
 
 
 def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFloor | None:
-    """Find the floor of a body that may be a car; None where it has none that is large enough.
+    """Find the floor of a body that may be a lift's car.
 
     Args:
-        shapes: the geometry of the body, and of what hangs on it, alone.
-        lattice: cells over the body.
-        agent: who has to fit into the car.
+        shapes: the geometry of the body and its descendants, and nothing else.
+        lattice: a lattice that covers the body.
+        agent: the agent that has to fit into the car.
+
+    Returns:
+        The floor; None where the body has none that is large enough.
     """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     cell = np.repeat(np.arange(lattice.width * lattice.height), np.diff(columns.start))

@@ -42,13 +42,13 @@ DEFAULT_COLOR = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 
 class GeomSelection(NamedTuple):
-    """Whether a geom counts, and as what.
+    """Whether a geom counts, and how it is represented.
 
     Attributes:
-        counted: whether it takes part in the bake.
+        counted: whether the geom takes part in the bake.
         reason: why it does or does not.
-        mesh_mode: as what a mesh counts: ``hull``, ``surface`` (or ``auto``, which is the same), or
-            ``shell``, which encloses nothing.
+        mesh_mode: how a mesh is represented: by its ``hull``, by its ``surface`` (``auto`` means
+            the same), or by a ``shell``, which encloses nothing.
     """
 
     counted: bool
@@ -74,7 +74,7 @@ def select_geoms(
     ground: int | None = None,
     file_mesh_modes: Mapping[int, str] | None = None,
 ) -> tuple[list[GeomSelection], list[str]]:
-    """Decide for each geom whether it counts, and for meshes, as what.
+    """Decide for each geom whether it counts, and for meshes, how they are represented.
 
     Excluded geoms never count. `scene.geoms: collision` counts geoms that can collide (contype or
     conaffinity not 0). `auto` does the same, but counts all geoms if none that isn't excluded can
@@ -260,7 +260,9 @@ class MeshTriangles:
         self._triangles: dict[tuple[int, str], GeomTriangles] = {}
 
     def count(self, mesh: int, mode: str) -> GeomTriangles:
-        """Return the triangles that a mesh counts as, in its own frame; see `count_mesh`.
+        """Return the triangles that represent a mesh in a mode, in the mesh's frame.
+
+        See `count_mesh`.
 
         Args:
             mesh: the mesh's id.
@@ -278,16 +280,17 @@ class MeshTriangles:
 def count_mesh(
     vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
 ) -> GeomTriangles:
-    """Return the triangles that a mesh counts as.
+    """Return the triangles that represent a mesh in a mode.
 
-    A flat mesh has no hull, and counts by its triangles.
+    A flat mesh has no hull, and is represented by its own triangles.
 
     Args:
         vertices: shape (n, 3) [m].
         faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
-        mode: ``hull``; ``shell``, which encloses nothing; else its parts, closed ones of which
-            enclose their inside.
-        hull: the faces of its hull; computed if None.
+        mode: ``hull`` for the triangles of the convex hull; ``shell`` for its own triangles, which
+            enclose nothing; any other mode for its own triangles, where closed parts enclose their
+            inside.
+        hull: the faces of the convex hull; computed if None.
 
     Returns:
         The triangles, in the mesh's frame.
@@ -319,7 +322,7 @@ def collect_shapes(
     Args:
         model: the model.
         data: its pose.
-        selections: by geom id, whether and as what the geom counts.
+        selections: by geom id, whether the geom counts, and how it is represented.
         exact_meshes: meshes by geom id, world frame, in place of the model's.
         only: ids of the geoms to collect, ascending; all if None.
         meshes: the triangles of the model's meshes, where they are computed already.

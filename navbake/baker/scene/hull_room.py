@@ -1,4 +1,4 @@
-"""Whether the hull of a mesh hides room for an agent, as that of a whole building does."""
+"""Finds meshes whose hull hides room for an agent, as the hull of a building does."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ ROOM_OVER_FLOOR = 2
 
 @dataclass(eq=False)
 class HullRoomTest:
-    """Tests which meshes of a posed model have hulls that hide room for an agent.
+    """Tests whether the hull of a mesh hides room for an agent, in a posed model.
 
     Attributes:
         model: the model.
-        data: its pose.
+        data: the model's pose.
         meshes: the triangles of the model's meshes.
-        agent: who needs the room.
-        floors: how large a floor has to be.
+        agent: the agent that needs the room.
+        floors: the settings that say how large a floor has to be.
     """
 
     model: mujoco.MjModel
@@ -51,12 +51,12 @@ class HullRoomTest:
     _has_room: dict[tuple[int, bytes], bool] = field(default_factory=dict, init=False)
 
     def hides_room(self, geom: int) -> bool:
-        """Whether the hull of a mesh geom hides room for an agent to stand in.
+        """Return whether the hull of a mesh geom hides room for an agent to stand in.
 
-        Room is a free stretch of a vertical line inside of the hull, at least as long as the agent
-        is high: over a surface that faces up, or under one that faces down, or where the mesh has
-        none; but not inside of the mesh's closed parts. It has to be as large as a floor
-        (`floors.min_area` after `floors.shrink`).
+        Room is a free stretch of a vertical line, at least as long as the agent is high. It lies
+        inside the hull, but not inside closed parts of the mesh: over a surface that faces up,
+        under one that faces down, or where the line meets no surface. The room's area has to be
+        that of a floor (`floors.min_area` after `floors.shrink`).
         """
         if not self.is_large(geom):
             return False
@@ -66,7 +66,7 @@ class HullRoomTest:
         return self._has_room[key]
 
     def is_large(self, geom: int) -> bool:
-        """Whether the box of a mesh geom is large enough for room."""
+        """Return whether the bounding box of a mesh geom is large enough for an agent's room."""
         rotation = self.data.geom_xmat[geom].reshape(3, 3)
         if not np.isfinite(rotation).all():
             return False

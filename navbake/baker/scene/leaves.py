@@ -47,13 +47,14 @@ class DoorCandidate:
     """A body that may be a door.
 
     Attributes:
-        id: its body's name, or ``body <id>``; with its body id where two names look the same.
-        joint: its joint's name, or ``joint <id>``; None where it can't move.
+        id: the body's name, or ``body <id>``; the body id is added where two names look the same.
+        joint: the joint's name, or ``joint <id>``; None where the body can't move.
         geoms: ids of the geoms that count, of the body and its descendants, shape (n,).
         positions: the joint's position in the states modelled, open and closed [rad or m]; empty
             without a joint.
         joint_id: MuJoCo's id of the joint; -1 for none.
-        is_named: whether a pattern or the scene's file names it; else it looks like a leaf.
+        is_named: whether a pattern or the scene's file names the body; if not, its shape is a
+            leaf's.
     """
 
     id: str
@@ -66,8 +67,8 @@ class DoorCandidate:
     def position(self, state: str) -> float | None:
         """Return the joint's position in a state [rad or m].
 
-        That is the modelled one where the joint has no position for the state, and None without a
-        joint.
+        Where the joint has no position for the state, this is the modelled position. It is None
+        without a joint.
         """
         return self.positions.get(state, self.positions.get("modelled"))
 
@@ -246,22 +247,22 @@ def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> d
 
 
 def find_largest_side(extents: Extents, geoms: Int) -> int:
-    """Return the geom with the largest upright side; the first if none is finite.
+    """Return the id of the geom with the largest upright side; the first if none is finite.
 
     Args:
-        extents: boxes round all geoms.
-        geoms: ids to choose from, shape (n,), n >= 1.
+        extents: bounding boxes of all geoms.
+        geoms: ids of the geoms to choose from, shape (n,), n >= 1.
     """
     area = (extents.long_side * (extents.top - extents.bottom))[geoms]
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 
 
 def mark_candidate_geoms(num_geoms: int, candidates: Sequence[DoorCandidate]) -> Bool:
-    """Mark the geoms of some door candidates, shape (num_geoms,).
+    """Return a mask of the geoms that belong to door candidates, shape (num_geoms,).
 
     Args:
-        num_geoms: of the model.
-        candidates: whose geoms are marked.
+        num_geoms: the model's number of geoms.
+        candidates: the candidates.
     """
     mask = np.zeros(num_geoms, dtype=np.bool_)
     for candidate in candidates:

@@ -101,12 +101,12 @@ STARTED_FILE = "started"  # the child writes it when it begins to compile
 
 
 def mujoco_version() -> str:
-    """The installed MuJoCo's version."""
+    """Return the version of the installed MuJoCo."""
     return str(mujoco.__version__)
 
 
 class SceneModel(NamedTuple):
-    """The compiled model of a scene, before geoms are selected.
+    """The compiled model of a scene, before the geoms that count are selected.
 
     Attributes:
         model: the model. Of a mesh file it has the names, the bodies and the ground, but a
@@ -114,7 +114,7 @@ class SceneModel(NamedTuple):
         exact_meshes: the meshes of a mesh file by geom id, world frame.
         ground: the id of the geom of `scene.ground`; None without.
         warnings: MuJoCo's and the reader's.
-        data: the pose; None where the settings say it.
+        data: the pose; None where the settings define it.
         named_leaves: the names of bodies that the file says are doors.
     """
 
@@ -305,7 +305,11 @@ def compile_job(job_folder: str) -> None:
 
 
 def limit_mesh_cache(num_bytes: int) -> None:
-    """Set how much memory MuJoCo keeps of meshes in case a later scene names the same files."""
+    """Limit MuJoCo's cache of meshes, by which scenes that use the same files load faster.
+
+    Args:
+        num_bytes: the largest size of the cache [bytes].
+    """
     mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), num_bytes)
 
 
@@ -484,7 +488,7 @@ def _describe_missing_mesh(urdf: Path, filename: str) -> str:
 
 
 def is_in_memory(scene: object) -> TypeGuard[SceneInMemory]:
-    """Whether an object is a scene itself: an MjModel, an MjSpec, a trimesh.Scene or a Trimesh."""
+    """Return whether an object is a scene: an MjModel, an MjSpec, a trimesh.Scene or a Trimesh."""
     return isinstance(scene, mujoco.MjModel | mujoco.MjSpec) or is_mesh_scene(scene)
 
 
@@ -503,18 +507,18 @@ def load_from_memory(
 ) -> SceneModel:
     """Compile a scene in memory, and copy its pose; neither is changed.
 
-    Warnings are known of specs alone, which are compiled here.
+    MuJoCo's warnings are collected only for specs, which are compiled here.
 
     Args:
         scene: the scene.
         data: its joint positions and mocap bodies are the pose; None for the settings' pose.
-        settings: how to take the scene; errors name their path.
+        settings: the settings of the scene; errors name their path.
 
     Returns:
         The compiled model.
 
     Raises:
-        ConfigError: the data fits another model, or the settings state a pose as well.
+        ConfigError: `data` fits a different model, or the settings state a pose as well.
         SceneError: the scene can't be compiled.
     """
     path = settings.path
@@ -550,10 +554,10 @@ def check_data(model: mujoco.MjModel, data: object, name: str) -> None:
     Args:
         model: the model.
         data: the data.
-        name: of the model, for errors.
+        name: the model's name, for errors.
 
     Raises:
-        ConfigError: it is no data, or it is of another model.
+        ConfigError: `data` is no mujoco.MjData, or fits a different model.
     """
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")

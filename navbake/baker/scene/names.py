@@ -35,7 +35,7 @@ def name_at(model: mujoco.MjModel, address: int) -> str:
 
     Args:
         model: the model.
-        address: of the name's first byte, such as ``model.name_bodyadr[3]``.
+        address: the address of the name's first byte, such as ``model.name_bodyadr[3]``.
     """
     return names_at(model, [address])[0]
 
@@ -45,7 +45,7 @@ def names_at(model: mujoco.MjModel, addresses: Iterable[int]) -> list[str]:
 
     Args:
         model: the model.
-        addresses: of the names' first bytes, such as ``model.name_bodyadr``.
+        addresses: the addresses of the names' first bytes, such as ``model.name_bodyadr``.
 
     Returns:
         The names, empty for none; bytes that aren't UTF-8 are replaced.
@@ -79,7 +79,7 @@ _names_of_models: WeakKeyDictionary[mujoco.MjModel, ModelNames] = WeakKeyDiction
 
 
 def all_names(model: mujoco.MjModel) -> ModelNames:
-    """Return the names of a model; they are read once for each model."""
+    """Return the names of a model; they are computed once and cached for each model."""
     names = _names_of_models.get(model)
     if names is None:
         names = _read_names(model)
@@ -136,13 +136,13 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 def warn_unmatched(
     setting: str, pattern: str, names: Iterable[str], matches: str = "nothing"
 ) -> str:
-    """Return the warning that a pattern of a setting matches none of some names, with near ones.
+    """Return the warning that a pattern matches no name; it suggests similar names.
 
     Args:
-        setting: the setting's key, such as ``doors.patterns``.
+        setting: the key of the setting that has the pattern, such as ``doors.patterns``.
         pattern: the pattern.
-        names: the names that it may have been meant for; empty ones are passed over.
-        matches: what it matches in place of them, such as ``no body``.
+        names: the names that the user may have meant; empty names are ignored.
+        matches: what the warning says that the pattern matches, such as ``no body``.
     """
     near_names = find_near(pattern.strip("*"), sorted({name for name in names if name}), most=3)
     hint = f"; near names are {', '.join(near_names)}" if near_names else ""
@@ -150,9 +150,10 @@ def warn_unmatched(
 
 
 def find_subtree_ends(model: mujoco.MjModel) -> Int:
-    """Return the end of each body's subtree, (nbody,): bodies are numbered depth first.
+    """Return by body id the id after the last body of the body's subtree, shape (nbody,).
 
-    The subtree of a body are the bodies from its id to before its end.
+    Bodies are numbered depth first: the subtree consists of the ids from the body's to before this
+    end.
     """
     ends = list(range(1, model.nbody + 1))
     parents = model.body_parentid.tolist()

@@ -26,14 +26,14 @@ UNITS = {SLIDE: "m", HINGE: "rad"}
 
 
 def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
-    """Place all geoms of a model by the keyframe and the joint values of the settings.
+    """Compute the pose of a model by the keyframe and the joint values of the settings.
 
     Args:
         model: the model.
         settings: `scene.keyframe` and `scene.joints`, and the path, for errors.
 
     Returns:
-        The posed data.
+        The model's data, in which all geoms are placed.
 
     Raises:
         ConfigError: the model has no such keyframe or joint, or a joint's value is wrong.
@@ -133,7 +133,7 @@ def data_of_qpos(model: mujoco.MjModel, qpos: ArrayLike) -> mujoco.MjData:
         qpos: the positions of all joints, shape (nq,) [m or rad].
 
     Raises:
-        ConfigError: `qpos` has no such numbers.
+        ConfigError: `qpos` has another shape, or is not made of numbers.
     """
     expected = f"expected {model.nq} joint positions (nq)"
     try:

@@ -59,9 +59,9 @@ class SceneRoles(NamedTuple):
 
 
 def find_movable_bodies(model: mujoco.MjModel) -> Bool:
-    """Mark the bodies that are not welded to the world, shape (nbody,).
+    """Return a mask of the bodies that can move, shape (nbody,).
 
-    They, or bodies above them, have a joint, or are mocap bodies.
+    A body can move if it, or a body above it, has a joint or is a mocap body.
     """
     is_mocap = model.body_mocapid[model.body_rootid] >= 0
     movable: Bool = (model.body_weldid != 0) | is_mocap
@@ -69,7 +69,7 @@ def find_movable_bodies(model: mujoco.MjModel) -> Bool:
 
 
 def mark_structure(roles: NDArray[np.uint8]) -> Bool:
-    """Mark the geoms that make floors, by their roles, shape (ngeom,)."""
+    """Return a mask of the geoms whose roles make them floors and walls, shape (ngeom,)."""
     is_structure: Bool = (roles == STATIC_STRUCTURE) | (roles == MOVING_STRUCTURE)
     return is_structure
 
@@ -158,7 +158,7 @@ def assign_roles(
     is_structure_body: Bool,
     leaves: Sequence[DoorCandidate],
 ) -> NDArray[np.uint8]:
-    """Assign each geom its role, by its body's.
+    """Return the role of each geom, which follows from its body.
 
     Args:
         model: the model.

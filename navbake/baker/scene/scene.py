@@ -1,4 +1,4 @@
-"""A scene as the bake sees it: which geoms count, as what, where, and in which role."""
+"""The scene that is baked: the geoms that count, their shapes, their pose and their roles."""
 
 from __future__ import annotations
 
@@ -60,13 +60,14 @@ MIN_SCENE_WIDTH = 0.5
 
 @dataclass(frozen=True)
 class GeomReport:
-    """What became of one geom, as `navbake geoms` prints it.
+    """Whether and how one geom is baked, as `navbake geoms` prints it.
 
     Attributes:
-        id: MuJoCo's.
+        id: the geom's id in MuJoCo.
         name: the name that patterns match; ``geom <id>`` where it has none.
-        body: its body's name, or ``body <id>``.
-        type: MuJoCo's: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh or sdf.
+        body: the name of its body, or ``body <id>``.
+        type: its type in MuJoCo: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh or
+            sdf.
         counted: whether it takes part in the bake.
         shape: as what, empty where it isn't counted: solid; half-space, strip (one side infinite)
             or rectangle; hull, shell, surface, closed surface (its inside is occupied) or partly
@@ -90,17 +91,17 @@ class Scene:
     """A posed scene, whose geometry can be cast and tested for overlaps.
 
     Attributes:
-        id: of the scene, as the settings or the file name say.
-        geoms: what became of each geom, by its id.
+        id: the scene's id, from the settings or the file name.
+        geoms: whether and how each geom is baked, by geom id.
         shapes: the geometry of the geoms that count, world frame.
         bounds: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
         digest: sha256 of the posed model: what its geoms are, where, and how they can move.
         warnings: one line each.
-        hints: those of the warnings that say that axes or units look wrong.
+        hints: the warnings that axes or units look wrong; they are in `warnings`, too.
         model: the compiled model. Of a mesh file it has the names, the bodies and the ground, but a
             tetrahedron in place of each mesh.
         data: the model's data in the pose that is baked.
-        selections: whether and as what each geom counts, by its id.
+        selections: whether each geom counts, and how it is represented, by geom id.
         exact_meshes: the meshes of a mesh file by geom id, world frame.
         meshes: the triangles of the model's meshes, for geoms in other poses.
         roles: by geom id, see `SceneRoles`.
@@ -138,7 +139,7 @@ class Scene:
 
     @property
     def mover_of(self) -> Int:
-        """By geom id, the topmost body that moves the geom; its own body if none does."""
+        """By geom id, the id of the topmost body that moves the geom; its own body if none does."""
         mover_of_geom: Int = self.mover_of_body[self.model.geom_bodyid]
         return mover_of_geom
 
@@ -164,10 +165,10 @@ class CountedGeoms(NamedTuple):
     """The geoms that count, with their geometry and roles.
 
     Attributes:
-        selections: whether and as what each geom counts, by its id.
-        shapes: the geometry of those that count, world frame.
-        shape_kinds: the `GeomReport.shape` of those, by geom id.
-        roles: of geoms and bodies.
+        selections: whether each geom counts, and how it is represented, by geom id.
+        shapes: the geometry of the geoms that count, world frame.
+        shape_kinds: the `GeomReport.shape` of the geoms that count, by geom id.
+        roles: the roles of geoms and bodies.
         warnings: one line each.
     """
 
@@ -457,15 +458,15 @@ def start_digest(
     exact_meshes: dict[int, NamedMesh],
     names: DigestedNames | None = None,
 ) -> Callable[[], str]:
-    """Start to compute the sha256 of all that a bake uses of a posed model.
+    """Start to compute the sha256 of everything in a posed model that a bake depends on.
 
     Small arrays are hashed together, as hashing releases Python's lock each time.
 
     Args:
         model: the model.
-        data: its pose.
+        data: the model's pose.
         exact_meshes: the meshes of a mesh file by geom id.
-        names: the part that depends on names; computed if None.
+        names: the part of the digest that depends on names; computed if None.
 
     Returns:
         A function that waits for the digest, and returns it as hexadecimal digits.
