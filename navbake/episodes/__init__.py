@@ -1,7 +1,7 @@
 """Tasks for agents in baked scenes: sets of episodes, drawn, read and written.
 
-`make_episodes` draws a set on grids, `read_episodes` and `write_episodes` keep it in a file.
-`navbake.scores` says how well an agent did.
+`make_episodes` draws a set on grids; `write_episodes` writes it to a file, and `read_episodes`
+reads it. `navbake.scores` computes how well an agent did.
 """
 
 from navbake.episodes.episode import (

@@ -1,6 +1,6 @@
-"""What an episode is: where an agent starts, what it has to reach, and what both were drawn on.
+"""Episodes: where an agent starts, what it has to reach, and on which grid both were drawn.
 
-World x, y, z [m], z up; headings 0 along x, counted towards y [rad].
+Positions are world x, y, z [m], z up. Headings [rad] are 0 along x and grow towards y.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
 
     Args:
         value: the value.
-        words: those that are allowed.
+        words: the allowed words.
         name: what the value is, for the error.
 
     Raises:
-        ValueError: it is another one; the text has a near one.
+        ValueError: the value is none of them; the message suggests a similar word.
     """
     if value not in words:
         beginnings = [word for word in words if str(value).startswith(word)]
@@ -55,11 +55,11 @@ def check_word(value: str, words: Collection[str], name: str) -> None:
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Part of a set, as its file has it."""
+    """The base class of the parts of a set; fields are named as in files."""
 
 
 class ViewPoint(Record, frozen=True, omit_defaults=True):
-    """A place from which an object is in sight."""
+    """A place from which an object is visible."""
 
     position: Vector3  #: World x, y and floor z [m].
     heading: float  #: Towards the object [rad].
@@ -110,12 +110,12 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def ratio(self) -> float | None:
-        """`distance` over `straight`, >= 1; None where one is unknown or nothing."""
+        """`distance` divided by `straight`, >= 1; None if either is unknown or 0."""
         return self.distance / self.straight if self.distance and self.straight else None
 
     @property
     def measures(self) -> dict[str, float | None]:
-        """What strata and counts of episodes may be of, see `EDGES`."""
+        """The quantities by which episodes can be stratified and counted, see `EDGES`."""
         return {
             "distance": self.distance,
             "ratio": self.ratio,
@@ -144,7 +144,7 @@ class GridEntry(Record, frozen=True, kw_only=True):
 
 
 class Header(Record, frozen=True, kw_only=True):
-    """The grids, agent and rules that a set was drawn from; sets of other programs lack them."""
+    """The grids, agent and rules that a set was drawn from; sets by other programs lack these."""
 
     format: str = FORMAT
     version: int = VERSION
@@ -159,11 +159,11 @@ class EpisodeSet(msgspec.Struct, frozen=True):
     """A set of episodes with unique ids.
 
     Attributes:
-        header: what they were drawn from.
-        episodes: in their order.
+        header: what the episodes were drawn from.
+        episodes: the episodes, in the set's order.
 
     Raises:
-        ValueError: two episodes have one id.
+        ValueError: two episodes have the same id.
     """
 
     header: Header
@@ -183,7 +183,8 @@ class EpisodeSet(msgspec.Struct, frozen=True):
         """Check that the set was drawn on this grid, inflated for the set's agent.
 
         Raises:
-            QueryError: it was drawn on another one, for another agent, or doesn't say on which.
+            QueryError: the set was drawn on a different grid or for a different agent, or its
+                header doesn't state its grids.
         """
         scene = scene_of(grid)
         agent = self.header.agent
@@ -208,20 +209,21 @@ class EpisodeSet(msgspec.Struct, frozen=True):
 
 
 def scene_of(grid: NavGrid) -> str:
-    """The id of a grid's scene; ``scene`` where it has none."""
+    """Return the id of a grid's scene, ``scene`` if it has none."""
     return grid.scene_id or "scene"
 
 
 def named_agent(
     grid: NavGrid, name: str | None, radius: float | None = None, height: float | None = None
 ) -> links.Agent:
-    """An agent of a grid, or a nameless one, with other sizes if they are given.
+    """Return an agent of a grid, or one without a name, with the given radius and height.
 
     Args:
         grid: the grid.
-        name: of an agent in the grid; a nameless one with all rights if None.
-        radius: in place of the agent's own [m].
-        height: in place of the agent's own [m].
+        name: the name of an agent of the grid; None for an agent without a name that may enter all
+            areas and use all links.
+        radius: the radius to use [m]; None for the agent's own.
+        height: the height to use [m]; None for the agent's own.
 
     Returns:
         The agent.
@@ -238,11 +240,11 @@ def named_agent(
 
 
 def digest_of(grid: NavGrid) -> str:
-    """SHA-256 of all that distances on a grid depend on, and of its rooms, in hexadecimal.
+    """Compute the SHA-256 of a grid's rooms and of all that distances depend on, in hexadecimal.
 
-    That is where the grid lies, what is free, the floors, steps, links and areas, and the agent's
-    radius and height; but not names, timings, added obstacles, nor doors' states as far as they
-    block nothing.
+    These are the grid's place in the world, its free cells, floors, steps, links and areas, and the
+    agent's radius and height. Names, timings, added obstacles, and the states of doors that block
+    nothing are not included.
     """
     grid = grid.without_blocks()
     sizes_and_steps = (grid.radius, grid.agent_height, grid.max_step, grid.step_array.tolist())

@@ -1,8 +1,9 @@
 """Sets of episodes in files: which format a file has, and navbake's own two.
 
-JSON lines (``.jsonl``, ``.jsonl.gz``): the header, then an episode a line, UTF-8. Parquet
-(``.parquet``): a row an episode, with columns to sort and filter by and all of it in ``episode``
-as JSON; the header is the schema's metadata ``navbake``. The same set gives the same bytes.
+JSON lines (``.jsonl``, ``.jsonl.gz``), UTF-8, have the header in the first line, then one episode
+per line. Parquet (``.parquet``) has one row per episode: columns to sort and filter by, and the
+whole episode as JSON in ``episode``; the header is the schema's metadata ``navbake``. Equal sets
+give equal bytes.
 """
 
 from __future__ import annotations
@@ -36,18 +37,18 @@ PACKERS: dict[str, Callable[[bytes], bytes]] = {
 def read_episodes(
     path: str | os.PathLike[str], scenes: Mapping[str, str] | None = None
 ) -> EpisodeSet:
-    """Read a set in any format, which follows from the file's ending and content.
+    """Read a set in any format; the file's ending and content determine which.
 
     Args:
-        path: of the file, plain or packed.
-        scenes: what another program calls scenes, by their ids here.
+        path: the path of the file, plain or packed.
+        scenes: the names of scenes in a file of another program, by navbake's ids of the scenes.
 
     Returns:
         The set.
 
     Raises:
-        FormatError: the file can't be read, or holds no set; file, line and field are named.
-        MissingDependencyError: it is Parquet, and pyarrow is missing.
+        FormatError: the file can't be read, or holds no set; the message has file, line and field.
+        MissingDependencyError: the file is Parquet, and pyarrow is not installed.
     """
     packed, name = read_bytes(path)
     text = unpack(packed, name)
@@ -78,19 +79,19 @@ def write_episodes(
     form: str | None = None,
     scenes: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Write a set; the same set gives the same bytes.
+    """Write a set; equal sets give equal bytes.
 
     Args:
         content: the set.
-        path: of the file; ``.gz`` and ``.bz2`` pack it.
-        form: one of `EPISODE_FORMATS`; the first that fits the ending and the tasks unless given.
-        scenes: what another program calls scenes, by their ids here.
+        path: the path of the file; the endings ``.gz`` and ``.bz2`` pack it.
+        form: one of `EPISODE_FORMATS`; if None, the first that fits the ending and the tasks.
+        scenes: the names of scenes in a file of another program, by navbake's ids of the scenes.
 
     Returns:
-        The fields that some episode has and the file doesn't hold.
+        The names of the fields that some episode has but the file can't hold.
 
     Raises:
-        FormatError: no format has such an ending, or it can't hold the set.
+        FormatError: no format has such an ending, or the format can't hold the set.
     """
     name = _choose_format(content, path, form)
     set_format = EPISODE_FORMATS[name]
@@ -161,13 +162,13 @@ def _rename_scenes(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
 
 
 def encode_lines(content: EpisodeSet, _: str) -> bytes:
-    """Encode a set as JSON lines; the format's name makes no difference."""
+    """Encode a set as JSON lines; the second argument, the format's name, is not used."""
     lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
     return b"\n".join([*lines, b""])
 
 
 def read_lines(text: bytes, name: str) -> Fields:
-    """Read a set from JSON lines; errors have the file's name and the line."""
+    """Read the fields of a set from JSON lines; errors state the file's name and the line."""
     lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
@@ -181,7 +182,7 @@ def read_lines(text: bytes, name: str) -> Fields:
 
 
 def encode_parquet(content: EpisodeSet, _: str) -> bytes:
-    """Encode a set as Parquet; the format's name makes no difference."""
+    """Encode a set as Parquet; the second argument, the format's name, is not used."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
     episodes = content.episodes
@@ -202,7 +203,7 @@ def encode_parquet(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_parquet(data: bytes, name: str) -> Fields:
-    """Read a set from Parquet; errors have the file's name and the row."""
+    """Read the fields of a set from Parquet; errors state the file's name and the row."""
     pyarrow = import_extra("pyarrow", "batch")
     parquet = import_extra("pyarrow.parquet", "batch")
     try:

@@ -1,10 +1,11 @@
-"""Sets of episodes as other programs have them: habitat-lab, MINOS and MolmoSpaces.
+"""Sets of episodes in the formats of other programs: habitat-lab, MINOS and MolmoSpaces.
 
 habitat-lab (``.json.gz``): PointNav, ObjectNav and VLN, y up, rotations x, y, z, w; an agent looks
 along -z. MINOS (``.csv``, ``.csv.bz2``): y up, angles about y from -z, three decimals. MolmoSpaces
 (``.json``): a list of ``EpisodeSpec``, z up, poses x, y, z and w, x, y, z.
 
-What JSON has no field for is kept in one called ``navbake``, which these programs ignore.
+Fields of navbake that a JSON format lacks are kept in its field ``navbake``, which the programs
+ignore.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ EPISODE_SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": 
 
 
 class SetFormat(NamedTuple):
-    """A format of sets."""
+    """A file format of sets of episodes."""
 
     ending: str  #: Of its files' names.
     tasks: tuple[str, ...]  #: That it can hold.
@@ -67,7 +68,7 @@ def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
         The structure.
 
     Raises:
-        FormatError: it has another structure; the field is named.
+        FormatError: the text has a different structure; the message names the field.
     """
     try:
         return msgspec.json.decode(text, type=kind)
@@ -163,14 +164,14 @@ class _Dataset(msgspec.Struct, omit_defaults=True):
 
 
 def encode_habitat(content: EpisodeSet, form: str) -> bytes:
-    """Encode as a dataset of habitat-lab.
+    """Encode a set as a dataset of habitat-lab.
 
     Args:
         content: the set.
         form: ``habitat-pointnav``, ``habitat-objectnav`` or ``habitat-vln``.
 
     Returns:
-        JSON.
+        The JSON.
 
     Raises:
         FormatError: an episode lacks what the format needs.
@@ -261,17 +262,17 @@ def _read_goal(goal: _Goal, default_radius: float) -> Goal:
 
 
 def read_habitat(text: bytes, name: str) -> Fields:
-    """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, by the fields of its episodes.
+    """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, told apart by its fields.
 
     Args:
         text: the JSON.
-        name: of the file, for errors.
+        name: the name of the file, for errors.
 
     Returns:
         A header, and the fields of each episode.
 
     Raises:
-        FormatError: it is no such dataset.
+        FormatError: the text is no such dataset.
     """
     dataset = decode(text, _Dataset, name)
     # episodes share goals, of which there may be thousands
@@ -313,7 +314,7 @@ def read_habitat(text: bytes, name: str) -> Fields:
 
 
 def encode_minos(content: EpisodeSet, _: str) -> bytes:
-    """Encode as MINOS's table of episode states, a row an episode."""
+    """Encode a set as MINOS's table of episode states, one row per episode."""
     file = io.StringIO()
     table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
     table.writeheader()
@@ -353,7 +354,7 @@ def encode_minos(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_minos(text: bytes, _: str) -> Fields:
-    """Read MINOS's episode states."""
+    """Read the fields of a set from MINOS's table of episode states."""
     rows = csv.DictReader(io.StringIO(text.decode(), newline=""))
     return Header(), [_read_row(row, index) for index, row in enumerate(rows)]
 
@@ -435,7 +436,7 @@ class _Spec(msgspec.Struct, omit_defaults=True):
 
 
 def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
-    """Encode as a list of EpisodeSpec; scenes are called ``DATASET/INDEX`` there."""
+    """Encode a set as a list of EpisodeSpec; their scenes are named ``DATASET/INDEX``."""
     specs = []
     for episode in content.episodes:
         scene = episode.scene if HOUSE_INDEX.search(episode.scene) else f"{episode.scene}/0"
@@ -464,7 +465,7 @@ def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
 
 
 def read_molmospaces(text: bytes, name: str) -> Fields:
-    """Read a list of EpisodeSpec whose tasks are to get to objects."""
+    """Read the fields of a set from a list of EpisodeSpec whose tasks are to reach objects."""
     episodes = []
     for index, spec in enumerate(decode(text, list[_Spec], name)):
         task = spec.task

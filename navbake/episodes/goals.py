@@ -31,7 +31,7 @@ COUNTER = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends a name as cha
 
 
 class Task(Record, frozen=True, kw_only=True):
-    """The task of a set's episodes: what their goals are, and when these are reached."""
+    """The task of a set's episodes: the kind of their goals, and when a goal is reached."""
 
     name: str = "point"  #: One of `TASKS`.
     objects: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
@@ -52,29 +52,32 @@ class Task(Record, frozen=True, kw_only=True):
 
     @property
     def kind(self) -> str:
-        """What each goal is: ``point``, ``object``, ``room`` or ``explore``."""
+        """The kind of each goal: ``point``, ``object``, ``room`` or ``explore``."""
         return self.of if self.name == "sequence" else self.name
 
     @property
     def reach(self) -> float:
-        """The radius, or its default for what each goal is [m]."""
+        """The radius within which a goal is reached [m]: `radius`, or the default of the kind."""
         if self.radius is not None:
             return self.radius
         return {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}[self.kind]
 
 
 class Stops(NamedTuple):
-    """Where the goals of an episode are reached, and how far that is.
+    """The stops of an episode, where its goals are reached, and the distances to them.
 
-    A stop is where one goal of a sequence is reached, or any goal of other tasks; exploring has
-    none.
+    In a sequence, each goal has a stop, where that goal is reached. In other tasks there is one
+    stop, where any of the goals is reached. Exploring has no stops.
 
     Attributes:
-        goals: the goals.
-        places: of each stop, world [m], shape (n, 3).
-        fields: distance from each cell to each stop, by flat id, inf for no path [m].
-        rest: length of the path after each stop [m]; a lower bound where stops have several
-            places, as each leg begins at the place that is nearest to the next stop.
+        goals: the goals of the episode.
+        places: for each stop an array of the places that belong to it, world x, y, z [m], shape
+            (n, 3).
+        fields: for each stop an array of the distance from each cell to the stop [m], by the cell's
+            flat id; inf where there is no path.
+        rest: for each stop the length of the path from there through all later stops [m]. It is a
+            lower bound if a stop has several places, as each leg begins at the place that is
+            nearest to the next stop.
     """
 
     goals: tuple[Goal, ...]
@@ -86,15 +89,15 @@ class Stops(NamedTuple):
 def find_stops(
     finder: PathFinder, goals: Sequence[Goal], *, in_order: bool = False
 ) -> Stops | None:
-    """Find where goals are reached.
+    """Find the stops of an episode's goals.
 
     Args:
-        finder: of the grid.
+        finder: the path finder of the grid.
         goals: the goals of an episode.
-        in_order: all are to be reached in their order; else any one.
+        in_order: whether all goals have to be reached in their order; otherwise any one of them.
 
     Returns:
-        The stops; None where no agent can be at one of them.
+        The stops; None if one of them has no place where an agent can stand.
     """
     if goals[0].share is not None:
         return Stops(tuple(goals))
@@ -111,17 +114,17 @@ def find_stops(
 
 
 def cells_of(finder: PathFinder, goal: Goal) -> Int:
-    """The free cells where a goal is reached.
+    """Return the free cells where a goal is reached.
 
-    They are those of the room, of the view points, or of the position: the nearest free cell within
-    0.5 m or the goal's radius.
+    For a room they are its free cells. For view points or a position, each has the nearest free
+    cell within 0.5 m or the goal's radius, whichever is larger.
 
     Args:
-        finder: of the grid.
+        finder: the path finder of the grid.
         goal: the goal.
 
     Returns:
-        Flat ids, each once; maybe none.
+        The cells' flat ids, each once; empty if there are none.
     """
     flat = finder.search.flat
     if goal.room is not None:
@@ -138,7 +141,7 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
 
 
 class Route(TypedDict, total=False):
-    """A path to follow, by the fields of `Episode`."""
+    """A path to follow, and the fields of `Episode` that describe it."""
 
     path: tuple[Vector3, ...]
     rooms: tuple[str, ...]
@@ -146,16 +149,16 @@ class Route(TypedDict, total=False):
 
 
 def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> Route:
-    """Plan a path through stops, to the nearest place of each.
+    """Plan a path through stops, at each stop through its nearest place.
 
     Args:
-        finder: of the grid.
-        start: world x, y, z [m].
-        stops: places of each stop, shape (n, 3) [m].
+        finder: the path finder of the grid.
+        start: the start, world x, y, z [m].
+        stops: for each stop the array of its places, world x, y, z [m], shape (n, 3).
 
     Returns:
-        The path, by points at most `SPACING` apart, and the rooms and doors along it; empty if
-        there is no path.
+        The path, whose points are at most `SPACING` apart, and the rooms and doors along it; empty
+        if there is no path.
     """
     position = np.array(start)
     points = list[Vector3]()
@@ -184,13 +187,14 @@ class GoalFinder:
 
     @cached_property
     def choices(self) -> dict[str, list[str]]:
-        """Names of objects, or ids of rooms, by the label that an episode may ask for.
+        """The names of objects, or ids of rooms, by the label that an episode's goal has.
 
-        With patterns by category, a label is a category; with plain patterns, each object or room
-        that fits; without patterns, each category of objects, or each room indoors.
+        If the task has patterns by category, the labels are these categories. If it has plain
+        patterns, each object or room that matches one is a label. Without patterns, each category
+        of objects is a label, or each indoor room.
 
         Raises:
-            QueryError: nothing fits a pattern.
+            QueryError: no object or room matches a pattern.
         """
         if self.task.kind == "object":
             patterns = self.task.objects
@@ -238,7 +242,7 @@ class GoalFinder:
         return fitting
 
     def goals_of(self, label: str) -> list[Goal]:
-        """A goal for each object or room of a choice; objects without view points are left out.
+        """Make a goal for each object or room of a label; objects without view points are left out.
 
         Args:
             label: a key of `choices`.
@@ -265,7 +269,7 @@ class GoalFinder:
 
     @cached_property
     def object_cells(self) -> dict[str, Int]:
-        """The cells of each object, by flat id, ascending; walls and doors are no objects."""
+        """The flat ids of cells, ascending, by the name of the object; no walls or doors."""
         cells_of_name: dict[str, list[Int]] = {}
         walls_and_doors: set[str] = set()
         grid = self.finder.grid
@@ -348,5 +352,5 @@ class GoalFinder:
 
 
 def category_of(name: str) -> str:
-    """The category that an object's name says: without its number, in lower case."""
+    """Return an object's category: its name in lower case, without the number at its end."""
     return COUNTER.sub("", name).lower() or name.lower()

@@ -1,4 +1,4 @@
-"""Draws episodes on grids by rules that can be named, stored and counted."""
+"""Draws episodes on grids by rules; a set's header stores them, and how many draws each refused."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MAX_FAILURES = 200  # goals in a row without an episode, after which a scene's d
 
 
 class Rules(Record, frozen=True, kw_only=True):
-    """The rules of a sampler."""
+    """The rules by which a sampler draws episodes."""
 
     name: str = "uniform"  #: Of the preset.
     min_distance: Length = 1.0
@@ -87,7 +87,7 @@ PRESETS = {
 
 
 class Splits(Record, frozen=True, kw_only=True):
-    """Parts of a set by their shares; a scene, or a room with its starts, is in one part."""
+    """The parts (splits) of a set, and their shares; a scene or a room is in a single part."""
 
     shares: dict[str, Annotated[float, msgspec.Meta(gt=0)]] = msgspec.field(default_factory=dict)
     by: str = "scene"
@@ -97,15 +97,15 @@ class Splits(Record, frozen=True, kw_only=True):
             raise ValueError(f"expected scene or room to split by, got {self.by!r}")
 
     def of(self, seed: int, scene: str, room: str | None) -> str | None:
-        """The part of a scene or a room, which follows from its name and the seed alone.
+        """Return the part of a scene or a room; it depends only on the id and the seed.
 
         Args:
-            seed: of the draw.
-            scene: id of the scene.
-            room: id of the start's room; it matters where rooms are split.
+            seed: the seed of the draw.
+            scene: the id of the scene.
+            room: the id of the start's room; used only if the parts are made by room.
 
         Returns:
-            A key of `shares`; None where there are none.
+            A key of `shares`; None if there are no shares.
         """
         if not self.shares:
             return None
@@ -120,11 +120,11 @@ def make_rules(sampler: str | Rules = "uniform", **changes: object) -> Rules:
     """Make the rules of a sampler.
 
     Args:
-        sampler: rules, or the name of a preset.
-        changes: values by the fields of `Rules`; texts are read as the field's type.
+        sampler: the rules to begin with, or the name of a preset.
+        changes: new values of fields of `Rules`; texts are converted to the field's type.
 
     Returns:
-        The rules with the changes.
+        The changed rules.
 
     Raises:
         ConfigError: there is no such preset or rule, or a value doesn't fit.
@@ -143,8 +143,8 @@ def make_task(name: str = "point", **fields: object) -> Task:
     """Make a task.
 
     Args:
-        name: one of `TASKS`.
-        fields: values by the other fields of `Task`; texts are read as the field's type.
+        name: the name of the task, one of `TASKS`.
+        fields: values of the other fields of `Task`; texts are converted to the field's type.
 
     Raises:
         ConfigError: there is no such task or field, or a value doesn't fit.
@@ -153,11 +153,11 @@ def make_task(name: str = "point", **fields: object) -> Task:
 
 
 def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
-    """Make the parts of a set.
+    """Make the parts (splits) of a set.
 
     Args:
-        shares: the size of each part, relative to the others, > 0.
-        by: ``scene`` or ``room``, which is in one part with all its starts.
+        shares: the size of each part by its name, relative to the sum of all, > 0.
+        by: ``scene`` or ``room``: all episodes that start in one are in the same part.
 
     Raises:
         ConfigError: a value doesn't fit.
@@ -174,7 +174,7 @@ def _convert(values: dict[str, object], kind: type[Kind]) -> Kind:
 
 
 class AgentChoice(TypedDict, total=False):
-    """The agent that episodes are drawn for; the grids' own agent unless given."""
+    """The agent that episodes are drawn for; the defaults are the grids' own agent."""
 
     radius: float | None  #: Grids are inflated for it if need be [m].
     height: float | None  #: At most the grids' [m].
@@ -193,27 +193,27 @@ def make_episodes(
     files: Sequence[str | None] = (),
     **choice: Unpack[AgentChoice],
 ) -> EpisodeSet:
-    """Draw episodes on grids; all can be solved, and the same arguments give the same set.
+    """Draw episodes on grids; all can be solved, and equal arguments give equal sets.
 
-    Each scene is drawn by itself, from the seed and its id, so other scenes change nothing in it.
+    The episodes of a scene depend on the seed and the scene's id, but not on the other grids.
 
     Args:
-        grids: one or several, of different scenes.
+        grids: one or several grids, of different scenes.
         task: the task, or its name.
         sampler: the rules, or the name of a preset.
-        count: episodes in all, as many of each scene, >= 1; fewer where the rules refuse too much:
-            200 goals in a row without an episode end a scene.
-        seed: of the draw, >= 0.
-        splits: parts of the set.
-        files: the grids' names, for the header.
+        count: the number of episodes, >= 1, divided equally among the scenes. There are fewer if
+            the rules refuse too many: 200 goals in a row without an episode end a scene.
+        seed: the seed of the draw, >= 0.
+        splits: the parts of the set.
+        files: the file names of the grids, for the header.
         choice: the agent, see `AgentChoice`.
 
     Returns:
-        The set, whose header says what it was drawn from and how many draws each rule refused.
+        The set, whose header has the grids, agent and rules, and how many draws each rule refused.
 
     Raises:
-        QueryError: there is no episode, no such object or room, the agent is too high, or two
-            grids are of one scene.
+        QueryError: no episode could be drawn, there is no such object or room, the agent is too
+            high, or two grids are of the same scene.
         ConfigError: there is no such task or sampler.
 
     Example:

@@ -63,7 +63,7 @@ def format_value(value: object) -> str:
 
 @dataclass(frozen=True)
 class JsonPath:
-    """A location in a file, as errors name it; an index leads to a location below.
+    """A location in a file, as errors state it; indexing returns the location of an entry.
 
     Attributes:
         file: the file's name, or what the content was read from.
@@ -127,7 +127,7 @@ class JsonPath:
 
 
 def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
-    """Return a whole number of a file; 59.0 is valid, true is not.
+    """Return a value as a whole number, after a check; 59.0 is valid, true is not.
 
     Args:
         value: the number as parsed.
@@ -147,7 +147,7 @@ def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
 
 
 def check_number(value: object, place: JsonPath, *, positive: bool = False) -> float:
-    """Return a finite number of a file; whole ones become int, so that JSON has no .0.
+    """Return a finite number, after a check; whole numbers become int, so that JSON has no .0.
 
     Args:
         value: the number as parsed.
@@ -171,7 +171,7 @@ def check_number(value: object, place: JsonPath, *, positive: bool = False) -> f
 
 
 def check_vector(value: object, place: JsonPath) -> Vector3:
-    """Return three finite numbers of a file as floats.
+    """Return three finite numbers as floats, after a check.
 
     Args:
         value: the list as parsed.
@@ -189,7 +189,7 @@ def check_vector(value: object, place: JsonPath) -> Vector3:
 
 
 def check_object(value: object, place: JsonPath) -> Json:
-    """Return a JSON object of a file.
+    """Return a JSON object, after a check that it is one.
 
     Args:
         value: the object as parsed.
@@ -204,7 +204,7 @@ def check_object(value: object, place: JsonPath) -> Json:
 
 
 def check_optional_object(content: Json, key: str, place: JsonPath) -> Json:
-    """Return an object's field that is an object, and {} if it is missing or null.
+    """Return the object in a field of a JSON object; {} if the field is missing or null.
 
     Args:
         content: the object with the field.
@@ -273,8 +273,8 @@ def _refuse_first_invalid(value: JsonValue, place: JsonPath) -> None:
 class Allowance:
     """The cells, memory and text [bytes] that reading a file of some size may still reserve.
 
-    Callers raise the limits by a keyword: ``max_cells`` of grids, or ``max_voxels`` of voxels,
-    which then only free memory limits. Images have none.
+    Callers raise the limits by a keyword, ``max_cells`` of grids or ``max_voxels`` of voxels; then
+    only the free memory limits these. Images have no such keyword.
     """
 
     def __init__(self, num_bytes: int, keyword: str = "", limit: int | None = None) -> None:

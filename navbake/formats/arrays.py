@@ -1,4 +1,4 @@
-"""Arrays in NavGrid files: JSON lists, raw or run-length encoded, one value a cell.
+"""Arrays in NavGrid files: JSON lists, raw or run-length encoded, one value per cell.
 
 Run-length encoding is ``[value, count, value, count, …]``. NaN and Infinity, which JSON lacks, are
 ``null``.
@@ -41,14 +41,14 @@ def decode_array(
         shape: height and width of the level.
         allowance: what the array's memory is taken from.
         default: the datatype that the metadata state for the array; float64 if None.
-        null: the number that ``null`` becomes in arrays of floats, in raw data, too, where the
-            original client keeps it.
+        null: the number that replaces ``null`` in arrays of floats, also in raw data (where the
+            original client keeps ``null``).
 
     Returns:
         The array, of that shape and its datatype.
 
     Raises:
-        FormatError: the array is broken, of another length, or too large.
+        FormatError: the array is broken, too large, or its length is not that of the shape.
     """
     data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):
@@ -143,17 +143,18 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     """Encode an array as the JSON list of its runs, ``[value,count,value,count,…]``.
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
-    float32 gets its own shortest decimal.
+    float32 is written as the shortest decimal that identifies it as a float32.
 
     Args:
-        array: an array of one of `DATATYPES`, of any shape, by cells in its order in memory.
+        array: an array of one of `DATATYPES`, of any shape; its elements are written in their order
+            in memory.
         place: its location in the file, for errors.
 
     Returns:
         The text of the list.
 
     Raises:
-        FormatError: the array is of another dtype.
+        FormatError: the array has none of these dtypes.
     """
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")

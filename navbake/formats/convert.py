@@ -316,10 +316,10 @@ def list_files(path: Path, file_format: FileFormat) -> list[Path]:
         file_format: its format.
 
     Returns:
-        The path itself, then the other files, as the image of a map.
+        The path itself, then the other files, such as the image of a map.
 
     Raises:
-        FormatError: the file is broken, so that it names no others.
+        FormatError: the file is broken, so that the other files are unknown.
     """
     if file_format.list_parts is None:
         return [path]
@@ -376,7 +376,7 @@ def write_as(
         The paths of the written files.
 
     Raises:
-        FormatError: as of `encode_as`, or a file can't be written.
+        FormatError: see `encode_as`; or a file can't be written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
 
@@ -396,7 +396,7 @@ def select_levels(
         The levels' numbers, ascending.
 
     Raises:
-        FormatError: the path has another ending, or the grid has no such level.
+        FormatError: the path has none of these endings, or the grid has no such level.
     """
     if path.suffix.lower() not in endings:
         expected = f"a name that ends in {' or '.join(endings)}"

@@ -73,7 +73,7 @@ def encode_mjcf(
     height: float | None = None,
     flat: bool | None = None,
 ) -> Files:
-    """Make a scene of a grid, and settings beside it that bake it to the same cells.
+    """Encode a grid as a scene, and the settings by which the scene bakes to the same cells.
 
     Args:
         grid: the grid.
@@ -81,8 +81,8 @@ def encode_mjcf(
         level: the number of the only level to write; None for all, each at its height.
         height: of walls over the highest floor [m], more than the agent's height. If None: 2.5,
             or more for a high agent.
-        flat: put all floors of a level at its ground, as on a map without heights; needs fewer
-            boxes on rough ground.
+        flat: whether to put all floors of a level at its ground, as on a map without heights; this
+            needs fewer boxes on rough ground.
 
     Returns:
         The content of the scene and of the settings, each by its path.

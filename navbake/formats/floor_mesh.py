@@ -1,7 +1,7 @@
 """The walkable floor of a grid as a mesh of few quads, written as binary glTF (.glb) or OBJ.
 
-A level is an object, a room a material or a group of it; trimesh has no groups in an OBJ, and no
-primitives of one object in a GLB.
+Each level is an object. Each room is a material of it in a GLB, and a group of it in an OBJ;
+trimesh has neither several primitives of an object in a GLB nor groups in an OBJ.
 
 Source: glTF 2.0 Specification, Khronos Group, sections 3 and 4.
 """
@@ -52,8 +52,9 @@ class LevelMesh:
         vertices: world x, y, z [m], shape (4 n, 3), float64; four for each quad, anticlockwise
             seen from above.
         room: the number of each quad's room in `rooms`, shape (n,), int64, ascending; 0 for none.
-        rooms: the rooms' names by that number, each once; 0 is "no room".
-        indices: the rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
+        rooms: the names of the rooms that `room` numbers, each once; entry 0 is "no room".
+        indices: for each entry of `rooms`, the room's index on the level, see
+            `SceneGrid2D.room_index`.
     """
 
     name: str
@@ -65,7 +66,7 @@ class LevelMesh:
 
     @property
     def faces(self) -> Int:
-        """The vertices of each triangle, anticlockwise from above, shape (2 n, 3), int64."""
+        """Each triangle's vertex indices, anticlockwise from above, shape (2 n, 3), int64."""
         first_vertex = 4 * np.arange(len(self.room))[:, None, None]
         faces: Int = (first_vertex + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
         return faces
@@ -94,7 +95,7 @@ class FloorMesh:
 
     @property
     def faces(self) -> Int:
-        """The triangles of all levels as rows of `vertices`, shape (m, 3), int64."""
+        """The triangles of all levels, as indices into `vertices`, shape (m, 3), int64."""
         counts = [len(level.vertices) for level in self.levels]
         first_vertex = np.cumsum([0, *counts])
         return np.concatenate(
@@ -110,11 +111,11 @@ class FloorMesh:
 def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> FloorMesh:
     """Make a mesh of a grid's free cells.
 
-    Each free cell is covered once, all others are left open. Cells of one room in a rectangle whose
-    floor is a plane within the tolerance become one quad: level, or sloped where three cells or
-    more in a line rise evenly, up to the grid's `maxSlope` (45 degrees if it states none). So
-    stairs are level treads, and ramps are slopes; stairs whose treads are all one cell deep become
-    a slope.
+    Each free cell is covered once; the mesh has holes at all other cells. Cells of one room in a
+    rectangle whose floor is a plane within the tolerance become one quad: level, or sloped where
+    three cells or more in a line rise evenly, up to the grid's `maxSlope` (45 degrees if it states
+    none). So stairs are level treads, and ramps are slopes; stairs whose treads are all one cell
+    deep become a slope.
 
     There are no risers. Where two quads meet, their heights differ by the step between the cells'
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height
@@ -226,14 +227,14 @@ def cover_quads(
 
 
 def find_room_colors(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
-    """Return the colours of each level's `LevelMesh.rooms`; those of neighbours differ.
+    """Return the colours of each level's rooms; neighbouring rooms have different colours.
 
     Args:
         grid: the grid.
         mesh: the mesh that was made of it.
 
     Returns:
-        For each level, sRGB colours, shape (n, 3), uint8.
+        For each level, the sRGB colours of `LevelMesh.rooms`, shape (n, 3), uint8.
     """
     level_colors = []
     for number, level in enumerate(mesh.levels):
@@ -259,7 +260,7 @@ class GlbBuffer:
 
         Args:
             content: the bytes.
-            target: the kind of buffer that they are for, as glTF numbers it; None for an image.
+            target: glTF's number of the kind of buffer that the bytes are for; None for an image.
 
         Returns:
             The number of their buffer view.

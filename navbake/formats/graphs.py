@@ -94,7 +94,8 @@ class CellGraph:
     Attributes:
         matrix: ``matrix[i, j]`` is the cost of the step from node i to node j: its length [m]
             times the weight of the cell of j. A scipy csr_array, shape (n, n), float64, columns
-            ascending. Missing entries are no step; a stored 0 is a step to a cell of weight 0.
+            ascending. A missing entry means that there is no step; a stored 0 is a step to a cell
+            of weight 0.
         level: the level of each node's cell, shape (n,), int64.
         row: the row of each node's cell on its level, shape (n,), int64.
         col: the column of each node's cell, shape (n,), int64.
@@ -130,7 +131,7 @@ class CellGraph:
         return node if node < last and self.cell[node] == cell_id else None
 
     def to_networkx(self) -> networkx.DiGraph[Any]:
-        """Convert the graph to networkx; for small grids, as each node is an object.
+        """Convert the graph to networkx; only for small grids, as each node is a Python object.
 
         Nodes are (level, row, col) with ``position``, x, y, z [m]; edges have ``weight``, the cost
         of the step. Raises a MissingDependencyError without networkx.
@@ -149,7 +150,7 @@ class CellGraph:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an ``.npz`` that `scipy.sparse.load_npz` reads as the matrix.
 
-        It also has ``level``, ``row``, ``col``, ``cell`` and ``position`` of the nodes.
+        The file also has ``level``, ``row``, ``col``, ``cell`` and ``position`` of the nodes.
 
         Raises:
             FormatError: the file can't be written.
@@ -273,20 +274,21 @@ def encode_cell_graph(grid: NavGrid, path: Path, *, cut_corners: bool = False) -
 
 @dataclass(frozen=True)
 class RoomWay:
-    """A connection of two rooms.
+    """A connection between two rooms.
 
     Attributes:
         rooms: the ids of both rooms, in the grid's order.
         kind: ``door``, ``open`` (no door between) or ``link`` (a step to another level).
         door: the door's id, None unless the kind is ``door``.
         state: the door's current state, None unless the kind is ``door``.
-        passable: whether steps lead through it now; never to the outside, where the grid ends.
-        width: of a door, its length; of an opening, the straight distance from its first to its
-            last free cell, both included; of a link, the longer extent of the cells that it starts
-            from [m].
-        position: its middle on the floor, world x, y, z [m].
-        length: from the first room's centre straight to `position`, and on to the centre of the
-            second [m].
+        passable: whether steps lead through the connection now; always False for a connection to
+            the outside, where the grid ends.
+        width: the width [m]. Of a door, it is the door's length; of an opening, the straight
+            distance from its first to its last free cell, both included; of a link, the longer
+            extent of the cells that it starts from.
+        position: the middle of the connection on the floor, world x, y, z [m].
+        length: the distance from the first room's centre straight to `position`, and on to the
+            second room's centre [m].
     """
 
     rooms: tuple[str, str]
@@ -304,7 +306,8 @@ class RoomGraph:
     """Rooms and the connections between them: the topological map of a grid.
 
     Attributes:
-        rooms: the rooms as the grid lists them, then those without an entry in its table.
+        rooms: the rooms in the grid's table of rooms, in its order, then the rooms that are not in
+            the table.
         ways: the connections, sorted by rooms, kind and position; two rooms may have several. A
             door that leads out of all rooms leads to ``(outside)``.
         level_names: the names of the grid's levels.
@@ -370,11 +373,11 @@ class _Opening(NamedTuple):
 def make_room_graph(grid: NavGrid) -> RoomGraph:
     """Make the graph of a grid's rooms, as they are now.
 
-    A connection joins two rooms where a step does, see `PathFinder`: over the sides of neighbouring
-    cells, or over links to another level. Sides that meet are one opening. An opening within 0.4 m
-    of a door's leaf, between the door's rooms, is that door. A door without steps through it
-    (closed or blocked) is a connection that is not passable. Cells of no room are no part of the
-    graph.
+    Two rooms are connected if a step leads from one to the other, see `PathFinder`: over the sides
+    of neighbouring cells, or over links to another level. Adjoining sides are one opening. An
+    opening within 0.4 m of a door's leaf, between the door's rooms, is that door. A door without
+    steps through it (closed or blocked) is a connection that is not passable. Cells outside of all
+    rooms are not in the graph.
     """
     search = Search(grid)
     room_map = map_rooms(grid)

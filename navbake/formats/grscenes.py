@@ -1,6 +1,7 @@
-"""GRScenes' ``occupancy.npy``: the samples of a level between their own world coordinates.
+"""GRScenes' ``occupancy.npy``: samples of a level, with their world coordinates at the margins.
 
-The first row has the x of each column, the first column the y of each row [m], the corner nothing.
+The first row has the x of each column [m], the first column the y of each row [m]; their common
+corner has no meaning.
 The other values are 0 for free, 1 for an obstacle, and -1 for undefined. In files of GRScenes, y
 falls from row to row, and the steps of x and y differ by a little.
 
@@ -68,8 +69,9 @@ def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> F
 def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     """Read an ``occupancy.npy`` as a grid of one level, with a flat floor at z = 0.
 
-    Where the steps of x and y differ, cells are squares of the smaller one, each with the value of
-    the sample that its middle lies in. So each sample has a cell, and no wall gets a gap.
+    Cells are squares. If the steps of x and y differ, the cell size is the smaller step, and each
+    cell has the value of the sample around its centre. So each sample has a cell, and no wall gets
+    a gap.
 
     Args:
         path: the file.

@@ -67,13 +67,13 @@ LINE_COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 def encode_mcap(
     grid: NavGrid, path: Path, *, level: int | None = None, route: Sequence[Route] = ()
 ) -> Files:
-    """Encode a file of a message for each level, for each path, and for all links.
+    """Encode an MCAP file with a message for each level, one for each path, and one for all links.
 
     Args:
         grid: the grid.
         path: the file, which ends in ``.mcap``.
         level: the number of the only level to write, without links; None for all.
-        route: paths of `PathFinder.find_path`.
+        route: the paths to write, as `PathFinder.find_path` returns them.
 
     Returns:
         The file's content by its path.
@@ -157,7 +157,7 @@ def _make_pose(position: Iterable[float]) -> Json:
 
 
 def define_message(kind: str) -> str:
-    """Return the definition of a message of ROS 2, followed by those of the types in it."""
+    """Return the definition of a ROS 2 message, followed by those of its fields' types."""
     definitions: dict[str, str] = {}
 
     def add_type(name: str) -> None:

@@ -72,7 +72,7 @@ class MapYaml(NamedTuple):
         mode: ``trinary``, ``scale`` or ``raw``.
         negate: whether dark pixels are free.
         occupied: the threshold above which a pixel's darkness is occupied, 0 to 1.
-        free: the threshold below which it is free, 0 to 1.
+        free: the threshold below which a pixel's darkness is free, 0 to 1.
         ground: world z of the floor [m], a key of navbake's.
     """
 
@@ -99,8 +99,8 @@ def encode_nav2(
 ) -> Files:
     """Encode the maps of a grid: for each level an image, and a YAML that names it.
 
-    Cells without a floor are unknown, others free or occupied. Modes ``scale`` and ``raw`` have
-    costs, too: 1 to 98 for weights above 1, and 99 for cells that only an inflation closed.
+    Cells without a floor are unknown, all others free or occupied. Modes ``scale`` and ``raw`` also
+    have costs: 1 to 98 for weights above 1, and 99 for cells that only an inflation closed.
 
     Args:
         grid: the grid.
@@ -110,8 +110,9 @@ def encode_nav2(
         radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         mode: ``trinary``, ``scale`` or ``raw``.
         image: ``pgm`` or ``png``; ``png`` in mode ``scale``, else ``pgm``, if None.
-        inflation: costs by nav2's formula up to this distance from obstacles, its
-            ``inflation_radius`` [m]; not in mode ``trinary``. The default radius is the grid's.
+        inflation: the distance from obstacles up to which cells get costs by nav2's formula, its
+            ``inflation_radius`` [m]; not in mode ``trinary``. Then the default of `radius` is
+            the grid's.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
 
     Returns:
@@ -119,7 +120,7 @@ def encode_nav2(
 
     Raises:
         FormatError: there is no such level, mode or image, or options exclude each other.
-        QueryError: a radius, inflation or scaling out of its range.
+        QueryError: a radius, inflation or scaling is out of its range.
     """
     if not image:
         image = "png" if mode == "scale" else "pgm"
@@ -210,8 +211,8 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
 
     Args:
         path: the YAML.
-        rules: for pixels, those of nav2 from ``humble`` to Jazzy, or of its branch ``main``; see
-            `navbake.formats.nav2`.
+        rules: the version of nav2's rules for pixels: ``humble`` (up to Jazzy), or ``main`` (nav2's
+            branch of that name); see `navbake.formats.nav2`.
 
     Returns:
         The level.
@@ -243,13 +244,13 @@ def read_map(
 
     Args:
         path: the YAML.
-        rules: for pixels, as of `read_nav2`.
+        rules: the version of the rules for pixels, see `read_nav2`.
 
     Returns:
         The values of the cells, their lattice, and the content of the YAML.
 
     Raises:
-        FormatError: as of `read_nav2`.
+        FormatError: see `read_nav2`.
     """
     check_choice(rules, PIXEL_RULES, "rules")
     map_yaml = read_map_yaml(path)
@@ -273,7 +274,7 @@ def list_images(path: str | PathLike[str]) -> list[Path]:
     """List the image files that `read_nav2` reads for a YAML.
 
     Raises:
-        FormatError: as of `read_map_yaml`.
+        FormatError: see `read_map_yaml`.
     """
     return [read_map_yaml(path).image]
 
@@ -339,7 +340,7 @@ def read_pixel_values(
     Args:
         pixels: the pixels of the image.
         map_yaml: the content of the map's YAML.
-        rules: ``humble`` or ``main``; the module's docstring has both.
+        rules: the version of the rules, ``humble`` or ``main``; the module's docstring has both.
 
     Returns:
         The values, shape (height, width), int8, row 0 at the top.
@@ -384,7 +385,7 @@ def read_pixel_values(
 
 
 def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
-    """Raise a FormatError for the value of an option that is none of its choices.
+    """Raise a FormatError if the value of an option is none of its choices.
 
     Args:
         value: the option's value.

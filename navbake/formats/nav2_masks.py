@@ -61,7 +61,7 @@ class Zone(NamedTuple):
 
 
 class FilterScale(NamedTuple):
-    """What the values of a mask stand for: the limit is ``base + multiplier * value``."""
+    """The scale of a speed mask's values: the limit is ``base + multiplier * value``."""
 
     type: int = KEEPOUT
     base: float = 0.0
@@ -82,33 +82,35 @@ def encode_mask(
 ) -> Files:
     """Encode the masks of the keepout filter, or of the speed filter, one for each level.
 
-    Without zones they are those of the grid's areas: in a keepout mask, those that bar the agent;
-    in a speed mask, those with a speed. Limits are rounded down. Finite costs of areas are left out
+    Without zones, the masks mark the grid's areas: a keepout mask marks those that bar the agent; a
+    speed mask those with a speed limit. Limits are rounded down. Finite costs of areas are left out
     of keepout masks, with a warning.
 
     Args:
         grid: the grid.
-        path: the masks' YAML, as of `encode_nav2`; in mode ``raw``.
+        path: the masks' YAML, see `encode_nav2`; its mode is ``raw``.
         has_limits: True for the speed filter, whose zones have limits; False for the keepout
             filter.
         level: the number of the only level to write, None for all.
         image: ``pgm`` or ``png``; ``pgm`` if None.
-        zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
-            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where zones overlap.
-            Of the keepout filter all polygons if None.
+        zone: the zones to mark: names, ids or numbers of rooms, and names of polygons. For the
+            speed filter, each is ``NAME=PERCENT``, with 1 to 100 percent; where zones overlap, the
+            lowest limit counts. For the keepout filter, None means all polygons.
         zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`. A
-            keepout mask marks every cell that one touches, a speed mask those whose centre it has.
-        agent: a name in the grid, or an agent, for masks of areas; its speed is 100 %.
-        absolute: limits of areas in m/s, not in percent.
+            keepout mask marks every cell that a polygon touches, a speed mask every cell whose
+            centre is in one.
+        agent: the agent for masks of areas: its name in the grid, or the agent itself; its speed is
+            100 %.
+        absolute: whether to write limits of areas in m/s, not in percent.
 
     Returns:
         The content of each file by its path: the masks' YAMLs and images, and the filters'
         parameters.
 
     Raises:
-        FormatError: a name is unknown, a limit invalid, or rounded down to 0, a polygon holds no
-            cell's centre of its level, or nothing is to be marked.
-        QueryError: the grid names no such agent.
+        FormatError: a name is unknown, a limit is invalid or rounded down to 0, a polygon contains
+            no cell centre of its level, or there is nothing to mark.
+        QueryError: the grid has no such agent.
     """
     image = image or "pgm"
     check_choice(image, IMAGES, "image")
@@ -302,16 +304,16 @@ def read_mask(
     level: int = 0,
     agent: str | Agent | None = None,
 ) -> NavGrid:
-    """Read a mask of the keepout or speed filter as areas, one for each value but 0 and unknown.
+    """Read a mask of the keepout or speed filter as areas: one for each value except 0 and unknown.
 
-    In a keepout mask, 99 and 100 bar all agents, and less is nav2's cost.
+    In a keepout mask, 99 and 100 bar all agents, and lower values are nav2's costs.
 
     Args:
         path: the mask's YAML. The filter's parameters are read where `encode_mask` writes them;
             without them, values are percent.
         has_limits: whether the mask is one of the speed filter.
         grid: the grid that gets the areas, after those that it has; None for a new grid of free
-            cells. A cell takes what the mask has at its centre.
+            cells. A cell gets the mask's value at its centre.
         level: the number of the grid's level that the mask is of.
         agent: the agent whose speed is 100 %: a name in the grid, or an agent; 1 m/s if None.
 
@@ -320,7 +322,7 @@ def read_mask(
 
     Raises:
         FormatError: a file is broken, there is no such level, or there are too many areas.
-        QueryError: the grid names no such agent.
+        QueryError: the grid has no such agent.
     """
     mask, mask_lattice, map_yaml = read_map(path)
     if grid is None:
@@ -385,7 +387,7 @@ def read_keepout(
         A new grid with the areas.
 
     Raises:
-        FormatError: as of `read_mask`.
+        FormatError: see `read_mask`.
     """
     return read_mask(path, has_limits=False, grid=grid, level=level)
 
@@ -409,8 +411,8 @@ def read_speed(
         A new grid with the areas.
 
     Raises:
-        FormatError: as of `read_mask`.
-        QueryError: the grid names no such agent.
+        FormatError: see `read_mask`.
+        QueryError: the grid has no such agent.
     """
     return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
 

@@ -1,7 +1,7 @@
 """The NavGrid format: SceneGrid2D and MultiLevelGrid JSON, read and written.
 
 Unknown fields of a grid, of its levels and of its metadata, and further tile attributes, are kept
-and written back; unknown fields inside an array or a bbox are not.
+and written back; unknown fields inside an array or a bbox are dropped.
 
 ``userData`` (names of objects by cell) are most of a large file and rarely needed. In files of
 `SPLIT_BYTES` and more, msgspec splits levels into fields without parsing these, and user data stay
@@ -92,9 +92,9 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
 
     Args:
         source: a path, a file's content, or a file opened in binary mode.
-        max_cells: most cells of all levels together, whose arrays may take 128 bytes a cell. If
-            None: 100 million cells, and no more memory than 256 MiB and 512 bytes for each byte
-            of the file.
+        max_cells: the largest number of cells of all levels together; their arrays may take 128
+            bytes per cell. If None: 100 million cells, and at most 256 MiB of memory plus 512 bytes
+            for each byte of the file.
 
     Raises:
         FormatError: the file can't be read or does not follow the format.
@@ -145,13 +145,13 @@ def _parse_level(fields: dict[str, msgspec.Raw]) -> Json:
 def read_multi_level_grid(
     content: Json, top: JsonPath, allowance: Allowance, key: str = "grids"
 ) -> MultiLevelGrid:
-    """Make a grid of several levels from the content of a file.
+    """Make a MultiLevelGrid from the content of a file.
 
     Args:
         content: the parsed file; a layer may be a `ReadLayer`.
         top: the top of the file, for errors.
         allowance: what the arrays' memory is taken from.
-        key: the file's name for the levels, in errors.
+        key: the key of the levels in the file, for errors.
 
     Returns:
         The grid.
@@ -327,7 +327,7 @@ def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     Args:
         grid: the grid that a reader made of a file.
         top: the top of the file, for errors.
-        key: the file's name for the levels, "" if the file is a level.
+        key: the key of the levels in the file, "" if the file is a single level.
 
     Raises:
         FormatError: cells are too small, a level lies too far from the origin, or the table of
@@ -351,7 +351,7 @@ def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
 
 
 def check_tables(grid: NavGrid, attributes: Iterable[str]) -> None:
-    """Check tables of a grid's metadata by parsing them; the grid keeps what is parsed.
+    """Check tables of a grid's metadata by parsing them; the grid keeps the parsed tables.
 
     Args:
         grid: the grid.
@@ -365,7 +365,7 @@ def check_tables(grid: NavGrid, attributes: Iterable[str]) -> None:
 
 
 def warn_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
-    """Return a grid; log a warning if a newer navbake wrote its file.
+    """Log a warning if a newer navbake wrote a grid's file; return the grid.
 
     Args:
         grid: the grid, whose metadata state a version.
@@ -400,8 +400,8 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
         path: the file, by its usual ending ``.json`` or ``.json.gz``.
 
     Raises:
-        FormatError: the format can't hold the grid, the name ends as one of another format, or
-            the file can't be written.
+        FormatError: the format can't hold the grid, the name has the ending of a different format,
+            or the file can't be written.
     """
     name = check_path(path)
     hints = []
@@ -420,17 +420,17 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:
-    """Encode the file of `write_navgrid`, as a writer of `navbake.formats.convert`.
+    """Encode a NavGrid file; a writer for the table of `navbake.formats.convert`.
 
     Args:
         grid: the grid.
         path: the file; the content is gzipped if it ends in ``.gz``.
 
     Returns:
-        The content by the path.
+        The file's content by its path.
 
     Raises:
-        FormatError: as of `dumps_navgrid`.
+        FormatError: see `dumps_navgrid`.
     """
     content = dumps_navgrid(grid)
     if path.name.lower().endswith(".gz"):
@@ -445,7 +445,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, arrays as runs.
 
     NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
-    level's metadata are left out if it can take them over from its MultiLevelGrid.
+    level's metadata are left out if they equal those of its MultiLevelGrid.
 
     Raises:
         FormatError: there are NaN or infinity outside of arrays, a dtype that the format lacks,
@@ -538,15 +538,15 @@ def _extra_fields(grid: NavGrid, place: JsonPath) -> Json:
 
 
 def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
-    """Refuse extra fields with the name of one of the format's own.
+    """Raise a FormatError if an extra field has the name of a field of the format.
 
     Args:
         extra: the extra fields.
         kind: the class of the grid that has them.
-        place: its location, for errors.
+        place: the grid's location, for errors.
 
     Raises:
-        FormatError: the format has a field of such a name.
+        FormatError: the format has a field of that name.
     """
     for key in MULTI_FIELDS if kind is MultiLevelGrid else SCENE_FIELDS:
         if key in extra:

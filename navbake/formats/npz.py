@@ -78,7 +78,7 @@ class Archive:
 
         Args:
             name: the array's name in the archive.
-            place: its location, for errors.
+            place: the array's location, for errors.
             is_text: whether its memory is taken from the allowance of text.
 
         Raises:
@@ -119,7 +119,7 @@ class Archive:
             place: the array's location, for errors.
 
         Raises:
-            FormatError: there is no such array, or it is of another shape or kind.
+            FormatError: there is no such array, or its shape or kind is wrong.
         """
         array = self.read(name, place)
         if array.shape != shape or array.dtype.kind not in "biuf":
@@ -170,7 +170,7 @@ def open_archive(
 
     Args:
         source: a path, or the archive's content.
-        expected: what such an archive is, for errors.
+        expected: a description of the expected archive, for errors.
         keyword: the argument by which callers raise the limits, see `Allowance`.
         limit: the caller's value of that argument, None for the default limits.
 
@@ -199,7 +199,7 @@ def encode_npz(grid: VoxelGrid) -> bytes:
     """Encode voxels as ``.npz``, without their notes; the module's docstring lists the arrays.
 
     Raises:
-        FormatError: the name of an ID ends in the character 0, which the format drops.
+        FormatError: the name of an ID ends in a null character, which the format drops.
     """
     ids = sorted(grid.names)
     if any(name.endswith("\0") for name in grid.names.values()):  # numpy pads texts with these
@@ -218,11 +218,11 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
-    """Read voxels of `encode_npz`.
+    """Read voxels that `encode_npz` wrote.
 
     Args:
         source: a path, or the file's content.
-        max_voxels: as of `navbake.load_voxels`.
+        max_voxels: see `navbake.load_voxels`.
 
     Returns:
         The voxels.
@@ -330,11 +330,11 @@ def _encode_fields(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Jso
 
 
 def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
-    """Read a grid from an archive of `encode_grid_npz`.
+    """Read a grid from an archive that `encode_grid_npz` wrote.
 
     Args:
         source: a path, or the file's content.
-        max_cells: as of `navbake.load`.
+        max_cells: see `navbake.load`.
 
     Returns:
         The grid, equal to the one that was written.

@@ -116,10 +116,11 @@ def _publish_costs(costs: NDArray[np.uint8]) -> OccupancyValues:
 def level_from_values(
     values: OccupancyValues, lattice: Lattice, ground: float, metadata: Json
 ) -> SceneGrid2D:
-    """Make a level of values on the cells of a lattice.
+    """Make a level from occupancy values.
 
-    100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 become the least cost that is
-    published as that value. All cells but unknown ones have a flat floor, occupied ones too.
+    Cells of 100 are occupied, those of 99 blocked, and those of -1 have no floor. Values from 1 to
+    98 become weights, of the lowest cost that nav2 publishes as that value. All cells except
+    unknown ones have a flat floor, also occupied ones.
 
     Args:
         values: the values, shape (height, width), int8.
@@ -157,7 +158,7 @@ def level_from_rooms(
     Args:
         free: where an agent can stand, shape (height, width), bool.
         rooms: the number of each cell's room from 1, 0 for none, of the same shape, uint16.
-        names: the rooms' names by number; rooms without a name are not in it.
+        names: the rooms' names by number; rooms without a name are missing.
         lattice: the lattice of the cells.
         ground: world z of the floor [m].
         scene_id: the name of the scene.
@@ -180,7 +181,7 @@ def align_with_axes(
 
     A yaw of whole quarter turns, to a tenth of a cell over the map's diagonal, only permutes the
     cells. Otherwise a new cell has the value of the map at its centre, or -1 outside of the map;
-    but it is occupied if occupied cells of the map cover at least 1 % of it.
+    but the new cell is occupied if occupied cells of the map cover at least 1 % of it.
 
     Args:
         values: the map's values, shape (height, width), int8.
@@ -250,9 +251,9 @@ def lattice_from_corner(values: OccupancyValues, x: float, y: float, cell_size: 
     """Return the lattice of a map's cells.
 
     Args:
-        values: the map, shape (height, width).
+        values: the map's values, shape (height, width).
         x: world x of the map's lower left corner [m].
-        y: world y of that corner [m].
+        y: world y of the map's lower left corner [m].
         cell_size: the edge of a cell [m].
     """
     height, width = values.shape

@@ -54,13 +54,14 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Args:
         grid: the voxels; those with an ID count as occupied.
         kind: ``bt`` or ``ot``.
-        free: write known voxels that are not occupied as free, not as unknown.
+        free: whether to write known voxels that are not occupied as free, not as unknown.
 
     Returns:
         The content of the file.
 
     Raises:
-        FormatError: the kind is unknown, or the grid is off the tree's lattice or beyond it.
+        FormatError: the kind is unknown, or the voxels are not on the tree's lattice or beyond its
+            extent.
     """
     if kind not in FIRST_LINES:
         expected = "an octree as bt or ot"
@@ -168,10 +169,10 @@ def read_octomap(
         source: a path, or the file's content.
         bounds: lower and upper corner of the box to read, shape (2, 3), world frame [m]; None for
             all known space, occupied or free.
-        max_voxels: as of `navbake.load_voxels`.
+        max_voxels: see `navbake.load_voxels`.
 
     Returns:
-        The voxels; `VoxelGrid.known` marks known ones.
+        The voxels; `VoxelGrid.known` marks those that the tree knows.
 
     Raises:
         FormatError: the file is no octree, is broken, or needs too much memory.

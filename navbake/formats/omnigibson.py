@@ -4,7 +4,7 @@ The origin is in the middle of the image, columns run along x, and rows along y,
 ``floor_trav_0.png`` is 255 where a robot's centre may be on floor 0. ``floor_insseg_0.png`` has the
 number of the room, and ``floor_semseg_0.png`` that of its category, a line of
 ``room_categories.txt``, both 0 outside of rooms. OmniGibson has room maps of floor 0 only.
-navbake's own files have their cells in a text chunk of the PNG, by which they come back.
+Files that navbake writes also have the cells in a text chunk of the PNG, which it reads back.
 
 Sources: ``map_base.py``, ``traversable_map.py`` and ``segmentation_map.py`` of OmniGibson.
 """
@@ -49,17 +49,17 @@ def encode_omnigibson(
 ) -> Files:
     """Encode a map for each level, and the room maps of level 0 beside it.
 
-    A pixel is free if all cells that it meets are. A room's category is its name in lower case,
-    with ``_`` for spaces and without a number at the end, or ``room``.
+    A pixel is free if all cells that it overlaps are free. A room's category is its name in lower
+    case, with ``_`` for spaces and without a number at the end, or ``room``.
 
     Args:
         grid: the grid.
         path: the file, which ends in ``.png``; the level's number is added: ``floor_trav_0.png``.
-            There are no room maps if its name has ``no_obj``, as that of a grid that was baked
-            without furniture.
+            Room maps are not written if the name contains ``no_obj``, which marks a map without
+            furniture.
         level: the number of the only level to write, None for all.
         categories: the ``room_categories.txt`` of OmniGibson's dataset, which has to have all
-            rooms' categories. If None, one of these rooms is written.
+            rooms' categories. If None, a list of these rooms' categories is written.
 
     Returns:
         The content of each file by its path.
@@ -172,10 +172,10 @@ def _find_category(room_name: str) -> str:
 def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     """Read a traversability map as a grid of one level, with the rooms of room maps beside it.
 
-    Cells are pixels of 0.01 m, or those that navbake made the map of. All have a flat floor, at
-    z = 0 unless navbake wrote the map. Rooms are numbered as in ``floor_insseg_0.png``, which is
-    read beside a map whose name ends in ``_0``; with ``room_categories.txt``, they are named as
-    OmniGibson names them, ``bedroom_0``.
+    Cells are pixels of 0.01 m; those of a map that navbake wrote are the cells of the written grid.
+    All have a flat floor, at z = 0 unless navbake wrote the map. Rooms are numbered as in
+    ``floor_insseg_0.png``, which is read beside a map whose name ends in ``_0``; with
+    ``room_categories.txt``, they are named as OmniGibson names them, ``bedroom_0``.
 
     Args:
         path: the map.
@@ -184,7 +184,7 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
         The level.
 
     Raises:
-        FormatError: the file is no such map, or a room map isn't of its size.
+        FormatError: the file is no such map, or a room map has a different size.
 
     Example:
         >>> grid = navbake.from_omnigibson("floor_trav_0.png")
@@ -223,7 +223,7 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
 
 
 def list_room_maps(path: Path) -> list[Path]:
-    """List the existing files of rooms that `read_omnigibson` reads beside a map."""
+    """List the existing files of rooms and categories that `read_omnigibson` reads with a map."""
     rooms_path = path.with_name(ROOMS_FILE)
     if not path.stem.endswith("_0") or not rooms_path.exists():
         return []

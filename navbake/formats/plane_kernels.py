@@ -28,9 +28,10 @@ def cover_planes(labels, heights, tolerance, max_rise):
         max_rise: the largest rise of a plane over a cell [m].
 
     Returns:
-        First row, first column, row and column after the last, shape (n, 4), int64; and of each
-        the height at its first cell's centre, its rise from column to column, and from row to row,
-        shape (n, 3), float64.
+        Two arrays with a row for each rectangle. The first, shape (n, 4), int64, has the first row,
+        the first column, the row after the last, and the column after the last. The second, shape
+        (n, 3), float64, has the height at the first cell's centre, the rise from column to column,
+        and the rise from row to row [m].
     """
     height, width = labels.shape
     is_open = labels != 0

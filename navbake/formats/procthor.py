@@ -4,7 +4,7 @@ Red and green are 255 in free cells (MolmoSpaces calls that ``occupancy``), blue
 number, 0 for none. ``world_to_map`` (2 × 4) and ``map_to_world`` (3 × 3) are the matrices of its
 formulas: ``round([x, y, z, 1] @ world_to_map.T)`` is row and column, and
 ``[row, col, 1] @ map_to_world.T`` the world position of that pixel's middle. So whole numbers are
-the middles of cells, half a cell off from matrices for ``floor``.
+the centres of cells, half a cell off from matrices that are used with ``floor``.
 
 Source: ``ProcTHORMap.save`` and ``load`` of ``molmo_spaces/utils/scene_maps.py``.
 """
@@ -84,9 +84,9 @@ def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> F
 def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     """Read a ``ProcTHORMap`` as a grid of one level.
 
-    Rows and columns may run along either axis of the world, in either direction; they are turned
-    to navbake's. All cells have a flat floor at the z of ``map_to_world``. Grey maps (``iTHORMap``)
-    have no rooms.
+    Rows and columns may run along either axis of the world, in either direction; the map is rotated
+    or flipped to navbake's axes. All cells have a flat floor at the z of ``map_to_world``. Grey
+    maps (``iTHORMap``) have no rooms.
 
     Args:
         path: the file.
@@ -95,7 +95,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
         The level, with the rooms that the map names.
 
     Raises:
-        FormatError: the file is no such map, or its axes are not along the world's.
+        FormatError: the file is no such map, or its axes are not parallel to the world's.
 
     Example:
         >>> grid = navbake.from_procthor("train_0.png")

@@ -2,7 +2,8 @@
 
 A level has its floor as polygons with holes, walls along the outlines of wall cells, doors that
 swing or slide, and the lanes of a graph of routes; the building has the lifts with a car. A level
-is flat, at the height of most of its floor; floors up to 1 m off that are laid flat, too.
+is flat, at the height of most of its floor; floors that are up to 1 m higher or lower are moved to
+that height.
 Stairs, furniture, rooms and other links have no place in the format and are left out.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``. Its scenes are read by
@@ -82,7 +83,7 @@ class _BuildingLevel:
 
 
 def encode_building(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid as a building; logs a warning of links and areas that it has no place for.
+    """Encode a grid as a building; log a warning of links and areas that the format can't hold.
 
     Args:
         grid: the grid.

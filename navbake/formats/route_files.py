@@ -60,11 +60,11 @@ def write_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = 
 
     Args:
         graph: the graph.
-        path: of the file.
-        to: name of a format; the one of the file's ending unless given.
+        path: the path of the file.
+        to: the name of a format; if None, the file's ending determines it.
 
     Returns:
-        The files that were written.
+        The paths of the written files.
 
     Raises:
         FormatError: there is no such format.
@@ -83,8 +83,8 @@ def read_routes(path: str | PathLike[str], origin: str | None = None) -> RouteGr
     """Read a graph of routes.
 
     Args:
-        path: of the file.
-        origin: name of its format; the one of the file's ending unless given.
+        path: the path of the file.
+        origin: the name of the format; if None, the file's ending determines it.
 
     Returns:
         The graph.
@@ -219,7 +219,7 @@ def _add_height(x: object, y: object, navbake_entry: Json) -> list[object]:
 
 
 def encode_nav2_route(graph: RouteGraph) -> bytes:
-    """Encode a graph as a FeatureCollection; logs a warning if its nodes are on several levels."""
+    """Encode a graph for nav2's Route Server; log a warning if its nodes are on several levels."""
     count = len({node.level for node in graph.nodes})
     if count > 1:
         LOG.warning(
@@ -258,8 +258,8 @@ def _feature(kind: str, coordinates: Sequence[object], properties: Json) -> Json
 def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph of nav2's Route Server.
 
-    A ``speed_limit`` without ``abs_speed_limit`` is percent of the agent's speed, which is 1 m/s
-    where the file has none.
+    A ``speed_limit`` without ``abs_speed_limit`` is a percentage of the agent's speed, which is 1
+    m/s if the file doesn't state it.
     """
     content, name = source.read_json(path, expected="a GeoJSON FeatureCollection")
     reader = _GraphReader(name)
@@ -297,7 +297,7 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
 
 
 def encode_lif(graph: RouteGraph) -> bytes:
-    """Encode a graph as a collection of layouts."""
+    """Encode a graph as a LIF, with a layout for each level."""
     vehicle = graph.agent or "agent"
     layouts: list[Json] = [
         {
@@ -352,9 +352,9 @@ def encode_lif(graph: RouteGraph) -> bytes:
 
 
 def read_lif(path: str | PathLike[str]) -> RouteGraph:
-    """Read a LIF; of several types of vehicles, the first one's speed counts.
+    """Read a graph from a LIF; if it has several types of vehicles, the first one's speed is used.
 
-    Nodes have the names that it states, or their ids, if it states a name twice.
+    Nodes get the names that the file states; if one of these occurs twice, they get their ids.
     """
     content, name = source.read_json(path, expected="a LIF (JSON)")
     reader = _GraphReader(name)
@@ -422,7 +422,7 @@ def _check_objects(content: Json, key: str, place: JsonPath) -> list[Json]:
 
 
 def encode_rmf(graph: RouteGraph) -> bytes:
-    """Encode a graph as a building's navigation graph."""
+    """Encode a graph as a navigation graph of Open-RMF."""
     lifts = {lane.link for lane in graph.lanes if lane.kind == "lift"}
     names = list(graph.level_names)
     if len({*names}) < len(names):
@@ -468,7 +468,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
 
 
 def read_rmf(path: str | PathLike[str]) -> RouteGraph:
-    """Read a navigation graph of Open-RMF."""
+    """Read a graph from a navigation graph of Open-RMF."""
     content, name = source.read_yaml(path, expected="a navigation graph")
     reader = _GraphReader(name)
     top = check_object(content, reader.top)
@@ -546,7 +546,7 @@ def _check_rows(content: Json, key: str, place: JsonPath) -> list[tuple[Any, Any
 
 
 def encode_graphml(graph: RouteGraph) -> bytes:
-    """Encode a graph by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
+    """Encode a graph as GraphML by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
     nx_graph = source.import_extra("networkx").MultiDiGraph()
     about = to_entry(graph)
     nx_graph.graph.update({**about, "level_names": orjson.dumps(about["level_names"]).decode()})
@@ -563,7 +563,7 @@ def encode_graphml(graph: RouteGraph) -> bytes:
 
 
 def read_graphml(path: str | PathLike[str]) -> RouteGraph:
-    """Read a graph whose nodes have ``x`` and ``y``."""
+    """Read a graph from GraphML; its nodes must have ``x`` and ``y``."""
     networkx = source.import_extra("networkx")
     data, name = source.read_bytes(path)
     try:

@@ -106,16 +106,16 @@ def read_bytes(
 
     Args:
         source: a path, the file's content, or the file opened in binary mode.
-        begins: the possible beginnings of such a file, b"" for any. Of a file that begins
-            otherwise, at most 1 MiB is read: it may be a device that never ends.
-        expected: what such a file is, for errors.
-        remedy: what to do about another file, for errors.
+        begins: the possible first bytes of such a file, b"" for any. At most 1 MiB is read of a
+            file that begins differently: it may be a device that never ends.
+        expected: a description of the expected file, for errors.
+        remedy: what to do about a wrong file, for errors.
 
     Returns:
         The content, and the file's name for messages.
 
     Raises:
-        FormatError: the file can't be read, begins otherwise, or has more than 4 GiB.
+        FormatError: the file can't be read, begins differently, or has more than 4 GiB.
     """
     path = source if isinstance(source, str | os.PathLike) else None
     stream = source
@@ -253,7 +253,7 @@ def read_json(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue
 
     Args:
         path: the file.
-        expected: what such a file is, for errors.
+        expected: a description of the expected file, for errors.
 
     Returns:
         The parsed value, and the file's name for messages.
@@ -276,7 +276,7 @@ def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[JsonValue
 
     Args:
         path: the file.
-        expected: what such a file is, for errors.
+        expected: a description of the expected file, for errors.
 
     Returns:
         The parsed value, and the file's name for messages.
@@ -305,7 +305,8 @@ class Pixels(NamedTuple):
     Attributes:
         light: the sum of red, green and blue, shape (height, width), uint16 or uint32.
         white: the largest value of each channel, 255 or 65535.
-        opacity: 0 to 255, shape (height, width), uint8; None if the image has none.
+        opacity: the opacity of each pixel, 0 to 255, shape (height, width), uint8; None if the
+            image has none.
         luma: luma by Rec. 601, 0 to 255, shape (height, width), uint8, as GraphicsMagick computes
             it with quanta of 16 bits.
     """
@@ -356,7 +357,7 @@ def read_pixels(source: str | os.PathLike[str]) -> Pixels:
     """Read the pixels of a PGM, PNG or BMP of any depth.
 
     Raises:
-        FormatError: as of `open_image`.
+        FormatError: see `open_image`.
     """
     image = open_image(source)
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
@@ -403,7 +404,7 @@ def read_header(
     Args:
         data: the content of the file.
         source: the file's name, for errors.
-        numbers: of lines of numbers, their count and type (int or float), by the line's first
+        numbers: the count and type (int or float) of the numbers in a line, by the line's first
             word.
         defaults: the words of lines that may be missing, by the line's first word.
 
@@ -412,7 +413,7 @@ def read_header(
         entry of `numbers`, in its order; and the offset of the data [bytes].
 
     Raises:
-        FormatError: a line is missing, or hasn't the numbers that it should have.
+        FormatError: a line is missing, or its numbers are not those that are expected.
     """
     lines = dict(defaults or {})
     start = 0
@@ -453,7 +454,7 @@ def read_header(
 
 
 def check_named(path: Path) -> None:
-    """Refuse a file whose name isn't UTF-8, where another file is to contain the name.
+    """Raise a FormatError if a file's name, which another file is to contain, isn't UTF-8.
 
     Raises:
         FormatError: the name isn't UTF-8.

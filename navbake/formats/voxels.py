@@ -67,9 +67,10 @@ def write_voxels(
         grid: the voxels.
         path: the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of
             ``a.npz`` is ``a.npz.names.json``.
-        free: in octrees, write known voxels that are not occupied as free, not as unknown.
-        layout: of binvox, see `encode_binvox`.
-        mapping: of the IDs in a binvox, see `map_ids`.
+        free: whether to write known voxels that are not occupied as free, not as unknown, in an
+            octree.
+        layout: the layout of a binvox, see `encode_binvox`.
+        mapping: the new IDs in a binvox, see `map_ids`.
 
     Raises:
         FormatError: the format can't hold the grid, or a file can't be written.
@@ -94,7 +95,7 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
 
     Args:
         path: the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
-        max_voxels: most voxels of the grid. If None: 2**31, and no more memory than 256 MiB and
+        max_voxels: the largest number of voxels. If None: 2**31, and at most 256 MiB of memory plus
             512 bytes for each byte of the file.
 
     Returns:
@@ -150,7 +151,7 @@ def id_table_path(path: str | PathLike[str]) -> Path:
 
 
 def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
-    """Return a grid with its IDs replaced by others, 0 to 255.
+    """Return a grid with its IDs replaced by new ones, 0 to 255.
 
     Args:
         grid: the voxels.
@@ -158,7 +159,7 @@ def map_ids(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
             order; None keeps them.
 
     Returns:
-        A new grid, or the same one if it has no IDs, or keeps them.
+        A new grid; the grid itself if it has no IDs, or if `mapping` is None.
 
     Raises:
         FormatError: the mapping lacks an ID, or has one above 255.
@@ -262,23 +263,26 @@ def read_binvox(
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
-    Empty runs and comment lines in the header are skipped. Version 1 becomes bool, version 2 IDs
-    as uint8; so does a version 1 with other values than 0 and 1, as segmenting simulators write.
+    Empty runs and comment lines in the header are skipped. Version 1 is read as bool, version 2 as
+    IDs, uint8. A version 1 with values besides 0 and 1, as simulators with segmentation write, is
+    read as IDs, too.
 
     Args:
         source: a path, or a file's content.
-        layout: ``auto`` detects AirSim's by its inverted scale, and adds that to the grid's notes.
-        position: of AirSim's grid, world frame [m], which its files lack. Its own frame is north,
-            east, down; (n, e, d) is (n, -e, -d) here.
-        res: edge of AirSim's voxels [m]: its files only have the requested size, which may exceed
-            the grid's by a part of a voxel. From the sizes and counts if None.
+        layout: ``binvox``, ``airsim`` or ``auto``, which detects AirSim's layout by its inverted
+            scale and adds a note to the grid's notes.
+        position: the position of AirSim's grid, which its files lack, world frame [m].
+            AirSim's frame is north, east, down: its (n, e, d) is (n, -e, -d) here.
+        res: the edge of AirSim's voxels [m]. Its files only have the requested size, which may
+            exceed the grid's by a part of a voxel. If None, it is computed from the sizes and
+            counts.
         max_voxels: most voxels of the grid; 2**31 if None.
 
     Returns:
-        The voxels, with notes on what the file left open.
+        The voxels; their notes state what the file doesn't determine.
 
     Raises:
-        FormatError: it is no binvox file, its header is broken, its data are too few or many, or
+        FormatError: the file is no binvox, its header is broken, its data are too few or many, or
             the grid needs more memory than there is.
         ConfigError: the position is invalid.
     """

@@ -46,10 +46,10 @@ def describe(grid: NavGrid) -> Json:
     Returns:
         - ``type``, ``scene_id``, ``cell_size`` [m], ``num_islands``, ``num_steps``, ``warnings``
         - ``agent``, ``made_by``: settings of the agent, and versions and digests, as far as the
-          file has them
+          file has these
         - ``levels``: the lowest first; lengths in cells, areas in m2, heights as world z [m], None
           without a floor
-        - ``links``, ``areas``, ``agents``: as in the file; areas with their size as ``m2``
+        - ``links``, ``areas``, ``agents``: as in the file; an area also has its size, ``m2`` [m²]
         - ``doors``: see `navbake.navgrid.rooms.Door.to_json`
         - ``inflated``: radius and clearance [m] and mode of each inflation since the bake
     """
@@ -133,21 +133,22 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         grid: a grid of one or several levels.
         x: world x [m].
         y: world y [m].
-        level: number of the level, 0 is the lowest; None only for a grid of one level.
+        level: the number of the level, 0 is the lowest; None only for a grid of one level.
 
     Returns:
         - ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m])
-        - ``floor``: world z [m], None for none
+        - ``floor``: world z of the floor [m], None without a floor
         - ``free``, ``occupied``, ``weight`` (None for infinite)
-        - ``room``: its entry in the grid's `rooms`, else its index, None for none
-        - ``island``: number, the largest is 1; None where the cell isn't free
-        - ``area``: its name, None for none
-        - ``links``: names of those with a stop in the cell
+        - ``room``: the room's entry in the grid's `rooms`; its index if it has no entry; None
+          outside of rooms
+        - ``island``: the island's number, 1 for the largest; None where the cell isn't free
+        - ``area``: the area's name, None outside of areas
+        - ``links``: the names of the links that have a stop in the cell
         - ``doors``, ``objects``, ``walls``: names of what stands in the cell
         - ``blockers``: names of what blocks the cell, as far as they are known
 
     Raises:
-        QueryError: the position lies beside the level.
+        QueryError: the position lies outside of the level.
     """
     place = place_at(grid, (x, y), level)
     if place is None:
@@ -204,10 +205,10 @@ def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
         y: world y [m].
 
     Returns:
-        What `describe_cell` returns of each, the lowest first.
+        For each cell, what `describe_cell` returns; the lowest level first.
 
     Raises:
-        QueryError: the position is no number, or beside all levels.
+        QueryError: the position is not finite, or lies outside of all levels.
     """
     check_positions((x, y), 1)
     cells = []
@@ -235,7 +236,7 @@ class StopPoint(NamedTuple):
 
     @property
     def position(self) -> tuple[float, float, float]:
-        """World x, y, z [m]."""
+        """The point as world x, y, z [m]."""
         return self.x, self.y, self.z
 
 
@@ -243,11 +244,11 @@ class Connection(NamedTuple):
     """A named link, or the steps side by side that make a stair or a steep ramp.
 
     Attributes:
-        name: of the link, or such as ``stair 1``.
-        kind: of the link, `STAIR` or `STEEP`.
-        stops: of the link, or the middles of the steps' two ends.
-        link: None for steps.
-        num_steps: steps side by side, 0 for a link.
+        name: the link's name; of steps, a name such as ``stair 1``.
+        kind: the link's kind; of steps, `STAIR` or `STEEP`.
+        stops: the link's stops; of steps, the mean positions of their two ends.
+        link: the link, None for steps.
+        num_steps: the number of steps side by side, 0 for a link.
     """
 
     name: str
@@ -265,7 +266,7 @@ class Connection(NamedTuple):
         return self.link is not None and self.link.one_way
 
     def label(self) -> str:
-        """The name that pictures write at its stops."""
+        """The name that pictures show at the stops."""
         return f"{self.name} (closed)" if self.is_closed else self.name
 
 
@@ -307,13 +308,13 @@ def _middle_of_cells(grid: NavGrid, level: int, cells: Int) -> StopPoint:
 
 
 def arc_between(start: Float, end: Float) -> Float:
-    """An arc from one position to another.
+    """Compute an arc from a start to an end.
 
-    It bulges upward; between positions above each other, to the side.
+    The arc bulges upward, or to the side if one position is right above the other.
 
     Args:
-        start: x, y, z [m].
-        end: x, y, z [m].
+        start: world x, y, z [m].
+        end: world x, y, z [m].
 
     Returns:
         Points of the arc, shape (`NUM_ARC_POINTS`, 3) [m].
@@ -333,7 +334,7 @@ def arc_between(start: Float, end: Float) -> Float:
 
 
 def describe_area(area: Area) -> str:
-    """An area in a few words: ``lab: keep-out``, ``lobby: price 2, at most 0.6 m/s``."""
+    """Describe an area in a few words: ``lab: keep-out``, ``lobby: price 2, at most 0.6 m/s``."""
     facts = []
     if math.isinf(area.cost):
         facts.append("keep-out")
@@ -347,7 +348,7 @@ def describe_area(area: Area) -> str:
 
 
 def stair_table(grid: NavGrid) -> Table:
-    """A row for each stair and each steep ramp: its steps side by side, and their mean position."""
+    """Make a table of stairs and steep ramps: their numbers of steps and mean positions."""
     rows = []
     for connection in find_connections(grid):
         if connection.link is not None:

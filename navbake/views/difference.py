@@ -48,15 +48,15 @@ Row: TypeAlias = tuple[str, str, str]
 
 
 def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
-    """Describe the differences of two grids, as a sheet of a report.
+    """Describe the differences of two grids for a report, which shows them on a sheet (tab).
 
     Args:
         first: the grid before.
         second: the grid after.
-        names: of both grids.
+        names: the names of the first and of the second grid.
 
     Returns:
-        JSON of a sheet, like that of a grid.
+        The sheet's content as JSON, with the keys that the sheet of a grid has.
     """
     pairs = match_levels(first, second)
     levels = [
@@ -167,12 +167,12 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
     """Describe where a map lies in the world.
 
     Args:
-        name: of the map.
-        lattice: of its cells.
+        name: the name of the map.
+        lattice: the lattice of the map's cells.
 
     Returns:
-        JSON. ``every`` is the stride of the rows and columns that a page shows, so that there are
-        at most `MAX_SHOWN` cells.
+        JSON. Pages show each ``every``-th row and column, so that they show at most
+        `MAX_SHOWN` cells.
     """
     every = 1
     while -(-lattice.height // every) * -(-lattice.width // every) > MAX_SHOWN:
@@ -189,12 +189,12 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
 
 
 def png_url(rgb: NDArray[np.uint8]) -> str:
-    """A data URL that holds a picture, shape (rows, cols, 3), as PNG."""
+    """Return a data URL with a picture, shape (rows, cols, 3), uint8, as PNG."""
     return "data:image/png;base64," + b64encode(encode_png(Image.fromarray(rgb))).decode("ascii")
 
 
 class RoomMatch(NamedTuple):
-    """A room of the first level and a room of the second that are taken for the same room."""
+    """A room of the first level, and the room of the second level that corresponds to it."""
 
     first: int  # index of the room
     second: int
@@ -208,8 +208,8 @@ class LevelDifference(NamedTuple):
         first: number of the first grid's level.
         second: number of the second grid's level.
         lattice: of the first level, extended to cover both.
-        change: of each cell of `lattice`, the number of its entry in `COLORS`.
-        rooms: rooms that are in both.
+        change: for each cell of `lattice`, the index of its kind of change in `COLORS`.
+        rooms: the rooms that are in both levels.
     """
 
     first: int
@@ -220,17 +220,17 @@ class LevelDifference(NamedTuple):
 
 
 def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
-    """Pair the levels of two grids, those whose grounds are nearest first.
+    """Match the levels of two grids by the heights of their grounds, the nearest first.
 
-    Levels are no pair if their grounds are more than `MAX_GROUND_GAP` apart, or if a lattice over
-    both would have too many cells, see `MAX_COVER_FACTOR`.
+    Two levels do not match if their grounds are more than `MAX_GROUND_GAP` apart. They do not
+    match either if a lattice over both would have too many cells, see `MAX_COVER_FACTOR`.
 
     Args:
         first: a grid.
         second: a grid.
 
     Returns:
-        Numbers of levels of the first and of the second grid, ascending.
+        For each matching pair, the level's number in the first and in the second grid; ascending.
     """
     candidates = []
     for i, first_level in enumerate(first.levels):
@@ -256,7 +256,7 @@ def compare_levels(
     Args:
         first: a level.
         second: a level; its cells that hold the centres are compared.
-        level_numbers: of both levels in their grids.
+        level_numbers: the number of each level in its grid.
     """
     lattice = _cover_both(first.lattice, second.lattice)
     before = _sample(first, lattice)
@@ -290,7 +290,7 @@ def compare_levels(
 
 
 class LevelSample(NamedTuple):
-    """A level at the centres of a lattice's cells; arrays of the lattice's shape."""
+    """The values of a level at the centres of a lattice's cells; arrays of the lattice's shape."""
 
     inside: Bool  # the level has a cell there; elsewhere the cell is blocked, without a floor
     free: Bool
@@ -357,12 +357,12 @@ def _match_rooms(first: Int, second: Int) -> list[RoomMatch]:
 def list_changed_rooms(
     first: NavGrid, second: NavGrid, levels: Sequence[LevelDifference]
 ) -> list[Row]:
-    """List the rooms that were renamed, have other cells, or are in one grid alone.
+    """List the rooms that were renamed, changed their cells, or are in only one of the grids.
 
     Args:
         first: a grid.
         second: a grid.
-        levels: differences of their levels.
+        levels: the differences of the matching levels.
     """
     first_rooms = {(room.level, room.index): room for room in first.rooms}
     second_rooms = {(room.level, room.index): room for room in second.rooms}
@@ -390,7 +390,7 @@ def list_changed_rooms(
 
 
 def settings_of(grid: NavGrid) -> dict[str, str]:
-    """The settings and digests of a grid, by their path in the metadata."""
+    """Return the settings and digests of a grid as text, by their path in the metadata."""
     return flatten(
         {
             "settings": grid.navbake.get("settings"),
@@ -410,7 +410,7 @@ def list_differences(first: Mapping[str, str], second: Mapping[str, str]) -> lis
         second: values by key.
 
     Returns:
-        Key, first and second value, ``""`` for none; sorted by key.
+        Rows of key, first value and second value, sorted by key; ``""`` for a missing value.
     """
     keys = sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
     return [(key, first.get(key, ""), second.get(key, "")) for key in keys]
@@ -420,11 +420,11 @@ def flatten(json: object, path: str = "") -> dict[str, str]:
     """Flatten nested JSON objects.
 
     Args:
-        json: an object, a list or a value; lists without objects are values.
-        path: of the object, before the paths of its entries.
+        json: an object, a list or a scalar; a list without objects becomes one text.
+        path: the path of `json` itself, with which the paths of its entries begin.
 
     Returns:
-        Values as text by their paths, such as ``scene.sites.0``; no entry for null.
+        The values as text by path, such as ``scene.sites.0``; null is left out.
     """
     if isinstance(json, list) and any(isinstance(entry, dict) for entry in json):
         json = dict(enumerate(json))

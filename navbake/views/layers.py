@@ -1,7 +1,8 @@
 """The layers of a level as pictures show them: a colour or a value for each cell, names, doors.
 
 Values are coloured by viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its dark
-end, which would look occupied. It gets lighter all the way, for grey and for the colour-blind.
+end, which would look occupied. Its lightness rises steadily, so that it also works in grey and for
+the colour-blind.
 """
 
 from __future__ import annotations
@@ -55,21 +56,22 @@ Reals: TypeAlias = NDArray[np.floating]
 
 
 class Tick(NamedTuple):
-    """A value beside the bar of a scale."""
+    """A value that is written beside the bar of a scale, and its position on the bar."""
 
     position: float  # along the bar, 0 to 1
     text: str
 
 
 class ColorScale(NamedTuple):
-    """Which colour stands for which value, on a bar from 0, the lowest value, to 1, the highest.
+    """A color scale: a bar of colours, with positions from 0 (lowest value) to 1 (highest value).
 
     Attributes:
         label: what the values are, with their unit.
-        values: ascending; between them, positions are interpolated.
-        positions: of the values on the bar, ascending, 0 to 1.
-        ticks: values that are written beside the bar.
-        colors: of the bar, at equal distances.
+        values: values whose positions are given, ascending; between them, positions are
+            interpolated.
+        positions: the positions of `values` on the bar, 0 to 1, ascending.
+        ticks: the values that are written beside the bar.
+        colors: the bar's colours at equal distances.
     """
 
     label: str
@@ -79,14 +81,14 @@ class ColorScale(NamedTuple):
     colors: Sequence[str] = VIRIDIS
 
     def bar(self, count: int) -> NDArray[np.uint8]:
-        """Colours at equal distances along the bar, lowest value first, shape (count, 3)."""
+        """Return colours at equal distances along the bar, lowest value first, shape (count, 3)."""
         positions = np.linspace(0.0, len(self.colors) - 1, count)
         rgb = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
         channels = [np.interp(positions, np.arange(len(rgb)), channel) for channel in rgb.T]
         return np.round(np.stack(channels, axis=1)).astype(np.uint8)
 
     def color(self, values: Reals) -> NDArray[np.uint8]:
-        """Colours of finite values of any shape, shape (…, 3); values off the bar are clipped."""
+        """Return the colours of finite values, shape (…, 3); values beyond the bar are clipped."""
         positions = np.interp(values, self.values, self.positions)
         shades = np.round(positions * (SHADES - 1)).astype(np.intp)
         painted: NDArray[np.uint8] = self.bar(SHADES).take(shades, axis=0)
@@ -98,12 +100,12 @@ class Label(NamedTuple):
 
     Attributes:
         text: the name.
-        fallback: written instead if no font has the letters of the name.
-        x: of its middle, world frame [m].
-        y: of its middle, world frame [m].
+        fallback: the text to write if no font has the letters of the name.
+        x: world x of the name's middle [m].
+        y: world y of the name's middle [m].
         width: how wide the name may be [m]; 0 for the name of a point.
         height: how high the name may be [m]; 0 for the name of a point.
-        number: written where there is no space for the name.
+        number: the number to write where there is no space for the name.
     """
 
     text: str
@@ -116,18 +118,20 @@ class Label(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """A layer of a level.
+    """A layer of a level, ready to be drawn.
 
     Attributes:
-        title: of the picture.
-        rgb: colours of cells, shape (height, width, 3).
-        values: of cells, shape (height, width); finite ones are coloured by `scale`, not by `rgb`.
-        scale: of the values.
+        title: the title of the picture.
+        rgb: the colour of each cell, shape (height, width, 3).
+        values: a value for each cell, shape (height, width). Cells with a finite value are
+            coloured by `scale`, not by `rgb`.
+        scale: the color scale of `values`.
         legend: meanings of the colours of `rgb`.
         labels: names on the picture.
         doors: lines across doorways.
         connections: links and stairs to draw, of all levels.
-        relief: step of values that gets 3/4 of the strongest light or shade, 0 for no relief.
+        relief: the difference of values between neighbours at which relief shading has 3/4 of its
+            full strength; 0 for no shading.
     """
 
     title: str
@@ -144,13 +148,13 @@ class Panel(NamedTuple):
 def make_panel(
     grid: NavGrid, layer: str, number: int, *, findings: Sequence[Finding] | None = None
 ) -> Panel:
-    """Show a layer of a level; `paint` turns it into colours.
+    """Make the panel of a level's layer; `paint` turns it into colours.
 
     Args:
         grid: a grid of one or several levels.
         layer: one of `LAYERS`, or `DISAGREEMENTS`.
-        number: of the level, 0 is the lowest.
-        findings: of a verification, for `DISAGREEMENTS`.
+        number: the number of the level, 0 is the lowest.
+        findings: the findings of a verification, which `DISAGREEMENTS` needs.
 
     Raises:
         QueryError: there is no such layer or level, or there are no findings for `DISAGREEMENTS`.
@@ -173,7 +177,7 @@ def make_panel(
 
 
 def paint(panel: Panel) -> NDArray[np.uint8]:
-    """The colour of each cell, shape (height, width, 3), row 0 at the largest y."""
+    """Return the colours of a panel's cells, shape (height, width, 3), row 0 at the largest y."""
     if panel.values is None or panel.scale is None:
         return panel.rgb
     shown = np.isfinite(panel.values)
@@ -188,14 +192,15 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
 
 
 def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
-    """Relief shading of floors, from -1, in shade, to 1, lit: shape (height, width).
+    """Compute the relief shading of floors, -1 (shaded) to 1 (lit), shape (height, width).
 
     The light comes from the upper left, as on maps. A cell that is higher than its neighbours
     above and to the left is lit, a lower one lies in shade.
 
     Args:
-        heights: shape (height, width) [m]; neighbours without a finite height don't count.
-        step: difference of heights at which light or shade is 3/4 of the strongest [m].
+        heights: the height of each cell [m], shape (height, width); neighbours without a finite
+            height don't count.
+        step: the difference of heights at which the shading is 3/4 of its full strength [m].
     """
     finite = np.where(np.isfinite(heights), heights, np.nan)
     outside = np.float32(np.nan)
@@ -209,12 +214,12 @@ def relief_shading(heights: Reals, step: float) -> NDArray[np.float32]:
 
 
 def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> ColorScale:
-    """A linear scale, whose ticks are round numbers, or the only value.
+    """Make a linear scale. Its ticks are round numbers; if all values are equal, that value.
 
     Args:
-        values: finite, shape (n,).
+        values: finite values, shape (n,).
         label: what the values are, with their unit.
-        dark_high: the largest value is the darkest, not the lightest.
+        dark_high: whether the largest value is the darkest, not the lightest.
     """
     low = float(values.min()) if values.size else 0.0
     high = float(values.max()) if values.size else MIN_RANGE
@@ -237,20 +242,20 @@ def linear_scale(values: Reals, label: str, *, dark_high: bool = False) -> Color
 
 
 def nice_step(least: float) -> float:
-    """Smallest of 1, 2 or 5 times a power of ten that is at least `least`."""
+    """Round up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(least))
     return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
 
 
 def height_scale(heights: Reals, label: str) -> ColorScale:
-    """A scale on which floors 2 cm apart and floors 3 m apart differ visibly.
+    """Make a scale on which floors 2 cm apart and floors 3 m apart differ visibly.
 
-    Heights are rounded to centimetres. Gaps without floors are as long on the bar as their cube
-    root: 3 m take 5 times as much as 2 cm, not 150 times. Ticks are at the height of the
-    largest area, at the ends, then at the next largest areas.
+    Heights are rounded to centimetres. The length of a gap without floors on the bar
+    is proportional to its cube root: a gap of 3 m is 5 times as long as 2 cm, not 150 times. Ticks
+    are at the height of the largest area, at the ends, then at the next largest areas.
 
     Args:
-        heights: finite, shape (n,) [m].
+        heights: finite heights [m], shape (n,).
         label: what the heights are, with their unit.
     """
     if not heights.size:
@@ -346,10 +351,10 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
     Args:
         grid: a grid of one or several levels.
-        number: of the level, 0 is the lowest.
+        number: the number of the level, 0 is the lowest.
 
     Returns:
-        Colours, shape (height, width, 3).
+        The colour of each cell, shape (height, width, 3).
     """
     level = grid.levels[number]
     rooms = colors.color_rooms(grid, number)
@@ -528,7 +533,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
 
 
 def colors_of_kinds(kinds: Iterable[str]) -> dict[str, str]:
-    """A colour for each kind of mark; many kinds share colours."""
+    """Return a colour for each kind of mark; if there are many kinds, some share a colour."""
     return {
         kind: colors.MARKS[number % len(colors.MARKS)]
         for number, kind in enumerate(sorted(set(kinds)))

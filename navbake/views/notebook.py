@@ -26,10 +26,10 @@ THUMBNAIL_COLORS = 64  # of which each pixel has one: a byte a pixel, a third of
 
 
 def show_html(grid: NavGrid) -> str:
-    """Show a grid in a notebook: a line of facts, and the levels side by side, lowest first.
+    """Make the HTML that notebooks show for a grid: a line of facts, then a picture of each level.
 
     Colours are those of `paint_rooms`. The HTML holds the pictures, at most `LEVEL_SIDE` pixels
-    long; names are escaped. The same grid gives the same text.
+    long, lowest level first; names are escaped. The same grid gives the same text.
     """
     scale = _scale_for(grid, LEVEL_SIDE)
     num_rooms = [
@@ -63,12 +63,12 @@ def show_html(grid: NavGrid) -> str:
 
 
 def draw_png(grid: NavGrid) -> bytes:
-    """Draw all levels as a PNG, row by row from the lowest, at most `PICTURE_SIDE` pixels long."""
+    """Draw all levels as one PNG, lowest first, at most `PICTURE_SIDE` pixels wide and high."""
     return encode_png(draw_levels(grid, PICTURE_SIDE))
 
 
 def draw_voxels(grid: VoxelGrid) -> bytes:
-    """Draw voxels from above as PNG: the higher a column's top, the lighter; white if empty."""
+    """Draw voxels from above as PNG: a column is the lighter the higher its top, white if empty."""
     filled = grid.occupied
     num_z = grid.shape[2]
     top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
@@ -90,7 +90,7 @@ def draw_path(path: Path) -> bytes | None:
 def draw_thumbnail(grid: NavGrid) -> bytes:
     """Draw a small picture of the levels as PNG, in at most `THUMBNAIL_COLORS` colours.
 
-    The same grid gives the same bytes.
+    Equal grids give equal bytes.
     """
     image = draw_levels(grid, THUMBNAIL_SIDE)
     if image.getcolors(THUMBNAIL_COLORS) is None:
@@ -105,8 +105,8 @@ def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Ima
 
     Args:
         grid: a grid of one or several levels.
-        side: longest side of the picture [pixels].
-        path: a path to draw, with a dot where it begins.
+        side: the longest side of the picture [pixels].
+        path: a path to draw, with a dot at its start; None for none.
     """
     count = min(len(grid.levels), MAX_LEVELS)
     columns = math.ceil(math.sqrt(count))
@@ -124,7 +124,7 @@ def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Ima
 
 
 def encode_png(image: Image.Image) -> bytes:
-    """Encode a picture as PNG, with a byte a pixel where it has no more than 256 colours."""
+    """Encode a picture as PNG; one of at most 256 colours takes one byte per pixel."""
     if image.mode == "RGB" and image.getcolors(256) is not None:
         image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
     content = io.BytesIO()

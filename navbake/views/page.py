@@ -1,4 +1,4 @@
-"""Makes HTML pages of a skeleton, one style, scripts with shared functions, and packed content.
+"""Makes HTML pages from a body, a common style, scripts and packed content.
 
 A page needs neither a server nor the network. `kit.js` unpacks what is packed here.
 """
@@ -23,21 +23,21 @@ COMPRESSION_LEVEL = 6  # 9 takes five times as long for 2 % less
 def make_page(
     title: str, content: Json, package: str, name: str, pictures: str = DATA_URLS
 ) -> bytes:
-    """Make a page. The same arguments give the same bytes.
+    """Make an HTML page. Equal arguments give equal bytes.
 
     The page's policy (Content-Security-Policy) allows only its own script and style, by their
     hashes, and pictures. So no name from a file can run as a script, and the page loads nothing
     from the network.
 
     Args:
-        title: of the page, as plain text.
-        content: JSON that the script reads, with arrays of numpy.
+        title: the title of the page, as plain text.
+        content: the JSON that the script reads; it may contain numpy arrays.
         package: the package that has the files of the page.
-        name: of the files: ``name.html`` is the body, ``name.js`` the script.
-        pictures: from where pictures may be loaded, as the policy states it.
+        name: the stem of the files: ``name.html`` is the body, ``name.js`` the script.
+        pictures: the sources from which pictures may be loaded, in the policy's syntax.
 
     Returns:
-        HTML, UTF-8.
+        The HTML, UTF-8.
     """
 
     def read(package: str, name: str) -> str:
@@ -65,9 +65,9 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
     """Describe a table for a page, without the columns that are empty in all rows.
 
     Args:
-        title: over the table.
-        table: of which `MAX_ROWS` rows are shown.
-        folded: whether it is closed at first.
+        title: the title over the table.
+        table: the table, whose first `MAX_ROWS` rows are shown.
+        folded: whether the table is closed when the page opens.
 
     Returns:
         JSON that the page's script reads.
@@ -84,7 +84,7 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
 
 
 def pack(content: Json) -> str:
-    """Pack JSON with arrays of numpy as compressed text, see `to_text`."""
+    """Pack JSON, which may contain numpy arrays, as compressed text, see `to_text`."""
     return to_text(orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY))
 
 

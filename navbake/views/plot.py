@@ -88,8 +88,8 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
 
     Args:
         grid: a grid of one or several levels.
-        path: of the file: an SVG if it ends in ``.svg``, else a PNG.
-        options: see `render_picture`.
+        path: the path of the file: an SVG if it ends in ``.svg``, else a PNG.
+        options: keyword arguments of `render_picture`.
 
     Returns:
         The path.
@@ -107,11 +107,12 @@ def plot(
 
     Args:
         grid: a grid of one or several levels.
-        path: of a file to write, see `plot_grid`; None for none.
-        options: see `render_picture`.
+        path: the path of a file to write, see `plot_grid`; None to write no file.
+        options: keyword arguments of `render_picture`.
 
     Returns:
-        The path, if there is one; else an image, which notebooks show and which has ``show()``.
+        The path, if one is given. Otherwise the image, which notebooks show and which has a method
+        ``show()``.
     """
     if path is not None:
         return plot_grid(grid, path, **options)
@@ -127,18 +128,19 @@ def render_picture(
     route: Route | None = None,
     marks: Sequence[Mark] = (),
 ) -> bytes:
-    """Draw a grid as PNG or SVG; the same grid, the same bytes.
+    """Draw a grid as PNG or SVG; equal arguments give equal bytes.
 
-    A level has a row, the lowest is on top, and a layer a column; levels of one layer lie beside
-    each other. All panels have one scale and show the same part of the world, +y up.
+    Each level is a row of panels, the lowest on top, and each layer a column. If there is only one
+    layer, the levels lie beside each other. All panels have one scale and show the same part of the
+    world, +y up.
 
     Args:
         grid: a grid of one or several levels.
         form: ``png`` or ``svg``.
-        level: draw only this one, 0 is the lowest.
-        layers: what to draw: names of `navbake.views.layers.LAYERS`.
+        level: the number of the only level to draw, 0 is the lowest; None for all.
+        layers: the layers to draw, names of `navbake.views.layers.LAYERS`.
         route: a path to draw on top, each of its parts on its level.
-        marks: places to mark; those on no level are on all of them.
+        marks: places to mark; those without a level are drawn on all levels.
 
     Raises:
         QueryError: there is no such level or layer.
@@ -252,7 +254,7 @@ def _write_all_names(
 
 
 def find_fonts(text: str) -> tuple[list[str], set[str]]:
-    """Families of installed fonts that have the letters of a text, and letters that none has."""
+    """Return the families of installed fonts for a text, and the letters that no font has."""
     from matplotlib import font_manager
 
     families = [FONT]
@@ -275,7 +277,7 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
 
 
 def wrap(text: str, width: float, lines: int = 3) -> str:
-    """Break a text into at most so many lines of a width [inches]; what doesn't fit is cut."""
+    """Break a text into at most `lines` lines of a width [inches]; cut off what doesn't fit."""
     letters = max(int(width * LETTERS), 8)
     return textwrap.fill(printable(text), letters, max_lines=lines, placeholder="…")
 
@@ -286,15 +288,15 @@ def add_axes(
     panels: Sequence[Panel],
     num_layers: int,
 ) -> list[PanelAxes]:
-    """Give a figure its size, and each panel a place, see `render_picture`.
+    """Set the size of a figure, and add axes for each panel, as `render_picture` describes.
 
-    Maps that are much wider than high lie below each other, as wide as the picture.
+    Maps that are much wider than high are as wide as the picture, one below the other.
 
     Args:
-        figure: an empty one.
-        view: what all panels show: x_min, y_min, x_max, y_max, world frame [m].
-        panels: level by level, the layers of each.
-        num_layers: how many layers a level has.
+        figure: an empty figure.
+        view: the rectangle that all panels show, world x_min, y_min, x_max, y_max [m].
+        panels: the panels, level by level; of each level, layer by layer.
+        num_layers: the number of layers of a level.
 
     Returns:
         The axes of the panels.
@@ -419,17 +421,18 @@ def _door_line(state: str) -> str:
 
 
 def write_names(ax: Axes, labels: Sequence[Label]) -> Iterator[str]:
-    """Write names on a map, those of large rooms first, so that none overlaps another.
+    """Write names on a map without overlaps, those of large rooms first.
 
     A name stands in the middle of its room, in one line or two, as large as fits, or beside its
     point. Where it doesn't fit, its number is written; where that doesn't fit, nothing.
 
     Args:
-        ax: the map, whose size is final.
+        ax: the axes of the map; their size must be final.
         labels: the names.
 
     Yields:
-        Entries of the key that explains the numbers, such as ``3: kitchen``.
+        For each number that was written instead of a name, its explanation, such as
+        ``3: kitchen``.
     """
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox

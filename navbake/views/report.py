@@ -39,7 +39,7 @@ NUM_BAR_COLORS = 64  # of the bar beside a layer
 
 
 class VerifiedFinding(TypedDict):
-    """The part of a `Finding` in JSON that a page needs."""
+    """The fields of a verification's finding, as JSON, that a page needs."""
 
     kind: str
     level: int
@@ -48,7 +48,7 @@ class VerifiedFinding(TypedDict):
 
 
 class Verification(TypedDict):
-    """The part of `VerifyReport.to_json` that a page shows."""
+    """The fields of a verification's report, as JSON, that a page shows."""
 
     ok: bool
     checked: int
@@ -64,11 +64,11 @@ def write_report(
     audits: Sequence[AuditReport | None] | None = None,
     verifications: Sequence[Json | None] | None = None,
 ) -> Path:
-    """Write the page that `render_report` makes; after an error there is no file.
+    """Write the page that `render_report` makes; if an error is raised, no file is written.
 
     Args:
-        grids: one or more.
-        path: of the HTML file.
+        grids: one or more grids.
+        path: the path of the HTML file.
         names: see `render_report`.
         audits: see `render_report`.
         verifications: see `render_report`.
@@ -92,20 +92,21 @@ def render_report(
     audits: Sequence[AuditReport | None] | None = None,
     verifications: Sequence[Json | None] | None = None,
 ) -> bytes:
-    """Make a report as one HTML page: maps to zoom, and tables. The same grids, the same bytes.
+    """Make a report as one HTML page of maps and tables. Equal arguments give equal bytes.
 
     Floors and clearances are rounded to a millimetre. Of levels of more than `MAX_SHOWN` cells,
-    every n-th row and column is shown. With two grids, a third sheet shows what differs.
+    only every n-th row and column is shown. Each grid has a sheet (tab); if there are two grids, a
+    third sheet shows their differences.
 
     Args:
-        grids: one or more.
-        names: of the grids on the page; their scenes' names if None.
-        audits: reports of `navbake.audit`, one a grid, None for a grid without.
-        verifications: what `VerifyReport.to_json` returns, one a grid, None for a grid without.
+        grids: one or more grids.
+        names: the names of the grids on the page; their scenes' names if None.
+        audits: for each grid a report of `navbake.audit`, or None.
+        verifications: for each grid what `VerifyReport.to_json` returns, or None.
 
     Raises:
-        QueryError: there is no grid, or another number of names, audits or verifications, or a
-            verification is of another grid, as far as its scene's name and the cells tell.
+        QueryError: there is no grid; the number of names, audits or verifications is not that of
+            the grids; or the scene's name or the cells of a verification don't match its grid.
     """
     grids = list(grids) if isinstance(grids, Sequence) else [grids]
     num_grids = len(grids)
@@ -143,7 +144,7 @@ def read_verification(path: str | PathLike[str]) -> Json:
     """Read the JSON file of a verification, see `VerifyReport.to_json`.
 
     Raises:
-        FormatError: it can't be read, or isn't a verification.
+        FormatError: the file can't be read, or isn't a verification.
     """
     report, name = read_json(path, expected=PRINTED)
     try:
@@ -290,12 +291,13 @@ def describe_map(grid: NavGrid, number: int) -> Json:
 
     Args:
         grid: a grid of one or several levels.
-        number: of the level, 0 is the lowest.
+        number: the number of the level, 0 is the lowest.
 
     Returns:
-        JSON. ``cells`` is packed by `pack`: for each fact a list of its values by cell, row by row,
-        null where there is no floor or the cell is blocked. ``names`` are indices into
-        ``nameLists``, -1 for none: names of a cell's occupants and blockers, by `KINDS`.
+        JSON. ``cells`` is packed by `pack`: for each property the list of its values by cell, row
+        by row, null where there is no floor or the cell is blocked. ``names`` are indices into
+        ``nameLists``, -1 for none; a list has the names of a cell's occupants and blockers, by
+        `KINDS`.
     """
     level = grid.levels[number]
     place = describe_extent(grid.level_names[number], level.lattice)

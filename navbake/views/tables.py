@@ -30,10 +30,10 @@ class Table(NamedTuple):
     """A table of text.
 
     Attributes:
-        headings: of the columns; all empty for a table without headings.
-        rows: texts of the cells, one a column, control characters escaped.
-        numbers: headings of the columns that are aligned on the right.
-        gap: spaces between printed columns.
+        headings: the headings of the columns; all empty for a table without headings.
+        rows: the rows, with a text for each column; control characters are escaped.
+        numbers: the headings of the columns that are aligned on the right.
+        gap: the number of spaces between printed columns.
     """
 
     headings: Sequence[str]
@@ -42,7 +42,7 @@ class Table(NamedTuple):
     gap: int = 2
 
     def without_empty_columns(self) -> Table:
-        """Drop the columns that are empty in all rows."""
+        """Return the table without the columns that are empty in all rows."""
         columns = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
         rows = [[row[i] for i in columns] for row in self.rows]
         return self._replace(headings=[self.headings[i] for i in columns], rows=rows)
@@ -57,17 +57,17 @@ def make_table(
     """Make a table of values.
 
     Args:
-        headings: of the columns.
-        rows: values, one a column; None is an empty cell.
-        numbers: headings of the columns that are aligned on the right.
-        gap: spaces between printed columns.
+        headings: the headings of the columns.
+        rows: the rows, with a value for each column; None is an empty cell.
+        numbers: the headings of the columns that are aligned on the right.
+        gap: the number of spaces between printed columns.
     """
     cells = [[printable("" if cell is None else str(cell)) for cell in row] for row in rows]
     return Table(headings, cells, frozenset(numbers), gap)
 
 
 def summarize(facts: Json) -> list[tuple[str, str]]:
-    """Facts about a whole grid, from `navbake.views.describe.describe`."""
+    """List names and values of facts about a grid, from `navbake.views.describe.describe`."""
     inflated = "{radius}, clearance {clearance} ({mode})"
     agent = {  # sizes, and a slope
         f"agent {name.replace('_', ' ')} {'[deg]' if 'slope' in name else '[m]'}": str(value)
@@ -86,7 +86,10 @@ def summarize(facts: Json) -> list[tuple[str, str]]:
 
 
 def level_table(facts: Json) -> Table:
-    """A row for each level, from `navbake.views.describe.describe`; rooms only if there are any."""
+    """Make a row for each level, from `navbake.views.describe.describe`.
+
+    There is a column of rooms only if some level has rooms.
+    """
     columns = dict(LEVEL_COLUMNS)
     if any(level["num_rooms"] for level in facts["levels"]):
         columns["rooms"] = "{num_rooms}"
@@ -103,8 +106,8 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
     """Make a row for each room, without empty columns.
 
     Args:
-        rooms: of a grid.
-        levels: names of the grid's levels.
+        rooms: the rooms of a grid.
+        levels: the names of the grid's levels.
     """
     rows = []
     for room in rooms:
@@ -135,8 +138,8 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
     """Make a row for each door, without empty columns.
 
     Args:
-        doors: of a grid.
-        levels: names of the grid's levels.
+        doors: the doors of a grid.
+        levels: the names of the grid's levels.
     """
     has_joints = any(door.joint != door.id for door in doors)
     rows = []
@@ -159,8 +162,8 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
     """Make a row for each named link, without empty columns.
 
     Args:
-        links: of a grid.
-        levels: names of the grid's levels.
+        links: the links of a grid.
+        levels: the names of the grid's levels.
     """
     rows = []
     for link in links:
@@ -183,7 +186,7 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
 
 
 def area_table(areas: Sequence[Json]) -> Table:
-    """A row for each area, from `navbake.views.describe.describe`, without empty columns."""
+    """Make a row for each area, from `navbake.views.describe.describe`, without empty columns."""
     rows = [
         (
             area["name"],
@@ -199,7 +202,7 @@ def area_table(areas: Sequence[Json]) -> Table:
 
 
 def agent_table(agents: Mapping[str, Json]) -> Table:
-    """A row for each agent, from `navbake.views.describe.describe`, without empty columns."""
+    """Make a row for each agent, from `navbake.views.describe.describe`, without empty columns."""
     keys = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
     rows = [
         (name, *(_number_text(agent.get(key)) for key in keys)) for name, agent in agents.items()

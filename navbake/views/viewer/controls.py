@@ -52,7 +52,7 @@ MAX_SCALES = 3  # in the legend
 
 
 class Controls:
-    """The panel of a page: inputs that change the user's choices, and texts that follow them."""
+    """The panel of a page: inputs that change the user's choices, and texts that describe them."""
 
     def __init__(
         self,
@@ -257,12 +257,12 @@ class Controls:
     def update(
         self, choices: Choices, route: Path | str | None, inspection: Inspection | None
     ) -> None:
-        """Bring the texts, and the inputs that follow from others, up to date.
+        """Update the texts, and the inputs that depend on the choices.
 
         Args:
-            choices: of the user.
-            route: the path between the clicks, or why there is none; None where a click is missing.
-            inspection: of the inspected cell, None for none.
+            choices: the user's choices.
+            route: the path between the clicks, or why there is none; None if a click is missing.
+            inspection: the inspected cell, None for none.
         """
         view_state = self._view_state
         handles = self._handles
@@ -372,18 +372,18 @@ def _number_duplicates(names: list[str]) -> list[str]:
 def escape_markdown(text: object) -> str:
     """Escape text for Markdown, and put it on one line.
 
-    The page takes HTML in Markdown, scripts included. A line's end would begin a new block, in
-    which other rules hold.
+    The page renders HTML in Markdown, scripts included. A line break would begin a new block, in
+    which Markdown has different rules.
     """
     return MARKDOWN_SIGNS.sub(r"\\\1", " ".join(str(text).split()))
 
 
 def counts_text(shown: FreeSpace, as_baked: FreeSpace) -> str:
-    """Say how much of the shown grid is free.
+    """Describe how much of the shown grid is free.
 
     Args:
-        shown: of the grid with the chosen doors and inflation.
-        as_baked: of the grid as it is in its file.
+        shown: the free space of the grid with the chosen doors and inflation.
+        as_baked: the free space of the grid as it is in its file.
 
     Returns:
         Markdown.
@@ -400,11 +400,11 @@ def route_text(choices: Choices, route: Path | str | None) -> str:
     """Describe the path between two clicks.
 
     Args:
-        choices: with the clicks.
-        route: the path, or why there is none; None where a click is missing.
+        choices: the user's choices, with the clicks.
+        route: the path, or why there is none; None if a click is missing.
 
     Returns:
-        Markdown; what to click next where a click is missing.
+        Markdown; if a click is missing, what to click next.
     """
     if route is None:
         return HINT_GOAL if choices.start is not None and choices.goal is None else HINT_START
@@ -424,14 +424,15 @@ def route_text(choices: Choices, route: Path | str | None) -> str:
 
 
 def cell_text(inspection: Inspection | None, inflation: tuple[float, float] | None) -> str:
-    """Describe a cell, and say why an agent can or can't stand there.
+    """Describe a cell, and why an agent can or can't stand there.
 
     Args:
-        inspection: of the cell; None for none.
-        inflation: agent radius and clearance that the grid was inflated by [m]; None for none.
+        inspection: the inspected cell; None for none.
+        inflation: the agent's radius [m] and clearance [m] by which the grid is inflated; None for
+            no inflation.
 
     Returns:
-        A Markdown table; what to click if there is no cell.
+        A Markdown table; if there is no cell, what to click.
     """
     if inspection is None:
         return HINT_INSPECT
@@ -466,7 +467,7 @@ def _list_names(names: Sequence[str], separator: str) -> str:
 
 
 def episode_text(episode: Episode | None) -> str:
-    """The task of an episode, as Markdown; empty for none."""
+    """Describe the task of an episode as Markdown; return an empty text for no episode."""
     if episode is None:
         return ""
     first_goal = episode.goals[0]
@@ -484,11 +485,11 @@ def legend_html(panels: Sequence[Panel], marks: Mapping[str, str] | None = None)
     """Write the legend of a layer.
 
     Args:
-        panels: of the shown levels, the lowest first.
-        marks: meanings and colours of what else is drawn.
+        panels: the panels of the shown levels, the lowest first.
+        marks: the meaning and the colour of each kind of mark that is drawn.
 
     Returns:
-        HTML: the scales of the highest levels, and what colours mean.
+        HTML: the scales of the highest levels, and the meanings of colours.
     """
     scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
     parts = []
@@ -521,7 +522,7 @@ def legend_html(panels: Sequence[Panel], marks: Mapping[str, str] | None = None)
 
 
 def report_text(view_state: ViewState) -> str:
-    """The outcome of a verification, as Markdown; empty before one."""
+    """Describe the outcome of the verification as Markdown; empty before there is one."""
     report = view_state.report
     if report is None:
         return ""
@@ -530,6 +531,6 @@ def report_text(view_state: ViewState) -> str:
 
 
 def error_text(error: Exception) -> str:
-    """An error as a line of Markdown."""
+    """Format an error as a line of Markdown."""
     text = " ".join(str(error).split()) or type(error).__name__
     return f"**Error**: {escape_markdown(text)}"

@@ -92,18 +92,18 @@ Reals: TypeAlias = NDArray[np.floating]
 
 
 class Surface(NamedTuple):
-    """Triangles that are drawn alike. Arrays have an entry a vertex.
+    """Triangles that are drawn in the same way. Arrays have one entry per vertex.
 
     Attributes:
-        vertices: world frame, shape (n, 3) [m].
+        vertices: positions, world frame [m], shape (n, 3).
         faces: triangles, as indices into `vertices`, shape (m, 3).
-        geom: MuJoCo's geom ids, shape (n,); None if the surface is of no geom.
-        colors: linear light and opacity, 0 to 1, shape (n, 4); None for white.
-        uv: positions on the picture, 0 to 1 from its upper left corner, shape (n, 2); None for a
-            surface without a picture.
-        texture: id of the picture, -1 for none.
+        geom: the id of each vertex's geom, shape (n,); None if the surface belongs to no geom.
+        colors: linear red, green, blue and opacity, 0 to 1, shape (n, 4); None for white.
+        uv: positions on the texture, 0 to 1 from its upper left corner, shape (n, 2); None for a
+            surface without a texture.
+        texture: the id of the texture, -1 for none.
         is_round: whether the surface is shaded smoothly, not as flat triangles.
-        opacity: of the whole surface; below 1, what is behind it shines through.
+        opacity: the opacity of the whole surface, 1 for opaque.
     """
 
     vertices: Reals
@@ -117,14 +117,14 @@ class Surface(NamedTuple):
 
     @property
     def face_geoms(self) -> Int:
-        """The geom of each triangle, -1 for none, shape (m,)."""
+        """The id of each triangle's geom, -1 for none, shape (m,)."""
         geom = np.full(len(self.vertices), -1) if self.geom is None else self.geom
         face_geoms: Int = geom[self.faces[:, 0]].astype(np.int64)
         return face_geoms
 
 
 class LodStep(NamedTuple):
-    """How coarsely a mesh is drawn from a distance on (level of detail)."""
+    """The coarseness of a mesh (level of detail) from a distance of the camera on."""
 
     distance: float  # [m]
     share: float  # of its triangles, 0 to 1
@@ -135,11 +135,11 @@ class MeshBatch(NamedTuple):
 
     Attributes:
         content: the mesh in its own frame, lit as it is at the first of the geoms, as GLB.
-        geoms: ids, shape (n,).
-        rotations: of the geoms, quaternions w, x, y, z, shape (n, 4).
-        positions: of the geoms, world frame, shape (n, 3) [m].
-        tops: world z of each geom's highest point, shape (n,) [m].
-        lod: how coarsely the mesh is drawn from afar, nearest first; empty if always in full.
+        geoms: the geoms' ids, shape (n,).
+        rotations: the geoms' rotations, quaternions w, x, y, z, shape (n, 4).
+        positions: the geoms' positions, world frame [m], shape (n, 3).
+        tops: world z of each geom's highest point [m], shape (n,).
+        lod: the levels of detail, by ascending distance; empty if the mesh is always drawn in full.
     """
 
     content: bytes
@@ -150,7 +150,7 @@ class MeshBatch(NamedTuple):
     lod: tuple[LodStep, ...]
 
     def is_below(self, height: float | None) -> Bool:
-        """Mark the geoms that are wholly below a world z [m], all for None: shape (n,)."""
+        """Mark the geoms that are wholly below a world z [m], or all if None; shape (n,)."""
         return np.full(len(self.tops), True) if height is None else self.tops <= height
 
 
@@ -159,11 +159,11 @@ class Drawing(NamedTuple):
 
     Attributes:
         surfaces: the triangles of all geoms, those of `batches` included.
-        textures: pictures by MuJoCo's texture id.
-        bounds: lower and upper corner, world frame, shape (2, 3) [m].
-        names: of the geoms as grids name them, by geom id.
-        solid: whether a geom is one convex solid, so that a cut through it can be closed, by geom
-            id.
+        textures: the pictures by MuJoCo's texture id.
+        bounds: lower and upper corner, world frame [m], shape (2, 3).
+        names: the names of the geoms, as grids have them, by geom id.
+        solid: by geom id, whether the geom is one convex solid, so that a cut through it can be
+            closed.
         has_hidden: whether there are geoms that are drawn only on demand.
         batches: meshes that several geoms show.
     """
@@ -186,7 +186,7 @@ class GeomColors(NamedTuple):
 
 
 class Appearance(NamedTuple):
-    """What surfaces must share to be drawn as one."""
+    """The properties of a surface; surfaces with equal ones are drawn as one."""
 
     is_clear: bool
     is_round: bool
@@ -194,7 +194,7 @@ class Appearance(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A half-line, world frame."""
+    """A ray: origin and direction, world frame."""
 
     origin: ArrayLike  # x, y, z [m]
     direction: ArrayLike  # of any length
@@ -212,15 +212,16 @@ def draw_scene(
 ) -> Drawing:
     """Make triangles of a scene.
 
-    Drawn are the geoms that MuJoCo's viewers draw: those of the groups 0 to 2 that aren't wholly
-    transparent; those of all groups if these hold none. Meshes show their textures; other geoms
-    have the mean colour of theirs. Geoms that are drawn alike share a surface.
+    The geoms that MuJoCo's viewers draw are drawn: those of the groups 0 to 2 that aren't wholly
+    transparent, or those of all groups if these three have none. Meshes show their textures; other
+    geoms have the mean colour of their texture. Geoms that are drawn in the same way share a
+    surface.
 
     Args:
         scene: a loaded scene.
-        data: the pose; None for the scene's own.
-        removed: ids of geoms to leave out.
-        with_hidden: draw the geoms of all groups.
+        data: the data with the pose; None for the scene's own pose.
+        removed: the ids of the geoms to leave out.
+        with_hidden: whether to draw the geoms of all groups.
 
     Returns:
         The triangles, in the world frame.
@@ -483,7 +484,7 @@ def _texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
 
 
 def coarsen(vertices: Float, faces: Faces, max_triangles: int) -> tuple[Float, Faces]:
-    """Coarsen a mesh by vertex clustering: vertices in one cell of a cube lattice become one.
+    """Coarsen a mesh by vertex clustering: all vertices in a cell of a cubic lattice become one.
 
     Source: Rossignac and Borrel 1993, Multi-resolution 3D approximations for rendering complex
     scenes.
@@ -491,8 +492,8 @@ def coarsen(vertices: Float, faces: Faces, max_triangles: int) -> tuple[Float, F
     Args:
         vertices: shape (n, 3).
         faces: triangles as indices into `vertices`, shape (m, 3).
-        max_triangles: the finest of several lattices that leaves no more than these is taken, or
-            the coarsest one if all leave more.
+        max_triangles: the largest number of triangles that should remain. Of several lattices, the
+            finest that meets this is used, or the coarsest if none does.
 
     Returns:
         Vertices and triangles of the coarse mesh.
@@ -592,7 +593,7 @@ def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
         height: world z of the plane [m].
 
     Returns:
-        The surfaces below the plane; none is empty unless it was.
+        The surfaces below the plane. Those that are wholly above it are left out.
     """
     surfaces: list[Surface] = []
     for surface in drawing.surfaces:
@@ -662,13 +663,14 @@ def _make_caps(surface: Surface, height: float, solid: Bool) -> Surface:
 def make_floor_surface(
     level: SceneGrid2D, *, with_holes: bool = True, max_rectangles: int = MAX_RECTANGLES
 ) -> Surface:
-    """Make the surface that the layers of a level are drawn on: a rectangle for each even part.
+    """Make the surface that a level's layers are drawn on: a rectangle for each plane part.
 
     Args:
         level: the level.
-        with_holes: leave out the cells without a floor; else they lie at the level's ground.
-        max_rectangles: where there are more, the surface follows the floor less closely, until
-            each part is as large as it can be.
+        with_holes: whether to leave out the cells without a floor; otherwise they lie at the
+            level's ground.
+        max_rectangles: the number of rectangles above which the surface follows the floor less
+            closely, until its parts are as large as possible.
 
     Returns:
         A surface whose picture has a pixel for each cell.
@@ -701,9 +703,9 @@ def draw_overlay(floor_surface: Surface, rgb: Picture, opacity: float = 1.0) -> 
     """Draw a layer of a level on its floor.
 
     Args:
-        floor_surface: of the level, see `make_floor_surface`.
+        floor_surface: the surface of the level, see `make_floor_surface`.
         rgb: the colour of each cell, shape (height, width, 3).
-        opacity: 0 to 1.
+        opacity: the opacity of the layer, 0 to 1.
 
     Returns:
         GLB.
@@ -720,13 +722,15 @@ def draw_surfaces(
 ) -> bytes:
     """Draw surfaces of a scene with light and shade.
 
-    The light is multiplied into the colours, which a browser draws smoothly without a graphics
-    card, too. Both sides of a triangle are lit alike. See `AMBIENT_LIGHT` and `DIRECTED_LIGHT`.
+    The light is multiplied into the colours, so that browsers draw the scene smoothly even without
+    a graphics card. Both sides of a triangle are lit alike. See `AMBIENT_LIGHT` and
+    `DIRECTED_LIGHT`.
 
     Args:
-        surfaces: with colours.
-        textures: pictures of the surfaces, by id.
-        rotation: from the frame of the vertices to the world's axes, shape (3, 3); None for none.
+        surfaces: the surfaces, with colours.
+        textures: the pictures of the surfaces, by texture id.
+        rotation: the rotation from the frame of the vertices to the world frame, shape (3, 3); None
+            if they are in the world frame.
 
     Returns:
         GLB.
@@ -761,8 +765,8 @@ def make_glb(surfaces: Sequence[Surface], pictures: Mapping[int, Picture] | None
     """Write surfaces in their colours, without light, as binary glTF.
 
     Args:
-        surfaces: those without triangles are left out.
-        pictures: by the id that surfaces name as `texture`.
+        surfaces: the surfaces; those without triangles are left out.
+        pictures: the pictures by texture id, see `Surface.texture`.
 
     Returns:
         GLB.
@@ -824,10 +828,10 @@ class Pick(NamedTuple):
     """The cell under a click.
 
     Attributes:
-        cell: level, row and column.
+        cell: the cell's level, row and column.
         position: world x, y of the click, and z of the cell's floor, or of the level's ground where
             the cell has none [m].
-        geom: id of the geom that was clicked, None where the grid itself was.
+        geom: the id of the clicked geom, None if the grid itself was clicked.
     """
 
     cell: Cell
@@ -836,14 +840,14 @@ class Pick(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """Where a ray meets the nearest surface."""
+    """The first point where a ray hits a surface."""
 
     position: tuple[float, float, float]  # world frame [m]
     geom: int  # -1 for none
 
 
 class PickCandidate(NamedTuple):
-    """A cell that a click may mean; the smallest candidate is the best."""
+    """A cell that may be the clicked one; the smallest candidate (as a tuple) is the best."""
 
     without_floor: bool
     is_above: bool  # the floor is above the clicked point
@@ -857,18 +861,18 @@ def pick(
 ) -> Pick | None:
     """Find the cell under a click.
 
-    The click's point is where the ray meets the nearest surface. Of the cells at its x, y on
-    several levels, the one whose floor is nearest below the point is returned; where no cell has a
-    floor, the one whose level's ground is.
+    The clicked point is the first point where the ray hits a surface. Each shown level has a cell
+    at its x, y. Of these, the cell whose floor is nearest below the point is returned. If none has
+    a floor, it is the cell of the level whose ground is nearest below.
 
     Args:
         grid: the grid.
         ray: from the camera through the click.
-        surfaces: of the scene, then of the grid.
-        levels: numbers of the levels that are shown.
+        surfaces: the surfaces of the scene, then those of the grid.
+        levels: the numbers of the shown levels.
 
     Returns:
-        The cell; None if the ray meets no surface, or beside all cells.
+        The cell; None if the ray hits no surface, or hits one outside of all levels.
     """
     hit = _cast_ray(ray, surfaces)
     if hit is None:

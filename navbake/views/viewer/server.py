@@ -42,22 +42,22 @@ PAGE = b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection
 
 
 class PageServer(AbstractContextManager["PageServer"]):
-    """Serves an empty page at an address of this machine; port 0 is any that is free.
+    """A server of an empty page at an address of this machine; port 0 means any free port.
 
     viser answers everybody, so it listens at a random address of the loopback network, and this
-    server passes on what may reach it. A request has to name the page's own address (Host), which
-    no name of another site leads to (DNS rebinding), and to come from a page of that address
-    (Origin). `allowed` are further origins.
+    server forwards only allowed requests to it. The header Host of a request must be the page's own
+    address, against DNS rebinding, and its Origin must be a page at that address or one of
+    `allowed`.
 
     Attributes:
         viser: the viser.ViserServer.
-        url: where the page is.
-        title: of the page, for those that load it from now on.
-        on_dark: is called where a reader prefers dark pages.
+        url: the address of the page.
+        title: the title of the page; a change shows when a page is loaded.
+        on_dark: a function that is called when a user's browser prefers dark pages.
 
     Raises:
         MissingDependencyError: viser is not installed.
-        NavbakeError: nothing can listen at the address, or an origin is none.
+        NavbakeError: the server can't listen at the address, or an origin is invalid.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT, *, allowed: Iterable[str] = ()) -> None:
@@ -115,7 +115,7 @@ class PageServer(AbstractContextManager["PageServer"]):
         server.close()
 
     def close(self) -> None:
-        """Stop serving, and free the port."""
+        """Stop the server, and free the port."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join()
@@ -126,7 +126,7 @@ class PageServer(AbstractContextManager["PageServer"]):
         self.close()
 
     def is_allowed(self, headers: Message) -> bool:
-        """Whether a request names this page's address, and comes from one of its pages."""
+        """Return whether a request's Host is the page's address and its Origin is allowed."""
         hosts = headers.get_all("Host", [])
         origins = headers.get_all("Origin", [])
         if len(hosts) != 1 or len(origins) > 1:
@@ -181,7 +181,11 @@ async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 def check_origin(text: str) -> str:
-    """An origin as a browser states it, as ``https://a.org:8443``; raises a NavbakeError."""
+    """Return an origin as browsers send it, as ``https://a.org:8443``.
+
+    Raises:
+        NavbakeError: the text is no origin.
+    """
     parts = urlsplit(text)
     if parts.scheme not in ("http", "https") or f"{parts.scheme}://{parts.netloc}" != text:
         raise NavbakeError(f"expected an origin like https://example.org:8443, got {text!r}")

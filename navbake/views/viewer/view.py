@@ -87,21 +87,21 @@ WATCH_PERIOD = 0.5  # between two checks of files [s]
 
 
 class Mark(NamedTuple):
-    """A place that is marked by a ball on the floor."""
+    """A place on the floor that a ball marks."""
 
     position: Sequence[float]  # world x, y, z [m]
     color: str
 
 
 class Line(NamedTuple):
-    """A line that is drawn over the floor."""
+    """A line that is drawn above the floor."""
 
     positions: Float  # world frame, shape (n, 3) [m]
     color: str
 
 
 class ShownNodes(NamedTuple):
-    """What stands under a name in viser's scene."""
+    """The nodes that viser's scene shows under a name."""
 
     key: object  # what it was made of: nodes are replaced when this changes
     nodes: list[viser.SceneNodeHandle]
@@ -111,11 +111,11 @@ def find_camera(bounds: Float, aspect: float) -> Float:
     """Place a camera that looks at a box from -y and above, so that the box fills the page.
 
     Args:
-        bounds: lower and upper corner of the box, shape (2, 3) [m].
-        aspect: of the page, width by height.
+        bounds: lower and upper corner of the box, world frame [m], shape (2, 3).
+        aspect: the page's width divided by its height.
 
     Returns:
-        World x, y, z [m].
+        The camera's position, world x, y, z [m].
     """
     middle = bounds.mean(axis=0)
     away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
@@ -133,11 +133,11 @@ def find_camera(bounds: Float, aspect: float) -> Float:
 class Viewer(AbstractContextManager["Viewer"]):
     """A page that shows a grid, until it is closed; also as a context manager.
 
-    Threads of the server put changes into a queue. A single thread applies all that are waiting,
-    then draws once, so that of a dragged slider only the latest position is drawn.
+    Threads of the server put the user's changes into a queue. A single thread applies all changes
+    in the queue, then draws once, so that only the latest position of a dragged slider is drawn.
 
     Attributes:
-        url: address of the page.
+        url: the address of the page.
     """
 
     def __init__(
@@ -185,14 +185,14 @@ class Viewer(AbstractContextManager["Viewer"]):
         episodes: EpisodeSet | str | PathLike[str] | None = None,
         trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
     ) -> None:
-        """Show another grid on the page; arguments and errors are those of `view`."""
+        """Replace the grid on the page; arguments and errors are those of `view`."""
         view_state = make_view_state(
             grid, scene, data=data, force=force, episodes=episodes, trajectories=trajectories
         )
         self._show_view_state(view_state)
 
     def open(self) -> None:
-        """Open the page in this machine's browser, unless Linux has no windows."""
+        """Open the page in this machine's browser; do nothing on a Linux without a display."""
         has_windows = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
         # without windows, Python would start a browser in the terminal
         if has_windows or not sys.platform.startswith("linux"):
@@ -207,7 +207,7 @@ class Viewer(AbstractContextManager["Viewer"]):
             self.close()
 
     def close(self) -> None:
-        """Take the page away, and free its port."""
+        """Close the page, and free its port."""
         if not self._closed.is_set():
             self._closed.set()
             self._changes.put(None)
@@ -541,18 +541,18 @@ def view(
             the grid or in the current folder, or in ``scenes`` there. Where there is none,
             the grid is shown alone.
         data: the mujoco.MjData with the pose of a model or spec.
-        host: address of this machine to listen at.
-        port: to listen at, 0 to 65535; 0 for any free port.
-        open_page: open the page in the browser.
-        force: show the grid in a scene that it was not baked from.
+        host: the address of this machine to listen at.
+        port: the port to listen at, 0 to 65535; 0 for any free port.
+        open_page: whether to open the page in the browser.
+        force: whether to show the grid even in a scene that it was not baked from.
         allow_origin: further addresses at which browsers may show the page, such as that of a
             proxy: ``https://lab.example.org``.
         episodes: a set of episodes to show, or its file.
-        trajectories: where an agent was in episodes, or a file that `read_trajectories` reads.
+        trajectories: an agent's trajectories in episodes, or a file that `read_trajectories` reads.
 
     Returns:
-        A viewer. Its `close` takes the page away, `wait` waits for Ctrl-C, `show` shows another
-        grid on the page, and `url` is the page's address.
+        A viewer. Its `close` closes the page, `wait` waits for Ctrl-C, `show` replaces the grid on
+        the page, and `url` is the page's address.
 
     Raises:
         MissingDependencyError: viser is not installed.
@@ -636,9 +636,9 @@ def watch_grid(
 
 
 def find_watched_files(paths: Iterable[Path]) -> list[Path]:
-    """List files and all files that scenes among them name, each once.
+    """List files, and all files that the scenes among them refer to, each once.
 
-    A named file that is missing is listed at each place where it may be.
+    For a missing file, all paths are listed at which it may be.
     """
     files: dict[Path, None] = {}
     for path in paths:
@@ -647,16 +647,16 @@ def find_watched_files(paths: Iterable[Path]) -> list[Path]:
 
 
 class FileState(NamedTuple):
-    """What changes when a file is written."""
+    """The properties of a file that change when it is written."""
 
     modified: int  # time of the last change [ns]
     size: int  # [bytes]
 
 
 class Watch:
-    """Notices when files have changed and are no longer being written.
+    """Detects that files have changed and that writing them has ended.
 
-    Changes count from the construction on.
+    Changes count from when the object is made.
     """
 
     def __init__(self, read: Callable[[], ViewState], files: Callable[[], Iterable[Path]]) -> None:
@@ -674,7 +674,11 @@ class Watch:
         self._previous = self._reported
 
     def has_changed(self) -> bool:
-        """Whether files differ from when this was last true, and not from the last call."""
+        """Return True once after files have changed, as soon as two calls in a row see them equal.
+
+        A change is a difference from the files at the last call that returned True, or from those
+        when the object was made if no call has.
+        """
         current = _read_states(self._reported)
         is_stable = current == self._previous
         self._previous = current
@@ -686,7 +690,7 @@ class Watch:
 
 
 def _read_states(files: Iterable[Path]) -> dict[Path, FileState | None]:
-    """The states of files, None for a file that is missing."""
+    """Return the state of each file, None for a file that is missing."""
     states: dict[Path, FileState | None] = dict.fromkeys(files)
     for path in states:
         with suppress(OSError, ValueError):  # ValueError: a name with a NUL

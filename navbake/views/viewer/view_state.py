@@ -1,4 +1,4 @@
-"""The state of the viewer's page: what its user has chosen, and what follows from that.
+"""The state of the viewer's page: its user's choices, and what the page shows for them.
 
 Nothing here needs a browser or viser.
 """
@@ -64,26 +64,26 @@ Doors: TypeAlias = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Choices:
-    """What the user of the page has chosen to see.
+    """The choices of the page's user.
 
     Attributes:
         levels: numbers of the shown levels, ascending.
         layer: one of `ViewState.layers`.
-        inflation: agent radius and clearance to inflate the grid by [m]; None for the grid as it
-            is.
-        doors: doors that are in another state than the grid's.
-        cut: world z above which the scene is not drawn [m], None for none.
-        with_scene: draw the scene.
-        with_hidden: draw what MuJoCo's viewers hide, too: the geom groups from 3 on.
-        with_names: write the names of rooms and doors.
-        opacity: of the layer, above 0, up to 1.
-        dark: whether the page is dark; None, which is light, until the user or the user's system
-            decides.
-        click: one of `CLICKS`.
-        start: of the path.
-        goal: of the path.
-        inspected: the cell that is described.
-        episode: id of the episode that is shown, empty for none.
+        inflation: the agent's radius [m] and the clearance [m] to inflate the grid by; None for the
+            grid as it is.
+        doors: the ids and states of the doors whose state differs from the grid's.
+        cut: world z above which the scene is not drawn [m]; None to draw all of it.
+        with_scene: whether to draw the scene.
+        with_hidden: whether to draw the geom groups from 3 on, too, which MuJoCo's viewers hide.
+        with_names: whether to write the names of rooms and doors.
+        opacity: the opacity of the layer, above 0, up to 1.
+        dark: whether the page is dark; None (a light page) until the user or the user's system
+            chooses.
+        click: what a click on a cell does, one of `CLICKS`.
+        start: the start of the path, None for none.
+        goal: the goal of the path, None for none.
+        inspected: the cell that is described, None for none.
+        episode: the id of the shown episode, empty for none.
     """
 
     levels: tuple[int, ...]
@@ -103,22 +103,22 @@ class Choices:
     episode: str = ""
 
     def with_level(self, grid: NavGrid, number: int | None) -> Choices:
-        """Show one level, or all of them, and cut the scene over the highest one shown.
+        """Return the choices with one level shown, or all, and the scene cut over the highest.
 
         Args:
             grid: the grid of the page.
-            number: of the level; None for all.
+            number: the number of the level; None for all.
         """
         levels = tuple(range(len(grid.levels))) if number is None else (number,)
         return replace(self, levels=levels, cut=grid.levels[levels[-1]].ground + CUT_HEIGHT)
 
     def with_door(self, grid: NavGrid, door_ids: Sequence[str], state: str) -> Choices:
-        """Put doors into a state; doors that don't have it stay as they are.
+        """Return the choices with doors in a state; doors that lack the state stay unchanged.
 
         Args:
             grid: the grid of the page.
-            door_ids: which doors.
-            state: such as ``closed``.
+            door_ids: the ids of the doors.
+            state: the state, such as ``closed``.
         """
         grid_states = {door.id: door.state for door in grid.doors}
         changed = [door.id for door in grid.doors if door.id in door_ids and state in door.states]
@@ -126,15 +126,15 @@ class Choices:
         return replace(self, doors=tuple(sorted(states.items() - grid_states.items())))
 
     def with_dark_system(self) -> Choices:
-        """Make the page dark for a user whose system is, unless the user chose otherwise."""
+        """Return the choices for a user whose system is dark: dark unless the user chose light."""
         return replace(self, dark=True) if self.dark is None else self
 
     def without_clicks(self) -> Choices:
-        """Forget what was clicked."""
+        """Return the choices without clicked cells."""
         return replace(self, start=None, goal=None, inspected=None)
 
     def with_click(self, clicked: Pick | None) -> Choices:
-        """Apply a click on a cell, or, for None, beside all cells."""
+        """Return the choices after a click on a cell; None is a click outside of all cells."""
         if self.click == INSPECT:
             return replace(self, inspected=clicked)
         if clicked is None:
@@ -145,15 +145,15 @@ class Choices:
 
 
 def first_choices(grid: NavGrid) -> Choices:
-    """What a new page shows: the occupancy of all levels, cut over the highest one."""
+    """Return the choices of a new page: the occupancy of all levels, cut over the highest one."""
     return Choices(()).with_level(grid, None)
 
 
 def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
-    """Transfer choices to another grid, such as a new bake.
+    """Transfer choices to a new grid, such as a new bake of the scene.
 
     Args:
-        choices: for the previous grid.
+        choices: the choices for the previous grid.
         grid: the grid to show.
 
     Returns:
@@ -161,7 +161,7 @@ def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
     """
 
     def find_again(clicked: Pick | None) -> Pick | None:
-        """The grid's cell at the position of a click; None if the grid has none there."""
+        """Find the new grid's cell at the position of a previous click; None if there is none."""
         if clicked is None or clicked.cell.level >= len(grid.levels):
             return None
         cell = grid.cell_at(clicked.position, clicked.cell.level)
@@ -181,7 +181,7 @@ def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
 
 
 class FreeSpace(NamedTuple):
-    """How much of some levels is free."""
+    """The numbers of free cells and of cells with a floor of some levels, and the free area."""
 
     free_cells: int
     floor_cells: int  # cells with a floor
@@ -189,7 +189,7 @@ class FreeSpace(NamedTuple):
 
 
 class Run(NamedTuple):
-    """An episode and where an agent was in it."""
+    """An episode, and an agent's trajectory in it."""
 
     episode: Episode | None  # None where only the trajectory is known
     trajectory: Trajectory | None
@@ -205,9 +205,9 @@ def list_runs(
     """Pair episodes with trajectories.
 
     Args:
-        grid: only the episodes of its scene are listed.
-        episodes: None to list all trajectories without episodes.
-        trajectories: of any episodes; of several of one episode, the last counts.
+        grid: the grid; only the episodes of its scene are listed.
+        episodes: the episodes; None to list all trajectories, without episodes.
+        trajectories: the trajectories; if several are of the same episode, the last counts.
 
     Returns:
         The runs by the ids of their episodes.
@@ -232,7 +232,7 @@ class NameLabel(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Estimated width [m]."""
+        """The estimated width of the name [m]."""
         return LETTER_WIDTH * len(self.text) * self.height
 
 
@@ -244,21 +244,22 @@ class ColoredArc(NamedTuple):
 
 
 class VisibleBatch(NamedTuple):
-    """A mesh that several geoms show, and which of them are drawn."""
+    """A mesh that several geoms show, and a mask of the geoms that are drawn."""
 
     batch: MeshBatch
     is_drawn: Bool  # by entry of `batch.geoms`
 
 
 class Inspection(NamedTuple):
-    """A cell that is inspected.
+    """What the page shows about the inspected cell.
 
     Attributes:
-        facts: of the cell, see `navbake.views.describe.describe_cell`.
-        clicked: name of the object that was clicked, None for none.
-        highlighted: the drawn triangles of what blocks the cell, or else of what was clicked,
-            world frame, shape (n, 3, 3) [m].
-        outline: corners of the cell, closed, world frame, shape (5, 3) [m].
+        facts: the description of the cell, see `navbake.views.describe.describe_cell`.
+        clicked: the name of the clicked object, None for none.
+        highlighted: the drawn triangles of the objects that block the cell, or if there are none
+            of the clicked object, world frame [m], shape (n, 3, 3).
+        outline: the corners of the cell, the first one repeated at the end, world frame [m],
+            shape (5, 3).
     """
 
     facts: Json
@@ -268,7 +269,7 @@ class Inspection(NamedTuple):
 
 
 def cached_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Decorate a method of `ViewState`, so that its last `NUM_CACHED` results are reused.
+    """Make a decorator of `ViewState` methods that caches their last `NUM_CACHED` results.
 
     Args:
         fields: the fields of `Choices` that the result depends on.
@@ -298,17 +299,17 @@ def cached_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., R
 
 
 class ViewState:
-    """A grid, its scene if it has one, and what follows from them for the user's choices.
+    """A grid and its scene, if it has one; methods compute what the page shows of them.
 
     Attributes:
         grid: the grid as it is in its file.
         scene: the scene of the grid, None for none.
-        config: the settings of the bake, where they are known.
+        config: the settings of the bake, None if they are unknown.
         note: a line for the user, empty for none.
         runs: episodes and trajectories that can be shown.
-        report: of the verification, None before there was one.
-        floor_surfaces: what the layers of each level are drawn on.
-        cache: results of the methods that are decorated by `cached_by`.
+        report: the report of the verification, None before there is one.
+        floor_surfaces: for each level, the surface that its layers are drawn on.
+        cache: the results of the methods that are decorated by `cached_by`.
     """
 
     def __init__(
@@ -334,7 +335,7 @@ class ViewState:
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """Names of the layers that can be chosen."""
+        """The names of the layers that can be chosen."""
         needed_tables: Mapping[str, Sequence[object]] = {
             "doors": self.grid.doors,
             "area": self.grid.areas,
@@ -344,9 +345,9 @@ class ViewState:
 
     @property
     def bounds(self) -> Float:
-        """Lower and upper corner of what the camera shows, world frame, shape (2, 3) [m].
+        """Lower and upper corner of the box that the camera shows, world frame [m], shape (2, 3).
 
-        They reach from the lowest ground to where the scene is cut over the highest.
+        The box reaches from the lowest ground to where the scene is cut over the highest.
         """
         corners = np.array([level.lattice.bounds for level in self.grid.levels])
         grounds = [level.ground for level in self.grid.levels]
@@ -356,7 +357,7 @@ class ViewState:
 
     @cached_by("doors", "inflation")
     def shown_grid(self, choices: Choices) -> NavGrid:
-        """The grid with its doors and its inflation as chosen."""
+        """Return the grid with the chosen states of doors and the chosen inflation."""
         grid = self.grid
         if choices.doors:
             grid = grid.with_doors(dict(choices.doors))
@@ -374,11 +375,11 @@ class ViewState:
 
     @cached_by("doors", "inflation", "layer")
     def panel(self, choices: Choices, number: int) -> Panel:
-        """The chosen layer of a level; its occupancy if a verification is still to come.
+        """Make the panel of a level's chosen layer; of its occupancy if a verification is missing.
 
         Args:
-            choices: of the user.
-            number: of the level.
+            choices: the user's choices.
+            number: the number of the level.
         """
         layer = choices.layer
         findings = None if self.report is None else self.report.findings
@@ -396,23 +397,23 @@ class ViewState:
 
     @cached_by("doors", "inflation", "layer", "opacity")
     def overlay(self, choices: Choices, number: int) -> bytes:
-        """The chosen layer of a level, as it lies in the scene.
+        """Draw the chosen layer of a level on its floor.
 
         Args:
-            choices: of the user.
-            number: of the level.
+            choices: the user's choices.
+            number: the number of the level.
 
         Returns:
-            GLB.
+            The triangles as GLB.
         """
         rgb = paint(self.panel(choices, number))
         return meshes.draw_overlay(self.floor_surfaces[number], rgb, choices.opacity)
 
     def names(self, choices: Choices) -> list[NameLabel]:
-        """The names on the shown levels, by level, those of the largest rooms first.
+        """List the names on the shown levels, by level, those of the largest rooms first.
 
-        Left out are names that would overlap a larger room's on their level, and names below the
-        floor of a higher shown level.
+        Names that would overlap the name of a larger room of their level are left out, and so are
+        names below the floor of a higher shown level.
         """
         if not choices.with_names:
             return []
@@ -451,7 +452,7 @@ class ViewState:
 
     @cached_by("levels", "layer")
     def arcs(self, choices: Choices) -> list[ColoredArc]:
-        """Arcs between stops on shown levels; empty for other layers than that of links."""
+        """List the arcs between stops on shown levels; empty unless the layer is that of links."""
         if choices.layer != "links":
             return []
         arcs = []
@@ -467,7 +468,7 @@ class ViewState:
 
     @cached_by("doors", "with_hidden")
     def drawing(self, choices: Choices) -> Drawing | None:
-        """The scene as triangles, with its doors as chosen; None without a scene."""
+        """Return the scene as triangles, with the chosen states of doors; None without a scene."""
         if self.scene is None:
             return None
         if not choices.doors:
@@ -484,7 +485,7 @@ class ViewState:
 
     @cached_by("doors", "with_hidden", "with_scene", "cut")
     def surfaces(self, choices: Choices) -> tuple[Surface, ...]:
-        """The drawn triangles of the scene, below the cut; empty for none."""
+        """Return the triangles of the scene that are drawn, those below the cut."""
         drawing = self.drawing(choices) if choices.with_scene else None
         if drawing is None:
             return ()
@@ -494,7 +495,7 @@ class ViewState:
 
     @cached_by("doors", "with_hidden", "with_scene", "cut")
     def scene_glb(self, choices: Choices) -> bytes:
-        """The drawn scene without what `batches` returns, as GLB; empty for nothing."""
+        """Return the drawn scene, without what `batches` returns, as GLB; may be empty."""
         surfaces = self.surfaces(choices)
         drawing = self.drawing(choices)
         if drawing is None or not surfaces:
@@ -509,7 +510,7 @@ class ViewState:
         return meshes.draw_surfaces(surfaces, drawing.textures)
 
     def batches(self, choices: Choices) -> list[VisibleBatch]:
-        """The batches of the scene that have geoms wholly below the cut."""
+        """List the batches of the scene that have geoms wholly below the cut."""
         drawing = self.drawing(choices) if choices.with_scene else None
         if drawing is None:
             return []
@@ -517,10 +518,10 @@ class ViewState:
         return [visible for visible in batches if visible.is_drawn.any()]
 
     def click(self, choices: Choices, ray: Ray) -> Choices:
-        """The choices after a click.
+        """Return the choices after a click.
 
         Args:
-            choices: before the click.
+            choices: the choices before the click.
             ray: from the camera through the click.
         """
         floors = [self.floor_surfaces[number] for number in choices.levels]
@@ -529,12 +530,12 @@ class ViewState:
 
     @cached_by("doors", "inflation")
     def finder(self, choices: Choices) -> PathFinder:
-        """Finds paths in the shown grid."""
+        """Return a path finder of the shown grid."""
         return PathFinder(self.shown_grid(choices))
 
     @cached_by("doors", "inflation", "start", "goal")
     def route(self, choices: Choices) -> Path | str | None:
-        """The path from start to goal, or why there is none; None where one of them is missing."""
+        """Find the path to the goal, or why there is none; None without a start or goal."""
         if choices.start is None or choices.goal is None:
             return None
         start = choices.start.position
@@ -547,10 +548,10 @@ class ViewState:
 
     @cached_by("doors", "inflation", "episode")
     def episode_path(self, choices: Choices) -> Float:
-        """The path of the chosen episode, shape (n, 3) [m]; empty for none.
+        """Return the path of the chosen episode, world x, y, z [m], shape (n, 3); empty for none.
 
-        An episode without a path of its own has the shortest one in the shown grid, unless its
-        goals are a sequence.
+        For an episode without a path, it is the shortest path in the shown grid, unless the goals
+        are a sequence.
         """
         run = self.runs.get(choices.episode)
         if run is None or run.episode is None:
@@ -566,7 +567,7 @@ class ViewState:
         return np.empty((0, 3)) if path is None else path.positions
 
     def inspect(self, choices: Choices) -> Inspection | None:
-        """Describe the inspected cell; None for none."""
+        """Describe the inspected cell; return None if there is none."""
         picked = choices.inspected
         if picked is None or choices.click != INSPECT:
             return None
@@ -587,7 +588,7 @@ class ViewState:
         return Inspection(facts, clicked, highlighted, outline)
 
     def verify(self) -> None:
-        """Compare a sample of the grid's cells with the scene, for the layer of disagreements.
+        """Verify a sample of the grid's cells in the scene, for the layer of disagreements.
 
         Raises:
             QueryError: there is no scene.
@@ -611,14 +612,14 @@ def _overlaps(first: NameLabel, second: NameLabel) -> bool:
 
 
 def goal_position(goal: Goal) -> tuple[float, float, float] | None:
-    """Where a goal is drawn: at its position, or its first view point [m]; None without both."""
+    """Return a goal's position, or its first view point's, world x, y, z [m]; None without both."""
     if goal.position:
         return goal.position
     return goal.view_points[0].position if goal.view_points else None
 
 
 def list_goal_positions(episode: Episode) -> list[tuple[float, float, float]]:
-    """The positions of an episode's goals, without goals that have none [m]."""
+    """List the positions [m] of an episode's goals; goals without one are left out."""
     positions = [goal_position(goal) for goal in episode.goals]
     return [position for position in positions if position is not None]
 
@@ -627,11 +628,11 @@ def triangles_of(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[n
     """Select the triangles of some geoms.
 
     Args:
-        surfaces: of a drawing.
-        geoms: ids.
+        surfaces: the surfaces of a drawing.
+        geoms: the ids of the geoms.
 
     Returns:
-        Corners, world frame, shape (n, 3, 3) [m].
+        The triangles' corners, world frame [m], shape (n, 3, 3).
     """
     triangles = [np.empty((0, 3, 3), np.float32)]
     for surface in surfaces:
