@@ -57,7 +57,7 @@ class ChunkedShapes:
     """
 
     def __init__(self, shapes: Shapes, lattice: Lattice, reach: float) -> None:
-        """List the solids, and expand no triangle yet.
+        """List the solids; triangles are expanded later, on request.
 
         Args:
             shapes: the shapes.
@@ -71,7 +71,7 @@ class ChunkedShapes:
         self._solids = tile_shapes(shapes, lattice, reach, no_meshes.expand())
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
-        """Return shapes that include all near some rows of cells, entire rows of tiles."""
+        """Return all shapes near some entire rows of tiles, and maybe more."""
         y_max = self.lattice.y_max
         cell_size = self.lattice.cell_size
         boxes = self._shapes.meshes.boxes
@@ -81,7 +81,7 @@ class ChunkedShapes:
         return self._expand(is_near)
 
     def near_cells(self, cells: Int) -> TiledShapes:
-        """Return shapes that include all near some cells, given by their ids."""
+        """Return all shapes near some cells, given by cell ids, and maybe more."""
         boxes = self._shapes.meshes.boxes
         start, item = list_by_tile(boxes, self._reach, self.lattice)
         holds_cell = np.zeros(len(start) - 1, dtype=np.bool_)
@@ -99,7 +99,7 @@ class ChunkedShapes:
 
 
 def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
-    """List the shapes on a lattice: all at once, or if they are many, near some cells on request.
+    """Make a source of the shapes on a lattice: it lists all at once, or many in parts on request.
 
     All are listed at once where the columns of all cells are kept, and where most triangles are
     near several chunks of rows.
@@ -128,8 +128,8 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSo
 class ColumnCaster:
     """A `ColumnSource` that casts the columns of a lattice from shapes.
 
-    Columns of small lattices are cast once and kept. Those of large ones are cast again on each
-    request; the columns are the same.
+    Columns of small lattices are cast once and kept. Columns of large lattices are cast on each
+    request; repeated requests return equal columns.
 
     Attributes:
         lattice: the cells.
@@ -252,7 +252,7 @@ class WindowColumns(NamedTuple):
     lattice: Lattice
 
     def row_chunks(self) -> Iterator[Columns]:
-        """Yield all columns, in one chunk."""
+        """Yield all columns as one chunk."""
         yield join_columns(self.source, self.window, self.lattice)
 
     def covering(self, cells: Int | Int32) -> Columns:

@@ -39,14 +39,14 @@ class RowChunk(NamedTuple):
 
     Attributes:
         first: the first row.
-        end: the row behind the last one.
+        end: the index after that of the last row.
     """
 
     first: int
     end: int
 
     def cell_range(self, lattice: Lattice) -> tuple[int, int]:
-        """Return the id of the first cell, and the id behind the last cell."""
+        """Return the id of the first cell, and the id after that of the last cell."""
         return self.first * lattice.width, self.end * lattice.width
 
 
@@ -64,7 +64,7 @@ def split_into_row_chunks(lattice: Lattice, num_alive: int = 1) -> list[RowChunk
 
 
 def tiles_of_rows(lattice: Lattice, rows: RowChunk) -> range:
-    """Return the numbers of the tiles on some rows of cells.
+    """Return the ids of the tiles on some rows of cells.
 
     Args:
         lattice: the cells.
@@ -91,29 +91,29 @@ class TiledShapes:
     tile_index: ShapeIndex
 
     def near_rows(self, rows: RowChunk) -> "TiledShapes":
-        """Return all shapes, which include those near the rows; see `ShapeSource`."""
+        """Return all shapes, whatever the rows; implements `ShapeSource`."""
         return self
 
     def near_cells(self, cells: Int) -> "TiledShapes":
-        """Return all shapes, which include those near the cells; see `ShapeSource`."""
+        """Return all shapes, whatever the cells; implements `ShapeSource`."""
         return self
 
     @cached_property
     def tile_row_index(self) -> ShapeIndex:
-        """Which solids and facets cover a cell's centre in each row of tiles."""
+        """Return, for each row of tiles, the solids and facets that cover a cell's centre in it."""
         solid_start, solid_item = list_by_tile_row(self.shapes.solids.bounds, RIM, self.lattice)
         triangle_start, triangle_item = list_by_tile_row(self.facets.bounds, RIM, self.lattice)
         return ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
 
     @cached_property
     def height_range(self) -> HeightRange:
-        """Heights below and above everything over the lattice [m]."""
+        """Return two heights [m]: below and above all shapes over the lattice."""
         return height_range(self.shapes, self.lattice)
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The hits of columns with all surfaces.
+    """The hits of vertical columns with all surfaces of a scene.
 
     Columns of a chunk of rows hold the hits of these rows only, but `hits.start` has an entry for
     every cell of the lattice, so that kernels find a cell by its id. The entries of other rows have
@@ -133,11 +133,11 @@ class Columns:
 
     @property
     def valid_rows(self) -> RowChunk:
-        """The rows that have columns."""
+        """Return the rows that have columns."""
         return self.row_chunk or RowChunk(0, self.lattice.height)
 
     def select_rows(self, rows: RowChunk) -> "Columns":
-        """Return the columns of some of the rows; arrays but `start` are views."""
+        """Return the columns of some of the rows; all arrays except `start` are views."""
         first_cell, end_cell = rows.cell_range(self.lattice)
         first_hit = int(self.start[first_cell])
         end_hit = int(self.start[end_cell])
@@ -149,7 +149,7 @@ class Columns:
 
     @property
     def start(self) -> Int:
-        """The first hit of each column, and the end of the last one's, shape (cells + 1,)."""
+        """Return the first hit of each column, then the number of hits, shape (cells + 1,)."""
         return self.hits.start
 
     @property
@@ -168,7 +168,7 @@ class Columns:
         return self.hits.geom
 
     def crop(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
-        """Crop the columns to a window; rows of it without columns stay empty.
+        """Crop the columns to a window; rows of the window that have no columns stay empty.
 
         Args:
             rows, cols: the window.
@@ -186,16 +186,16 @@ class Columns:
         return Columns(lattice, hits._replace(start=start), None if has_all_rows else cropped_rows)
 
     def row_chunks(self) -> Iterator["Columns"]:
-        """Yield all columns, in one chunk; see `ColumnSource`."""
+        """Yield all columns as one chunk; implements `ColumnSource`."""
         yield self
 
     def covering(self, cells: Int | Int32) -> "Columns":
-        """Return all columns, which include those of the cells; see `ColumnSource`."""
+        """Return all columns, whatever the cells; implements `ColumnSource`."""
         return self
 
 
 class ColumnSource(Protocol):
-    """What yields the columns of a lattice: all at once, or chunk by chunk."""
+    """Protocol of objects that provide the columns of a lattice: all at once, or chunk by chunk."""
 
     @property
     def lattice(self) -> Lattice:
@@ -213,21 +213,21 @@ class ColumnSource(Protocol):
 
 
 class ShapeSource(Protocol):
-    """What yields listed shapes on a lattice: all at once, or those near some cells."""
+    """Protocol of objects that provide shapes on a lattice: all, or those near some cells."""
 
     @property
     def lattice(self) -> Lattice:
         """The cells."""
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
-        """Return shapes that include all near some rows of cells, entire rows of tiles."""
+        """Return all shapes near some entire rows of tiles, and maybe more."""
 
     def near_cells(self, cells: Int) -> TiledShapes:
-        """Return shapes that include all near some cells, given by their ids."""
+        """Return all shapes near some cells, given by cell ids, and maybe more."""
 
 
 class ColumnsBuilder:
-    """Joins the columns of chunks of rows, added in the order of the rows."""
+    """Builds the columns of a whole lattice from chunks of rows, added from first to last."""
 
     def __init__(self, lattice: Lattice) -> None:
         """Start without columns.
@@ -285,7 +285,7 @@ def tile_shapes(
 
 
 def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
-    """Cross the vertical line through every cell's centre with all shapes.
+    """Intersect the vertical line through every cell's centre with all shapes.
 
     Each solid is crossed from above and from below, planes from their front only. Lines within
     1e-7 m of a rim cross it, so that a seam between two geoms never leaks.
@@ -313,7 +313,7 @@ def cast_columns(tiled: TiledShapes, rows: RowChunk | None = None) -> Columns:
 def cast_points(
     tiled: TiledShapes, cells: Int, points: Float, axes: Float = WORLD_AXES
 ) -> ColumnHits:
-    """Cross lines through points with the shapes near some cells, as `cast_columns` does.
+    """Intersect lines through points with the shapes near some cells, as `cast_columns` does.
 
     Args:
         tiled: the shapes on a lattice.
@@ -321,8 +321,8 @@ def cast_points(
             two cells, (n, 2), for a line that lies between them: such a line may cross one shape
             several times, once in each tile of the rectangle that the two cells span.
         points: x and y of each line, shape (n, 2) [m].
-        axes: of a frame in which the lines are vertical, its rows. The points, the normals and the
-            solids of the shapes are in this frame.
+        axes: the axes of a frame in which the lines are vertical, one in each row, shape (3, 3).
+            The points, the normals and the solids of the shapes are in this frame.
 
     Returns:
         The hits; column i is that of line i.
@@ -436,7 +436,7 @@ def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:
 
 
 def gather_hits(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> ColumnHits:
-    """Copy runs of hits to new columns.
+    """Copy consecutive hits to new columns.
 
     Args:
         arrays: `ColumnHits.entries`.
@@ -505,7 +505,7 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
 def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each row of tiles, the boxes that cover a cell's centre there.
 
-    Arguments and returned lists are those of `list_by_tile`.
+    Arguments and returned arrays are those of `list_by_tile`, with rows of tiles in place of tiles.
     """
     num_tile_rows = -(-lattice.height // TILE)
     return _list_boxes(boxes, margin, lattice, num_tile_rows, by_tile_row=True)

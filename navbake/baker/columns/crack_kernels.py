@@ -5,8 +5,8 @@ within the slope limit, and of round solids the part that does: a point or a seg
 Seen from above, the direction from a line to the nearest point of a piece is perpendicular to the
 piece's edge: across a slot of any direction, and not along the walls of an inner corner.
 
-A piece beside a line is a row of numbers, a `side`; the constants DIRECTION to PREVIOUS are its
-columns.
+A piece beside a line is stored as a row of numbers, a `side`; the constants DIRECTION to PREVIOUS
+are the indices of its numbers.
 """
 
 import math
@@ -204,7 +204,7 @@ def _has_floor(column_hits, cell, z, step, min_up):
 
 @subkernel(**NO_REFCOUNT)
 def _find_common_heights(lattice, column_hits, window, selected, limits, heights):
-    """Find heights within half a step of which all selected cells of a window have a floor.
+    """Find heights near which (within half a step) all selected cells of a window have a floor.
 
     Returns how many are written to `heights`; -1 if no cell is selected.
     """
@@ -241,10 +241,10 @@ def _is_common(heights, count, low, high, step):
 
 @subkernel(**NO_REFCOUNT)
 def _bounds_crack(sides, n, last, step):
-    """Return whether side n bounds a crack: a side of the same cell lies opposite to it.
+    """Return whether side n bounds a crack: whether another side of its cell lies opposite to it.
 
-    It must also be the nearest side of the cell in its direction. `last` is the last side of the
-    cell.
+    Side n must also be the nearest side of its cell in its direction. `last` is the index of the
+    cell's last side.
     """
     m = last
     has_opposite = False
@@ -267,7 +267,7 @@ def _bounds_crack(sides, n, last, step):
 def _list_in_tile(
     lattice, column_hits, geometry, tile, limits, crack, selected, scratch, sides, num_sides
 ):
-    """List the sides of a tile's lines, behind the first `num_sides` ones in `sides`.
+    """Append the sides of a tile's lines to the first `num_sides` rows of `sides`.
 
     Each piece visits the lines near it, and becomes a candidate where they have no floor near its
     height.
@@ -400,7 +400,7 @@ def list_sides(
         first_tile, end: range of tiles.
 
     Returns:
-        The sides, (m, NUM_COLUMNS) float64, of which the first ones are valid; and how many.
+        An array of sides, (m, NUM_COLUMNS) float64, and how many of its first rows are valid.
     """
     geometry = TiledGeometry(solids, facets, tile_index)
     scratch = _make_scratch(256)

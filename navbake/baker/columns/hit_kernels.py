@@ -33,10 +33,10 @@ AT_EDGE = np.bool_(True)
 
 
 class LineHits(NamedTuple):
-    """Hits of some lines while they are collected.
+    """Hits of some vertical lines while they are collected.
 
     Attributes:
-        z, normal, geom, closed: as in `ColumnHits`, of which they are parts.
+        z, normal, geom, closed: as in `ColumnHits`.
         facet: the triangle that is hit, OF_SOLID or OF_PLANE, (n,) int32.
         at_edge: whether a triangle is hit within RIM of its edge, (n,) bool.
     """
@@ -161,9 +161,9 @@ def _drop_doubles(hits, first, end, facets):
 
 @subkernel(inline="always")
 def _steepest_of_part(hits, first, end, i, facets, side):
-    """Return the steepest hit at an edge of the part of hit i, or -1.
+    """Return the index of the steepest hit at an edge of the part that hit i belongs to, or -1.
 
-    It faces up if `side` is 1, and down if it is -1.
+    Only hits that face up are considered if `side` is 1, only those that face down if it is -1.
     """
     steepest = np.int64(-1)
     least_up = 0.0
@@ -214,7 +214,7 @@ def _clean_edges(hits, first, end, facets):
 
 @subkernel(inline="always")
 def finish_line(hits, first, end, facets, spare, spare_place):
-    """Turn the collected hits of a line into those of a column: sorted, each crossing once.
+    """Turn the collected hits of a line into a column: sort them, and keep each crossing once.
 
     Args:
         hits: `LineHits`; the line's are ``[first, end)``. Dropped ones are moved to the end, and

@@ -57,8 +57,8 @@ def _edge_limit(corners, t, i, j):
 def _cross_triangle(corners, t, x, y, limits):
     """Return whether a line crosses a triangle, and the height of the crossing [m].
 
-    The first number is 0 for no crossing, 1 for one inside, 2 for one within RIM of an edge.
-    `limits` are `_edge_limit` of the edges opposite to the corners, or NO_LIMITS.
+    The first number returned is 0 for no crossing, 1 for a crossing inside, 2 for a crossing within
+    RIM of an edge. `limits` are `_edge_limit` of the edges opposite to the corners, or NO_LIMITS.
     """
     ax = corners[t, 0, 0] - x
     ay = corners[t, 0, 1] - y
@@ -97,7 +97,7 @@ def _cross_triangle(corners, t, x, y, limits):
 
 @subkernel(inline="always")
 def hit_triangle(corners, n, facets, t, x, y, limits, hits, place, writing):
-    """Cross a line with a triangle that isn't vertical; write the hit if `writing`.
+    """Intersect a line with a triangle that isn't vertical; write the hit if `writing`.
 
     Args:
         corners: (…, 3, 3) float64; the triangle's are number `n`, in the frame of the line [m].
@@ -132,7 +132,7 @@ def hit_triangle(corners, n, facets, t, x, y, limits, hits, place, writing):
 
 @subkernel(inline="always")
 def _span_of_row(corners, t, x_low, x_high, y, limits):
-    """Return between which x a triangle may be crossed at some y, within (x_low, x_high) [m].
+    """Return the range of x, within (x_low, x_high), where a triangle may be crossed at y [m].
 
     Edge functions are linear along a row, so each bounds the span.
     """

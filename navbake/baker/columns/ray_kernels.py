@@ -66,9 +66,10 @@ class Lines(NamedTuple):
 
     Attributes:
         points: x and y in the frame, (n, 2) float64 [m].
-        tiles: of each line, the first and the last tile of a rectangle of tiles, over which the
-            shapes lie that it is crossed with; (n, 2) int64.
-        axes: of the frame, its rows, (3, 3) float64. Solids are in this frame already.
+        tiles: by line, the first and the last tile of a rectangle of tiles; the line is intersected
+            with the shapes over these tiles; (n, 2) int64.
+        axes: the axes of the frame, one in each row, (3, 3) float64. Solids are in this frame
+            already.
     """
 
     points: Float
@@ -83,7 +84,7 @@ class Geometry(NamedTuple):
         solids: primitives.
         facets: triangles.
         planes: infinite planes.
-        heights: heights below and above all shapes.
+        heights: the heights from which rays are cast down and up: above and below all shapes [m].
     """
 
     solids: Solids
@@ -463,7 +464,7 @@ def _cast_line(lattice, geometry, tile_index, lines, n, ray, local_corners, hits
 def cast_lines(
     lattice, lines, geometry, shape_index, is_crossed, column_hits, num_dropped, first_group, end
 ):
-    """Cross the lines of groups ``range(first_group, end)`` with all shapes.
+    """Intersect the lines of groups ``range(first_group, end)`` with all shapes.
 
     It is called twice: first with empty hits, to count, then with room for the hits.
 

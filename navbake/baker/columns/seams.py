@@ -46,7 +46,7 @@ ALL_CELLS = np.empty(0, dtype=np.bool_)
 
 
 def resolve_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
-    """Cast lines that run in the faces of two geoms again, beside the seam.
+    """Replace lines that run exactly in the faces of two geoms by lines beside the seam.
 
     On round coordinates, centres of cells often lie where one geom ends and the next one begins,
     and both are in the column. As by the top-left rule of rasterizers, such a line belongs to what
@@ -232,8 +232,8 @@ def close_cracks(
 
     Where surfaces that an agent could stand on lie on opposite sides of a line, within a step of
     each other, each nearer than `crack`, and the line crosses none, the lower one is added to the
-    line's column as an open surface; of several within a step, the lowest. Nothing that other cells
-    hold matters.
+    line's column as an open surface; of several within a step, the lowest. The result for a cell
+    does not depend on other cells.
 
     Args:
         columns: the columns.
@@ -316,7 +316,7 @@ def _list_all_sides(
 
 
 def _find_lower_sides(cell: Int, z: Float, direction: Float, step: float) -> Bool:
-    """Mark, of each two sides of a cell that are opposite within a step, the lower one.
+    """Mark the lower one of any two sides of a cell that lie opposite within a step of height.
 
     Args:
         cell: of each side, ascending, (n,).

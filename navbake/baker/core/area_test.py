@@ -28,17 +28,17 @@ class AreaTest(NamedTuple):
 
 @lru_cache(maxsize=4)  # several tests of a scene need the same disc, and so do scenes of a batch
 def disc_half_widths(limit: float, shorter_side: int) -> Int:
-    """Compute `AreaTest.half_widths` of a disc: the cells nearer than a limit to its centre.
+    """Compute `AreaTest.half_widths` of the disc of all cells nearer than a limit to its centre.
 
-    If no cell of the lattice is as far from the outside as the limit, nothing can remain. The
-    disc's middle row, first and last row then suffice, one of which always leads out.
+    If no cell of the lattice is as far from the outside as the limit, no cell can remain. Testing
+    the disc's first, middle and last row is then enough, as one of them always reaches outside.
 
     Args:
         limit: radius of the disc [cells].
         shorter_side: number of rows or columns of the lattice, the smaller one.
 
     Returns:
-        shape (2 radius + 1,), shared between calls: don't change it.
+        The half widths, shape (2 radius + 1,). The array is shared between calls: don't change it.
     """
     farthest_inside = (shorter_side + 1) // 2
     if limit > farthest_inside:
@@ -57,7 +57,7 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
 
     Args:
         lattice: the cells.
-        settings: `floors`, of which `min_area` [m²] and `shrink` [m] count.
+        settings: settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
     """
     min_cells = int(np.ceil(max((settings.min_area - LIMIT_SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - LIMIT_SLACK) / lattice.cell_size + 0.5
@@ -66,7 +66,7 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
 
 
 def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
-    """Return whether the marked cells are enough for a floor, see `area_test`.
+    """Return whether the marked cells are large enough for a floor, see `area_test`.
 
     Args:
         lattice: the cells.

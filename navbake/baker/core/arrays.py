@@ -36,7 +36,7 @@ class ColumnHits(NamedTuple):
 
     @property
     def entries(self) -> tuple[NDArray[Any], ...]:
-        """The arrays with one entry for each hit: all but `start`."""
+        """Return the arrays with one entry for each hit: all except `start`."""
         return self[1:]
 
 
@@ -103,9 +103,9 @@ class Facets(NamedTuple):
 class ShapeIndex(NamedTuple):
     """The solids and triangles over each bin of a lattice, see `list_boxes_by_tile`.
 
-    The bins are either tiles or rows of tiles. Over a tile is what reaches into it, over a row of
-    tiles what covers a cell's centre there. Bin b holds the solids
-    ``solid_item[solid_start[b] : solid_start[b + 1]]``, ascending, and the triangles
+    The bins are either tiles or rows of tiles. A tile's bin holds the shapes that reach into the
+    tile; the bin of a row of tiles holds the shapes that cover a cell's centre there. Bin b holds
+    the solids ``solid_item[solid_start[b] : solid_start[b + 1]]``, ascending, and the triangles
     ``triangle_item[triangle_start[b] : triangle_start[b + 1]]``, ascending.
 
     Attributes:

@@ -60,7 +60,7 @@ class Blocks:
             args: the kernel's first arguments.
 
         Returns:
-            The block of each row, (n,), and the columns, (n, ...) each.
+            The block of each row, (n,), and the arrays of the rows' fields, (n, ...) each.
         """
         block_ids = np.arange(self.num)
         counts, columns = list_rows(kernel, block_ids, empty, *args)
@@ -68,13 +68,13 @@ class Blocks:
 
 
 def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
-    """Concatenate arrays of several chunks, and free each chunk's memory on the way.
+    """Concatenate the arrays of several chunks one by one, and free each chunk's memory on the way.
 
     Args:
-        chunks: at least one; the arrays of each, as many in all of them. They are emptied.
+        chunks: at least one list of arrays, all of one length; the lists are emptied.
 
     Returns:
-        The arrays over all chunks.
+        The concatenated arrays: the k-th one joins the k-th arrays of all chunks.
     """
     if len(chunks) == 1:
         return chunks[0]
@@ -82,7 +82,7 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
 
 
 def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
-    """Replace runs of entries: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
+    """Replace slices of an array: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
 
     Where the runs are few, copying what lies between them is faster than numpy's masks and indices.
 
@@ -115,13 +115,13 @@ def list_rows(
             block has into `counts`. It returns the index of the first block for which there was no
             room, or `end`. It is called again for the blocks from there on, with more room.
         blocks: ids of the blocks or cells, (k,).
-        empty: an empty array of each column's dtype and shape.
+        empty: for each field of a row, an empty array with its dtype and shape.
         args: the kernel's first arguments.
         least: smallest range of blocks for one call, see `run_in_chunks`.
 
     Returns:
-        How many rows each block has, (k,) int64, and the columns, (n, ...) each, in the order of
-        the blocks.
+        How many rows each block has, (k,) int64, and for each field of a row an array, (n, ...), in
+        the order of the blocks.
     """
     counts = np.zeros(len(blocks), dtype=np.int64)
     # the columns of each range of blocks, by the index of its first block; those of none by -1

@@ -14,7 +14,8 @@ Progress = Callable[[str, float], None]
 class StageClock:
     """Times the stages of a bake.
 
-    Runs of the same stage are added up. A stage's time excludes that of stages inside of it.
+    The times of a stage that runs several times are added up. A stage's time excludes the time of
+    stages nested in it.
 
     Attributes:
         seconds: time of each stage by its name, in the order in which they ended [s].
@@ -48,7 +49,7 @@ class StageClock:
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Time a piece of a stage that goes on later; report no progress."""
+        """Time a part of a stage that continues later; report no progress."""
         begin = time.perf_counter()
         self._nested_seconds.append(0.0)
         try:

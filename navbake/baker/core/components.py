@@ -54,7 +54,8 @@ def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
         begin, end: the ranges, shape (n,); empty where ``end <= begin``.
 
     Returns:
-        The index i of the range of each integer, and the integers, shape (sum of lengths,) each.
+        For each integer the index i of its range; and the integers. Both of shape (sum of
+        lengths,).
     """
     count = np.maximum(end - begin, 0)
     range_index = np.repeat(np.arange(len(count)), count)
@@ -69,8 +70,8 @@ def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
         values: bool or integer, shape (rows, cols).
 
     Returns:
-        Of each run, row by row, its row, its first column, the column behind its last, and the
-        value of its cells; shape (n,) each.
+        Four arrays of shape (n,), run by run in reading order: the run's row, its first column, the
+        column after its last one, and the value of its cells.
     """
     rows = values.shape[0]
     width = values.shape[1] + 1
@@ -91,7 +92,7 @@ def count_cells_by_label(labels: Int32, count: int) -> Int:
         count: number of labels, with 0.
 
     Returns:
-        By label, shape (count,); 0 for label 0.
+        The number of cells by label, shape (count,); 0 for label 0.
     """
     _, first, end, label = find_row_runs(labels)
     return np.bincount(label, end - first, count).astype(np.int64)
@@ -104,8 +105,8 @@ def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
         values: bool or integer, shape (rows, cols); cells with 0 are in no component.
 
     Returns:
-        The label of each cell, shape (rows, cols), 0 for none; components are numbered from 1 by
-        their first cells. And the number of components.
+        The label of each cell, shape (rows, cols), and the number of components. Labels count from
+        1, in the order of the components' first cells; 0 means no component.
     """
     rows, cols = values.shape
     row, first, end, value = find_row_runs(values)

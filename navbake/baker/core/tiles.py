@@ -51,13 +51,13 @@ def block_of(lattice, row, col):
 
 @subkernel(inline="always")
 def cell_bit(row, col):
-    """Return the bit of a cell, given its row and column in its tile."""
+    """Return the bit that stands for a cell, given its row and column in its tile, int64."""
     return np.int64(1) << (row * TILE + col)
 
 
 @subkernel(inline="always")
 def window_bits(tile, inner):
-    """Return the bits of the cells of a window inside of a tile.
+    """Return a bit mask of the cells of a window inside of a tile.
 
     Args:
         tile: window of the tile, see `tile_window`.
@@ -123,7 +123,7 @@ def window_near_box(lattice, window, boxes, i, reach):
 
 @subkernel(inline="always")
 def centers_between(low, high, cell_size, count):
-    """Return the first and last cell of a row of cells whose centres lie between two coordinates.
+    """Find the cells of a row whose centres lie between two coordinates.
 
     Rounding may add a cell at either end, and never loses one.
 
@@ -133,7 +133,7 @@ def centers_between(low, high, cell_size, count):
         count: number of cells in the row.
 
     Returns:
-        First and last cell, int64; last < first if there is none.
+        The index of the first and of the last such cell, int64; last < first if there is none.
     """
     first = np.ceil(max(low / cell_size - 0.5 - CENTER_MARGIN, 0.0))
     last = np.floor(min(high / cell_size - 0.5 + CENTER_MARGIN, count - 1.0))
@@ -170,7 +170,7 @@ def _tiles_under(boxes, n, margin, lattice):
 def _tile_rows_under(boxes, n, margin, lattice):
     """Return the first and last row of tiles where a widened box covers a cell's centre.
 
-    Two zeros follow, in place of the columns that `_tiles_under` returns.
+    Returns two zeros after them, in place of the first and last column that `_tiles_under` returns.
     """
     x_low = boxes[n, 0] - margin - lattice.x_min
     x_high = boxes[n, 3] + margin - lattice.x_min

@@ -69,7 +69,7 @@ def number_components(pairs, count):
 
 @kernel
 def number_distinct_lists(start, value, number):
-    """Number ragged lists, so that equal ones have the same number, in the order of the first ones.
+    """Number ragged lists from 0, in the order of first occurrence; equal lists share a number.
 
     Args:
         start: list i is ``value[start[i] : start[i + 1]]``, (lists + 1,) integers.
@@ -77,7 +77,7 @@ def number_distinct_lists(start, value, number):
         number: receives the number of each list, (lists,).
 
     Returns:
-        The first list of each number, int64.
+        By number, the index of the first list with this number, int64.
     """
     num_lists = start.shape[0] - 1
     table_size = 16

@@ -41,7 +41,7 @@ def differing_pairs(values: NDArray[Any]) -> Int:
 
 
 def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
-    """Clip boxes in x and y to the lattice and a margin around it; heights stay.
+    """Clip boxes in x and y to the lattice and a margin around it; heights are unchanged.
 
     Args:
         lattice: the cells.
@@ -56,7 +56,7 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
 
 
 def cells_near_boxes(lattice: Lattice, boxes: Float, reach: float) -> Int:
-    """Find the cells within some distance, and one cell more, of boxes seen from above.
+    """Find the cells whose distance to a box, seen from above, is at most `reach` plus one cell.
 
     Args:
         lattice: the cells.

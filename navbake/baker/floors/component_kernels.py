@@ -31,7 +31,7 @@ MAX_RANK = 4096
 
 
 class JoinRule(NamedTuple):
-    """The rule that says which surfaces of neighboring cells are connected, and which only linked.
+    """Limits within which surfaces of neighboring cells are connected, or only linked.
 
     Attributes:
         step: the largest difference of height of connected surfaces of one group [m].
@@ -62,12 +62,14 @@ class ComponentNumbering(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def count_row(rows, begin, num, a, b, c):
-    """Count one more occurrence of three numbers; returns their row, or -1 if there is no room.
+    """Count an occurrence of three numbers in the row that counts them; append it if there is none.
+
+    Returns the index of the row, or -1 if there is no room.
 
     Args:
         rows: three numbers and how often they occur, (n, 4) int64.
         begin: the first row of the current block.
-        num: past the last row.
+        num: the index past the last row.
         a: the first of the numbers.
         b: the second one.
         c: the third one.
@@ -88,7 +90,7 @@ def count_row(rows, begin, num, a, b, c):
 
 @subkernel(inline="always")
 def height_bin(z):
-    """The number of the bin that a height rounds to: a multiple of HEIGHT_BIN."""
+    """Return the index of the bin, HEIGHT_BIN high, whose center is nearest to a height."""
     return np.int64(np.rint(z / HEIGHT_BIN))
 
 
@@ -141,12 +143,12 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
             surfaces are one group. Only surfaces of one group are connected.
         rule: a `JoinRule`.
         component: by surface, receives the number of its component in its block, -1 for none, (n,)
-            int32. While a block is labelled, it has the parents of union-find: -2 less their ids.
+            int32. While a block is labelled, it stores the parent's id p of union-find as -2 - p.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the arrays of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks to label.
-        end: past the last one.
+        end: the index past the last one.
     """
     measures, lowest = columns
     first = surfaces.first
@@ -232,8 +234,8 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
 
     Pairs lie inside of ``blocks[begin:end]``, or across the eastern and southern borders of these.
 
-    The rows: the component in the block, the second component, and the kind of the pair: JOINED
-    (only across borders), LINKED or STACKED.
+    Each row holds the first component, by its number in the block; the second component; and the
+    kind of the pair: JOINED (only across borders), LINKED or STACKED.
 
     Args:
         surfaces: all surfaces.
@@ -242,9 +244,9 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
         numbering: a `ComponentNumbering`.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the array of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks to list.
-        end: past the last one.
+        end: the index past the last one.
     """
     first = surfaces.first
     ends = surfaces.end
@@ -318,9 +320,9 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
 def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns, begin, end):
     """Count the surfaces of ``blocks[begin:end]`` by two labels and their levels or height bins.
 
-    Surfaces whose first label is less than 0 or whose level is -1 are left out. The rows: the two
-    labels, and the level or, if `level` is empty, the `height_bin`. A second array has the lowest
-    height of each row [m].
+    Surfaces whose first label is less than 0 or whose level is -1 are left out. Each row holds the
+    two labels, and the level or, if `level` is empty, the `height_bin`. A second array holds the
+    lowest height of the surfaces of each row [m].
 
     Args:
         surfaces: all surfaces.
@@ -329,9 +331,9 @@ def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns
         level: by surface, int32, or empty.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the arrays of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks to count.
-        end: past the last one.
+        end: the index past the last one.
     """
     rows, low = columns
     num = np.int64(0)

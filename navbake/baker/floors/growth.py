@@ -26,8 +26,8 @@ class GrownFloor(NamedTuple):
 
     Attributes:
         height: by cell, the height of the floor, NaN where there is none, float64 [m].
-        ring: by cell, in which ring the floor grew into it: 0 where an agent can stand, -1 for no
-            floor, int32.
+        ring: by cell, the number of the ring in which the floor grew into the cell: 0 where an
+            agent can stand, -1 for no floor, int32.
     """
 
     height: Float
@@ -37,13 +37,13 @@ class GrownFloor(NamedTuple):
 def grow_floors(
     regions: Regions, assignment: LevelAssignment, stops_growth: Bool, agent: AgentSettings
 ) -> list[GrownFloor]:
-    """Find the floor of each level.
+    """Find the floor of each level: where an agent can stand, and what grows from there.
 
     Args:
         regions: all regions.
         assignment: their surfaces on levels.
         stops_growth: the regions at whose surfaces no floor grows, shape (regions,), bool.
-        agent: whose height and step count.
+        agent: the agent, of which the height and step are used.
 
     Returns:
         The floors, the lowest level first.
@@ -65,11 +65,11 @@ def grow_level(
     """Find the floor of one level: where an agent can stand, and what grows from there.
 
     Args:
-        labelled: all surfaces, and the regions at whose surfaces no floor grows.
+        labelled: all surfaces; the labelled regions are those at whose surfaces no floor grows.
         level: by surface, its level, see `LevelAssignment`.
         final_level: by level, its final number, see `LevelAssignment`.
         grown_level: the final number of the level whose floor grows.
-        agent: whose height and step count.
+        agent: the agent, of which the height and step are used.
     """
     surfaces = labelled.surfaces
     num_cells = surfaces.lattice.width * surfaces.lattice.height
@@ -102,12 +102,12 @@ def grow_level(
 
 
 def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
-    """Find where levels meet, and the neighbors that slopes join but no step does.
+    """Find the steps between levels, and the neighboring cells of a level that only a slope joins.
 
     Args:
         regions: all regions.
         assignment: their surfaces on levels.
-        agent: whose step and slope count.
+        agent: the agent, of which the step and slope are used.
 
     Returns:
         `links` of `navbake.baker.floors.levels.Floors`, sorted.

@@ -77,11 +77,12 @@ def _is_option(labelled, state, last, j, lowest, highest):
 def start_growth(labelled, state, blocks, counts, columns, begin, end):
     """Write the floors on which agents can stand in ``blocks[begin:end]``; find where they grow.
 
-    A floor grows at surfaces that are on no level, belong to no labelled region (such as a roof or
-    the top of furniture), and do not lie at most a step below a surface of one. Between such a
-    surface and the levels above and below is room for an agent.
+    A floor grows at surfaces that are on no level and belong to no labelled region (such as a roof
+    or the top of furniture). Surfaces at most a step below a surface of a labelled region are left
+    out, too. Between a surface at which a floor grows and the levels above and below, there is room
+    for an agent.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: the id of a cell with such a surface,
+    Each row, see `navbake.baker.core.blocks.list_rows`, holds the id of a cell with such a surface,
     int64.
 
     Args:
@@ -89,9 +90,9 @@ def start_growth(labelled, state, blocks, counts, columns, begin, end):
         state: a `GrowthState`, whose `floor`, `ring` and `option` are written.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the array of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks.
-        end: past the last one.
+        end: the index past the last one.
     """
     (cells,) = columns
     num = 0
@@ -157,11 +158,11 @@ def _neighbors_of(lattice, cell):
 
 @subkernel(**NO_REFCOUNT)
 def _grow_into(state, cell, ring_number):
-    """Write the floor that grows into a cell in a ring, if any does; returns whether one does.
+    """Write the floor that grows into a cell in a ring; returns whether a floor grows into it.
 
-    No floor grows into a cell that has one, or no optional surface. Else the floor grows at the
-    optional surface that is nearest in height to the floor of a neighbor, if it is at most a step
-    from it; at the lower one if two are equally near.
+    No floor grows into a cell that has a floor already or has no optional surface. Into other cells
+    it grows at the optional surface that is nearest in height to the floor of a neighbor, if the
+    two differ by at most a step; of two surfaces equally near, at the lower one.
     """
     z = state.surfaces.z
     floor = state.floor
@@ -212,18 +213,18 @@ def _list_open_neighbors(state, cell, cells, num):
 def grow_ring(state, ring_number, front, counts, columns, begin, end):
     """Grow a ring of the floor into ``front[begin:end]``, and list the cells for the next ring.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: the id of a cell, int64; the same cell may
-    be listed several times. Neither the order of cells matters nor whether other threads are at
-    work: floors of a ring count for the next one only.
+    Each row, see `navbake.baker.core.blocks.list_rows`, holds the id of a cell, int64; the same
+    cell may be listed several times. The order of the cells and the number of threads do not change
+    the result, since the floors of a ring are used by the next ring only.
 
     Args:
         state: a `GrowthState`.
         ring_number: the number of the ring, from 1.
         front: the cells into which the floor may grow, int64.
         counts: receives the number of rows of each cell.
-        columns: the array of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the cells.
-        end: past the last one.
+        end: the index past the last one.
     """
     (cells,) = columns
     num = 0
@@ -240,7 +241,7 @@ def grow_ring(state, ring_number, front, counts, columns, begin, end):
 
 @kernel(nogil=True)
 def grow_remaining_rings(state, ring_number, front):
-    """Grow a ring of the floor into the cells of a front, int64, and all rings after it."""
+    """Grow a ring of the floor into the cells of `front` (ids, int64), and all rings after it."""
     while front.shape[0] > 0:
         next_front = np.empty(4 * front.shape[0], np.int64)
         num = 0
@@ -257,8 +258,9 @@ def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, co
 
     Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: the lower level and its cell, the upper
-    level and its cell. The levels are equal where slopes join two surfaces and no step does.
+    Each row, see `navbake.baker.core.blocks.list_rows`, holds the lower level and its cell, then
+    the upper level and its cell. The two levels are equal where a slope joins two surfaces that no
+    step joins.
 
     Args:
         surfaces: all surfaces.
@@ -268,9 +270,9 @@ def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, co
         by_slopes: whether slopes join surfaces.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the array of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks.
-        end: past the last one.
+        end: the index past the last one.
     """
     (rows,) = columns
     num = 0

@@ -6,9 +6,9 @@ The steps, in their order:
 2. `_find_grounds` counts the heights of floors over floors in histograms, and so finds the grounds:
    the heights at which levels begin. Levels of the configuration have their grounds.
 3. `_assign_surfaces` assigns each surface to a level by its height, and by the surfaces above and
-   below it in its column; `_lower_grounds` lowers grounds to parts of floors just below them.
-4. `_resolve_full_columns` leaves out surfaces of columns that have more of them than there are
-   levels, or opens further levels.
+   below it in its column; `_lower_grounds` lowers grounds to connected floor just below them.
+4. `_resolve_full_columns` treats columns with more surfaces than there are levels: it leaves out
+   surfaces, or opens further levels.
 5. `_drop_empty_levels` numbers and names the levels that have surfaces.
 """
 
@@ -71,10 +71,10 @@ NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
-    """Return the heights [low, high) of the surfaces of each level of the configuration [m].
+    """Return, for each level of the configuration, the height range of its surfaces.
 
-    They begin `CONFIGURED_GROUND_TOLERANCE` below the level's ground, and end just below its top,
-    or where those of the next level begin, if that is lower.
+    A range [low, high) [m] begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends
+    just below the level's top, or where the range of the next level begins, if that is lower.
 
     Args:
         level_settings: the levels of the configuration, lowest first.
@@ -111,9 +111,10 @@ class LevelAssignment(NamedTuple):
     Attributes:
         grounds: by level, its ground height [m].
         names: by level, its name.
-        level: by surface, its level before those without surfaces are left out; less than 0 for
-            none, int32.
-        final_level: by number in `level`, the level's index in `grounds`, int64.
+        level: by surface, the number of its level; less than 0 for none, int32. These numbers also
+            count levels without surfaces.
+        final_level: maps a number in `level` to the level's index in `grounds`, which has only
+            levels with surfaces, int64.
         counts: how many surfaces of which region are on which level.
         without_level: surfaces left out because all levels of their columns are taken.
     """
@@ -150,7 +151,7 @@ class SurfaceLevels(NamedTuple):
         skips_floors: whether floors are left out rather than stairs where a column has too few
             levels.
         level: by surface, its level, see `assign_columns`, int32.
-        components: the same by components of regions.
+        components: how many surfaces of each component of regions are on which level.
     """
 
     grounds: list[float]
@@ -190,11 +191,11 @@ class AssignmentInput(NamedTuple):
 
     Attributes:
         regions: all regions.
-        candidates: which of their surfaces are assigned, and which are stairs.
+        candidates: which surfaces of the regions are assigned, and which of these are stairs.
         is_stacked: whether any candidate lies above another one.
         tolerance: how far below a ground the floors of its level may lie [m].
-        agent: whose step and slope count.
-        settings: `min_area` and `shrink` count.
+        agent: the agent, of which the step and slope are used.
+        settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
 
     regions: Regions
@@ -217,10 +218,10 @@ def assign_levels(
     Args:
         regions: all regions.
         mask: the regions that are floors, shape (regions,), bool.
-        level_settings: the levels of the configuration, of which only surfaces in
-            `level_height_ranges` are assigned; empty if levels are to be found.
-        agent: whose step and slope count.
-        settings: `min_area` and `shrink` count.
+        level_settings: the levels of the configuration; only surfaces within their
+            `level_height_ranges` are assigned. Empty if levels are to be found.
+        agent: the agent, of which the step and slope are used.
+        settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
     group = np.empty(len(regions.surfaces.z), dtype=np.int8)
     has_stack = np.empty(regions.blocks.num, dtype=np.bool_)
@@ -263,9 +264,11 @@ def assign_levels(
 def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Candidates:
     """Find which candidates are parts of stairs and ramps.
 
-    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if going only up from
-    it, and also going only down, leads to a floor more than four times as large as its own. A floor
-    is all of a region within half a step of its height, since walls and thresholds divide it.
+    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if a path that only goes
+    up from it, and also a path that only goes down, leads to a floor more than four times as large
+    as the plateau's own floor. The floor of a plateau consists of all surfaces of its region within
+    half a step of the plateau's height, since walls and thresholds divide floors into several
+    plateaus.
     """
     plateau_rule = JoinRule(min(step, HEIGHT_BIN), link_step=step)
     components = find_components(regions.surfaces, plateau_rule, group.astype(np.int32))
@@ -314,7 +317,7 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
 
 
 def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_step: float) -> Int:
-    """Count, by row of a histogram, the surfaces of the region within half a step of the height.
+    """Count, for each row of a histogram, its region's surfaces within half a step of its height.
 
     Rows may repeat.
     """
@@ -335,9 +338,10 @@ def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_ste
 def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     """Find the ground heights of the levels, lowest first.
 
-    The first ground is the lowest floor that is large enough after shrinking; each further one is
-    the lowest such floor above floors of the level below. So a hill, a half-storey, a stair or a
-    platform with nothing under it opens no level.
+    The first ground is the height of the lowest floor that is large enough after shrinking. Each
+    further ground is the height of the lowest floor of that size that lies above floors of the
+    level below. So a hill, a half-storey, a stair or a platform with nothing under it opens no
+    level.
     """
     half_step = max(assignment_input.agent.traversable_floor_height, HEIGHT_BIN) / 2
     ground = _find_next_ground(assignment_input, -np.inf, half_step)
@@ -363,10 +367,11 @@ def _find_next_ground(
     half_step: float,
     tops: Sequence[float] = (np.inf,),
 ) -> float | None:
-    """Find the ground of the lowest large floor above another ground, or None.
+    """Find the height of the lowest large floor above floors of a level [m], None if there is none.
 
-    A floor is large if it passes the area test in a window of heights one step high; windows begin
-    half a step apart. The windows below each of `tops` are searched in turn.
+    `ground` is the ground of that level. A floor is large if it passes the area test in a window of
+    heights one step high; windows begin half a step apart. The windows below each of `tops` are
+    searched in turn.
     """
     disc = area_test(assignment_input.regions.lattice, assignment_input.settings)
     for top in tops:
@@ -447,10 +452,11 @@ def _assign_surfaces(
 
 
 def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
-    """Assign surfaces to levels, after lowering grounds to parts of floors just below them.
+    """Lower each ground to include connected floor just below it, then assign surfaces to levels.
 
-    Such parts lie within a step below the ground, are no stairs, and steps join them to nothing
-    else than the level's floor.
+    A ground is lowered to a connected part of the surfaces of the level below if that part lies
+    within a step below the ground, does not consist of stairs alone, and is joined by steps to
+    surfaces of the ground's level only.
     """
     surface_levels = _assign_surfaces(assignment_input, grounds)
     for _ in grounds[1:]:
@@ -467,7 +473,7 @@ def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> S
 def _lower_grounds_once(
     assignment_input: AssignmentInput, surface_levels: SurfaceLevels
 ) -> list[float]:
-    """Return the grounds, each lowered to parts of its floor that are on the level below."""
+    """Return the grounds [m], each lowered to floor that was assigned to the level below."""
     regions = assignment_input.regions
     candidates = assignment_input.candidates
     step = assignment_input.agent.traversable_floor_height
@@ -517,11 +523,12 @@ def _lower_grounds_once(
 def _resolve_full_columns(
     assignment_input: AssignmentInput, surface_levels: SurfaceLevels
 ) -> tuple[SurfaceLevels, list[Patch]]:
-    """Assign surfaces again where columns have more of them than there are levels.
+    """Leave out surfaces or open levels where columns have more surfaces than there are levels.
 
-    Stairs, or else the floors under them, are left out if they are dispensable, see
-    `_are_dispensable`. Else a level is opened at the lowest surface without one, or a little below
-    it on its region, so that an uneven floor stays on one level.
+    Stairs are left out if they are dispensable, see `_are_dispensable`; if not, the floors under
+    them are, on the same condition. Otherwise a level is opened at the lowest surface without a
+    level, or a little below it on that surface's region, so that an uneven floor stays on one
+    level.
 
     Returns:
         The surfaces on their levels, and those that are left out.
@@ -592,9 +599,10 @@ def _are_dispensable(
 ) -> bool:
     """Return whether the surfaces without a level can be left out.
 
-    They can if they are rims, nowhere wider than floors are shrunk by; or floors under stairs that
-    are too small to be floors by themselves. And they must not cut a walk: without them, the other
-    surfaces of their regions make up no more walks that are large enough for floors.
+    They can be left out if they are rims, nowhere wider than floors are shrunk by, or floors under
+    stairs that are too small to be floors by themselves. In both cases, leaving them out must not
+    divide walkable floor: the number of connected components (walks) of their regions that are
+    large enough for floors must not grow.
 
     Args:
         assignment_input: the surfaces that are assigned.
@@ -626,14 +634,14 @@ def _are_dispensable(
 
 
 def _find_walks(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
-    """Find the walks: the components of surfaces that steps connect, by groups of surfaces."""
+    """Find the walks: connected components of surfaces that an agent can walk, group by group."""
     surfaces = assignment_input.regions.surfaces
     rule = region_join_rule(surfaces.lattice, assignment_input.agent)
     return find_components(surfaces, rule, group.astype(np.int32))
 
 
 def _count_walks(walks: Components, regions: list[RegionSurfaces], min_surfaces: int) -> int:
-    """Count the walks that have so many surfaces of a region, or more."""
+    """Count the walks with at least `min_surfaces` surfaces in a region, over all given regions."""
     walk_of_component = walks.merge()
     num_walks = 0
     for region_surfaces in regions:
@@ -649,7 +657,7 @@ def _drop_empty_levels(
     names: dict[float, str | None],
     without_level: list[Patch],
 ) -> LevelAssignment:
-    """Leave out the levels without surfaces, and name the others.
+    """Remove the levels without surfaces, and name the remaining levels.
 
     Args:
         regions: all regions.

@@ -38,7 +38,7 @@ class Candidates(NamedTuple):
     """The surfaces that are assigned to levels.
 
     Attributes:
-        group: by surface, 0 if it is a candidate, else -1, int8.
+        group: by surface, 0 if the surface is a candidate, else -1, int8.
         plateau: by surface, the number of its plateau, int32; empty if no column has two
             candidates.
         is_stair: by plateau, whether it is a part of a stair or a ramp, bool.
@@ -55,12 +55,13 @@ class HeightSelection(NamedTuple):
     Window n of heights reaches from ``n * half_step`` to ``(n + 1) * half_step``.
 
     Attributes:
-        ground: the ground of a level: only surfaces above another candidate count that lies at this
-            height or higher. If it is -inf, only the lowest candidate of each column counts [m].
-        window: the number of the window that counts, together with the one above it; ALL_WINDOWS or
-            LOWEST_SURFACES.
+        ground: the ground of a level [m]: a surface is counted only if another candidate lies below
+            it, at this height or higher. If it is -inf, only the lowest candidate of each column is
+            counted.
+        window: the number of a window: surfaces in it and in the window above it are counted. It
+            can also be ALL_WINDOWS or LOWEST_SURFACES.
         half_step: the height of a window [m].
-        top: only surfaces below it count [m].
+        top: only surfaces below this height are counted [m].
     """
 
     ground: float
@@ -103,7 +104,7 @@ def mark_candidates(labelled, height_ranges, group, has_stack, begin, end):
         group: by surface, receives 0 for a candidate, else -1.
         has_stack: by block, receives whether two candidates lie in one cell.
         begin: the first block.
-        end: past the last one.
+        end: the index past the last one.
     """
     surfaces = labelled.surfaces
     lattice = labelled.surfaces.lattice
@@ -144,7 +145,7 @@ def _window_of(surfaces, candidates, j, selection, is_lowest):
 
 @subkernel(**NO_REFCOUNT)
 def _count_block(surfaces, candidates, selection, disc, block, masks, columns, num):
-    """Count the heights of one block; returns the number of rows then, or -1 if there is no room.
+    """Count the heights of one block; returns the new number of rows, or -1 if there is no room.
 
     `masks` are the mask of the counted cells and its margin, and the mask of what remains of it.
     """
@@ -195,8 +196,9 @@ def _count_block(surfaces, candidates, selection, disc, block, masks, columns, n
 def count_heights(surfaces, candidates, selection, disc, blocks, counts, columns, begin, end):
     """Count the heights of floors in ``blocks[begin:end]``: the rows of a histogram.
 
-    Floors are the candidates that are no stairs. `selection` says which of them count. The cells of
-    these, of all windows that count, are shrunk together, and only those that remain are counted.
+    Floors are the candidates that are no stairs; `selection` determines which of them are counted.
+    The cells of all selected floors together are shrunk, and only surfaces in the remaining cells
+    are counted.
 
     The rows, see `navbake.baker.core.blocks.list_rows`: the number of a window, a `height_bin`, 0,
     and how many surfaces are there. A second array has the lowest height of each row [m].
@@ -208,9 +210,9 @@ def count_heights(surfaces, candidates, selection, disc, blocks, counts, columns
         disc: an `AreaTest`, whose disc the cells are shrunk by; with a radius of 0, not at all.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the arrays of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks to count.
-        end: past the last one.
+        end: the index past the last one.
     """
     num = np.int64(0)
     size = BLOCK + 2 * disc.radius
@@ -254,11 +256,12 @@ def assign_columns(
 ):
     """Assign the candidates in ``blocks[begin:end]`` to levels; no two of a column share one.
 
-    A surface's base level is the one with the highest ground at or below it. Where all base levels
-    of a column differ, they are the levels. Elsewhere the surfaces of a column are aligned with the
-    levels in their order: they move as little as possible, up rather than down, and stairs rather
-    than floors. A stair's surface that would fit only if a floor moved takes the free level nearest
-    to its base level; on a tie, the upper one.
+    A surface's base level is the level with the highest ground at or below the surface. Where the
+    base levels of a column's surfaces all differ, each surface gets its base level. In other
+    columns the surfaces are aligned with the levels in their order: they move away from their base
+    levels as little as possible, up rather than down, and stairs rather than floors. A stair's
+    surface that would fit only if a floor moved gets the free level nearest to its base level; on a
+    tie, the upper one.
 
     The rows, see `navbake.baker.core.blocks.list_rows`: the component of a region, 0, a level, and
     how many of the component's surfaces are on it. A second array has the lowest of their heights
@@ -273,9 +276,9 @@ def assign_columns(
             are taken; -1 where it is no candidate, int32.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the arrays of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks.
-        end: past the last one.
+        end: the index past the last one.
     """
     rows, low = columns
     num = np.int64(0)
@@ -343,7 +346,7 @@ def _assign_column(surfaces, candidates, rule, cell, level, count):
 
 @subkernel
 def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
-    """Align a column's surfaces with the levels at the least cost.
+    """Align a column's surfaces with the levels at the least cost, by dynamic programming.
 
     Args:
         base: the base level of each surface, ascending.
@@ -383,17 +386,18 @@ def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
 
 @kernel
 def find_largest_areas(lower, upper, area, by_lower, by_upper):
-    """Find the size of the largest floor that each plateau leads to, going only up and only down.
+    """Find the largest floor that is reached from each plateau by going only up, and only down.
 
     Args:
         lower: the lower plateau of each step, (steps,) int64.
         upper: the upper plateau of each step, (steps,) int64.
-        area: how many surfaces the floor has that each plateau belongs to, (plateaus,) int64.
+        area: by plateau, the number of surfaces of the floor that it belongs to, (plateaus,) int64.
         by_lower: the steps in the order of the heights of their lower plateaus, (steps,) int64.
         by_upper: the steps in the order of the heights of their upper plateaus, (steps,) int64.
 
     Returns:
-        The largest area above each plateau, and below it; 0 for none, (plateaus,) int64.
+        Two arrays (plateaus,) int64: the area of the largest floor reached by going up, and by
+        going down, in surfaces; 0 if no floor is reached.
     """
     above = np.zeros_like(area)
     below = np.zeros_like(area)

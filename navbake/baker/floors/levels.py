@@ -64,7 +64,7 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Floors:
-    """The floors of all levels, how they are linked, and what is no floor.
+    """The floors of all levels, the links between them, and the large surfaces that are no floors.
 
     Attributes:
         levels: the floor of each level, lowest first.
@@ -73,12 +73,13 @@ class Floors:
             cells are ids on the whole lattice.
         tops: large tops and shelves, which are no floors, the largest first.
         roofs: roofs to report, which are no floors, the largest first.
-        small_starts: floors only because `floors.from` names them.
-        unreached: floors that no step leads to, by level, lowest first.
+        small_starts: surfaces that are floors only because positions of `floors.from` lie on them.
+        unreached: floors that no path from a start leads to, by level, lowest first.
         removed_by_reach: floors that `floors.reach: steps` leaves out, the largest first.
         enclosed_by_meshes: floors inside of closed meshes, whose geoms the patches have.
         enclosed_by_planes: floors inside of infinite planes, whose geoms the patches have.
-        voids: levels left out as no step reaches them and nobody can stand upright there.
+        voids: levels that are left out because no path leads to them and nobody can stand upright
+            there.
         without_level: surfaces left out because all levels of their columns are taken.
     """
 
@@ -189,10 +190,10 @@ def find_reached_levels(
     is_start: Bool,
     level_settings: Sequence[LevelSettings] | None,
 ) -> ReachedLevels:
-    """Assign floors to levels: all that are no voids, or those that steps lead to.
+    """Assign floors to levels, and leave out voids or unreached floors.
 
-    With `floors.reach: all`, voids are left out, unless `floors.voids` is set; with `floors.reach:
-    steps`, all that no step leads to.
+    With `floors.reach: all`, voids are left out, unless `floors.voids` is set. With `floors.reach:
+    steps`, all floors are left out that no path from a start leads to.
 
     Args:
         context: all regions, and the hits of all columns.
@@ -266,7 +267,7 @@ def _make_level_floors(
 
 
 def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) -> LevelFloor:
-    """Close the holes of a level's floor that floor surrounds.
+    """Close the holes in a level's floor, and interpolate their heights.
 
     The heights in a hole are interpolated from those around it (linearly, over Delaunay's
     triangles). Holes that agents can't get to from the floor, such as the inside of a pillar, stay.

@@ -54,8 +54,9 @@ class EdgeEndings(NamedTuple):
         kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
         floor_height: the height of the floor that a drop leads to, NaN for other kinds [m].
         floor_region: the region of that floor, -1 for other kinds, int32.
-        is_known: False at borders where the lattice crops the scene; at other borders it is known
-            that nothing stands beside the region, and that there is no floor.
+        is_known: whether it is known what lies beyond the edge, bool. It is False at borders where
+            the lattice crops the scene. At other borders the scene ends: nothing stands beyond, and
+            there is no floor.
     """
 
     kind: NDArray[np.uint8]
@@ -77,7 +78,7 @@ class ListedEdges(NamedTuple):
 
 
 class RegionContext(NamedTuple):
-    """The regions of a scene, and what the rules for tops, roofs and shelves ask about them.
+    """The regions of a scene with their edges, as the rules for tops, roofs and shelves use them.
 
     Attributes:
         regions: all regions, also those of furniture.
@@ -113,7 +114,7 @@ class RegionContext(NamedTuple):
         self.columns.covering(cells)
 
     def select_edges(self, mask: Bool, reach: int) -> RegionEdges:
-        """Return the edges of some large regions, and the floors below them.
+        """Return the edges of some large regions, and the floors below, beyond these edges.
 
         Args:
             mask: the regions, shape (regions,).
@@ -162,7 +163,8 @@ class RegionContext(NamedTuple):
 
         Args:
             edges: the edges.
-            agent: the agent that walls and barriers stop, which need not be the context's.
+            agent: the agent whose step and height define walls and barriers; may differ from the
+                context's agent.
         """
         outer = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         kind = np.full(len(outer), OPEN, dtype=np.uint8)
@@ -185,11 +187,13 @@ class RegionContext(NamedTuple):
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
           agent's feet (just above a step) and at its head (just below its height).
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-        - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand;
-          in any of `edges.cells_beyond` up to a barrier, past a bed's frame. There is no drop where
-          a surface continues from the region over that floor, as in an attic.
+        - DROP: a floor on which the agent can stand lies more than a step lower, in any of
+          `edges.cells_beyond` up to the first barrier. So a floor past the frame of a bed is found.
+          There is no drop where a surface continues from the region over that floor, as in an
+          attic.
         - BORDER: the lattice ends.
-        - OPEN: an abyss, a steep slope, a floor on which no agent can stand.
+        - OPEN: none of these: beyond the edge there is an abyss, a steep slope, or a floor on which
+          no agent can stand.
 
         Args:
             edges: edges of large regions, see `select_edges`.
@@ -235,7 +239,7 @@ class RegionContext(NamedTuple):
         return EdgeEndings(kind, floor_height, floor_region, is_known)
 
     def mark_known(self, kind: NDArray[np.uint8], direction: Int) -> Bool:
-        """Mark the edges that do not end where the lattice crops the scene.
+        """Mark all edges except those at sides of the lattice that crop the scene.
 
         Args:
             kind: how the region ends at each edge, shape (edges,).
@@ -249,7 +253,7 @@ class RegionContext(NamedTuple):
 
         Args:
             edges: the edges.
-            mask: the marked ones, shape (edges,).
+            mask: the marked edges, shape (edges,).
             is_known: which edges count, shape (edges,).
 
         Returns:
@@ -313,12 +317,12 @@ def find_highest_below(
     Args:
         labelled: all surfaces, and the regions that count.
         cells: ids of cells, shape (n,).
-        limits: the height that the surface has to be below, shape (n,) [m].
-        regions: the region whose surfaces don't count, by cell; None if all count.
+        limits: by cell, an upper bound of the surface's height, shape (n,) [m].
+        regions: by cell, the region whose surfaces are skipped; None to skip none.
 
     Returns:
-        The ids of the surfaces, NO_SURFACE for none, SAME_REGION where that region itself has a
-        surface in the cell; and the surfaces' regions, -1 for none.
+        The ids of the surfaces, NO_SURFACE for none, SAME_REGION where the skipped region itself
+        has a surface in the cell; and the regions of the surfaces, -1 for none.
     """
     if regions is None:
         regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
@@ -339,7 +343,7 @@ def find_highest_below(
 
 
 def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
-    """Return whether a scene continues beyond the lattice in the east, south, west and north.
+    """Mark the sides of the lattice beyond which the scene continues: east, south, west, north.
 
     Args:
         lattice: the lattice.
@@ -347,7 +351,7 @@ def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
             scene is endless.
 
     Returns:
-        shape (4,), bool.
+        A mask, shape (4,), bool.
     """
     if bounds is None:
         return np.ones(4, dtype=np.bool_)
@@ -362,10 +366,10 @@ def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
 
     Args:
         edges: all edges of some regions.
-        lattice: of their cells.
+        lattice: the lattice of their cells.
 
     Returns:
-        shape (edges,), bool.
+        A mask, shape (edges,), bool.
     """
     order = np.argsort(edges.region, kind="stable")
     start = np.append(np.flatnonzero(np.diff(edges.region[order], prepend=-1)), len(order))
@@ -377,7 +381,7 @@ def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
 
 
 def neighbor_cells(lattice: Lattice, cell: Int, direction: Int | int, steps: int = 1) -> Int:
-    """Return the cells that lie a number of steps away from others in one direction.
+    """Return the neighbors of cells in a direction, `steps` cells away.
 
     Args:
         lattice: the lattice.
@@ -396,7 +400,7 @@ def neighbor_cells(lattice: Lattice, cell: Int, direction: Int | int, steps: int
 
 
 def probe_ranges(agent: AgentSettings) -> tuple[HeightRange, HeightRange]:
-    """Return thin ranges of heights above a floor, at an agent's feet and at its head [m]."""
+    """Return two thin ranges of heights above a floor [m]: at an agent's feet, and at its head."""
     low = agent.traversable_floor_height
     high = agent.height
     thickness = min(PROBE_HEIGHT, (high - low) / 2)

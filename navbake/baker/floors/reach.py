@@ -51,11 +51,11 @@ BUILDING_AREA = 50.0
 
 @dataclass(frozen=True)
 class UnreachedFloors:
-    """The floors of a level that no step leads to from the starts.
+    """The floors of a level that no path of steps and slopes from a start leads to.
 
     Attributes:
         level: the level's number.
-        patch: the floors there, all together; the position is on the largest.
+        patch: a summary of all these floors; its position is on the largest of them.
         is_whole_level: whether no floor of the level is reached.
     """
 
@@ -69,18 +69,18 @@ def find_start_regions(
 ) -> Bool:
     """Find the regions on which agents start, from positions.
 
-    A position within 2 cm of a surface lies on it. Any other is on the highest floor of its column
-    that is at most a step higher. Roofs, and tops of at least 6 m², are floors here. Above
-    furniture it is on the floor to which that drops along most of its outline, or on the furniture
-    if there is none.
+    A position within 2 cm of a surface lies on that surface. Any other position lies on the highest
+    floor of its column that is at most a step higher than the position. Roofs, and tops of at least
+    6 m², are floors here. A position above furniture lies on the floor to which the furniture drops
+    along most of its outline, or on the furniture if there is no such floor.
 
     Args:
         context: all regions, and how they end.
-        rejected: the regions that are floors only where an agent starts.
+        rejected: tops, shelves and roofs, which are floors only if an agent starts on them.
         positions: `floors.from`, x, y, z of each [m].
 
     Returns:
-        Which regions they are, shape (regions,), bool.
+        A mask of the regions on which agents start, shape (regions,), bool.
 
     Raises:
         SceneError: there is no floor at a position.
@@ -149,7 +149,7 @@ def mark_largest_on_lowest_level(counts: LevelCounts, num_regions: int) -> Bool:
         num_regions: how many regions there are.
 
     Returns:
-        shape (regions,), bool.
+        A mask, shape (regions,), bool.
     """
     on_lowest = counts.level == counts.level.min()
     size = np.bincount(counts.region[on_lowest], counts.num_surfaces[on_lowest])
@@ -186,11 +186,12 @@ def count_low_surfaces(context: RegionContext) -> Int:
 
 
 class ReachedRegions(NamedTuple):
-    """What steps lead to; masks of shape (regions,), bool.
+    """Which regions are reached from the starts; masks of shape (regions,), bool.
 
     Attributes:
-        is_reached: whether steps lead to the region from a start.
-        is_void: whether it is on a level that no step reaches, in which nobody can stand upright.
+        is_reached: whether a path leads from a start to the region.
+        is_void: whether the region is on a void: an unreached level in which nobody can stand
+            upright.
     """
 
     is_reached: Bool
@@ -200,14 +201,14 @@ class ReachedRegions(NamedTuple):
 def find_voids(
     context: RegionContext, counts: LevelCounts, is_reached: Bool, has_starts: bool
 ) -> ReachedRegions:
-    """Find the levels that no step reaches and in which nobody can stand upright.
+    """Find the voids: levels that no path leads to and in which nobody can stand upright.
 
     Args:
         context: all regions, and the hits of all columns.
         counts: how many surfaces of which region are on which level.
         is_reached: which regions are reached, shape (regions,), bool.
-        has_starts: whether `floors.from` names the starts; else the start is the largest floor of
-            the lowest level that is no void.
+        has_starts: whether `floors.from` gives the starts; if not, the start is the largest floor
+            of the lowest level that is no void.
     """
     is_void = np.zeros_like(is_reached)
     levels = np.unique(counts.level)
@@ -235,9 +236,9 @@ def find_voids(
 def find_unreached_floors(
     regions: Regions, assignment: LevelAssignment, is_reached: Bool
 ) -> list[UnreachedFloors]:
-    """Find the floors that no step leads to, one entry a level, lowest first.
+    """Find the floors that no path leads to, with one entry for each level, lowest first.
 
-    On levels that are reached in part, only regions of at least 6 m² there count.
+    On levels that are reached in part, only regions with at least 6 m² on the level are listed.
 
     Args:
         regions: all regions.
@@ -296,13 +297,13 @@ def find_enclosed_floors(
 ) -> list[Patch]:
     """Find floors inside of closed meshes and planes, where no agent can stand, the largest first.
 
-    A floor that continues outside at its height only carries a closed thing, like a crate, unless
-    it is as large as a building.
+    A floor that continues outside of the closed mesh at the same height is not listed, unless the
+    mesh is as large as a building: it only carries a closed object, like a crate.
 
     Args:
         surfaces: all surfaces.
-        agent: whose step and slope count.
-        settings: `min_area` and `shrink` count.
+        agent: the agent, of which the step and slope are used.
+        settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
     is_enclosed = surfaces.marks & ENCLOSED != 0
     if not is_enclosed.any():

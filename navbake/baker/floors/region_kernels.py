@@ -24,12 +24,12 @@ SAME_REGION = np.int64(-2)  # the edge's own region has a surface there
 
 
 class LabelledSurfaces(NamedTuple):
-    """Surfaces with the ids of some regions, as kernels take them.
+    """All surfaces, labelled with the ids of some selected regions, as kernels take them.
 
     Attributes:
         surfaces: all surfaces.
         component: by surface, the id of its component, see `Components`, -1 for none, int32.
-        region: by component, the id of its region; -1 if that is not among those that count, int32.
+        region: by component, the id of its region, int32; -1 if the region is not selected.
     """
 
     surfaces: Surfaces
@@ -113,7 +113,7 @@ def shrink(mask, disc, remaining):
 
 @subkernel(inline="always")
 def region_of_surface(labelled, j):
-    """The region of a surface, or -1.
+    """Return the id of a surface's region, or -1 if it belongs to no selected region.
 
     Args:
         labelled: a `LabelledSurfaces`.
@@ -162,7 +162,7 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, disc, is_large, 
         disc: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
         is_large: by region, receives whether it is large enough.
         begin: the first of the regions to test.
-        end: past the last one.
+        end: the index past the last one.
     """
     radius = disc.radius
     for n in range(begin, end):
@@ -217,20 +217,20 @@ def _has_drop(labelled, row, col, direction, region, limit, reach):
 def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
     """List the edges of regions in ``blocks[begin:end]``.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: the component, the cell, the id of the
-    surface, the direction out of the region, and whether a surface of another region lies more than
-    a step below within reach of the edge, 1 or 0.
+    Each row, see `navbake.baker.core.blocks.list_rows`, holds the component, the cell, the id of
+    the surface, the direction out of the region, and 1 if within reach of the edge a surface of
+    another region lies more than a step below, else 0.
 
     Args:
         labelled: a `LabelledSurfaces`.
-        lowest: no surface of a region is lower [m].
+        lowest: a lower bound of the heights of the regions' surfaces [m].
         step: the highest step [m].
         reach: how many cells beyond an edge are searched.
         blocks: ids of blocks.
         counts: receives the number of rows of each block.
-        columns: the array of the rows.
+        columns: receive the rows: an array for each field of a row.
         begin: the first of the blocks to list.
-        end: past the last one.
+        end: the index past the last one.
     """
     (rows,) = columns
     num = 0
@@ -275,13 +275,13 @@ def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, 
     Args:
         labelled: a `LabelledSurfaces`.
         cells: ids of cells, (n,) int64.
-        regions: for each cell, the region whose surfaces don't count, int32.
-        limits: for each cell, the height that the surface has to be below [m].
+        regions: for each cell, the region whose surfaces are skipped, int32.
+        limits: for each cell, an upper bound of the surface's height [m].
         below: receives the surfaces' ids, NO_SURFACE where there is none, and SAME_REGION where the
-            region itself has a surface in the cell, int64.
+            skipped region itself has a surface in the cell, int64.
         regions_below: receives the surfaces' regions, -1 for none, int32.
         begin: the first of the cells.
-        end: past the last one.
+        end: the index past the last one.
     """
     width = labelled.surfaces.lattice.width
     for n in range(begin, end):
@@ -296,16 +296,16 @@ def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, 
 def mark_hole_edges(cells, directions, start, lattice, in_hole):
     """Mark the edges at the rims of holes in regions, by union-find over the cells beyond them.
 
-    Two edges are on one rim if a chain of cells beyond edges leads from one to the other, each
-    meeting the next at an edge or a corner. At a corner, one of the two cells between them must be
-    no cell of the region. The rim with the first of these cells, in the order of ids, is the outer
-    one; the others are rims of holes.
+    The cells just beyond a region's edges are connected if they share a side, or if they share a
+    corner and one of the two cells beside that corner is outside of the region. Edges are on one
+    rim if the cells beyond them are connected. The rim of the cell with the lowest id is the
+    region's outer rim; all others are rims of holes.
 
     Args:
         cells: the cell of each edge, region by region.
         directions: the direction out of the region at each edge.
         start: the n-th region has the edges ``start[n]:start[n + 1]``.
-        lattice: of the cells.
+        lattice: the lattice of the cells.
         in_hole: by edge, receives whether it is at a hole's rim, bool.
     """
     # ids of cells on a padded lattice: a margin around it, and an empty column between two rows

@@ -59,7 +59,7 @@ class Components(NamedTuple):
 
     @property
     def num(self) -> int:
-        """How many components there are."""
+        """Return the number of components."""
         return len(self.measures)
 
     def pairs_of_kind(self, kind: int) -> Int:
@@ -71,7 +71,8 @@ class Components(NamedTuple):
         """Merge components across the borders of blocks.
 
         Returns:
-            By component, the number of its merged component, in the order of the first ones.
+            By component, the number of its merged component; these are numbered in the order of
+            their first components.
         """
         return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num)
 
@@ -117,12 +118,12 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
 
 
 class RegionStacks(NamedTuple):
-    """Regions that lie directly above others; arrays of shape (n,), pairs may repeat.
+    """Pairs of regions, one directly above the other; arrays of shape (n,), pairs may repeat.
 
     Attributes:
         upper: the upper region, int32.
-        lower: the next one below, which may be the same region, int32.
-        num_cells: in how many cells, int64.
+        lower: the region of the next surface below, which may be the same region, int32.
+        num_cells: in how many cells the pair occurs, int64.
     """
 
     upper: Int32
@@ -138,7 +139,7 @@ class Regions:
         surfaces: all surfaces.
         components: the components of regions inside of each block.
         of_component: by component, its region, shape (components,), int32.
-        size: by region, how many surfaces it has, int64.
+        size: by region, its number of surfaces, int64.
         num_uncovered: by region, how many of its surfaces nothing lies above, int64.
         box: by region, its first row and column, and those past its last ones, shape (regions, 4).
         low: by region, its lowest height [m].
@@ -154,17 +155,17 @@ class Regions:
 
     @property
     def num(self) -> int:
-        """How many regions there are."""
+        """Return the number of regions."""
         return len(self.size)
 
     @property
     def blocks(self) -> Blocks:
-        """The blocks of the lattice."""
+        """Return the blocks of the lattice."""
         return Blocks(self.lattice)
 
     @property
     def lattice(self) -> Lattice:
-        """The lattice that the surfaces lie on."""
+        """Return the lattice that the surfaces lie on."""
         return self.surfaces.lattice
 
     def label_surfaces(self, mask: Bool) -> LabelledSurfaces:
@@ -174,12 +175,12 @@ class Regions:
         return LabelledSurfaces(self.surfaces, self.components.number, region)
 
     def region_of(self, surface_ids: Int) -> Int32:
-        """The regions of some surfaces, by their ids; -1 for those that belong to none."""
+        """Return the region of each surface id, -1 for surfaces without a region."""
         component = self.components.number[surface_ids]
         return np.where(component >= 0, self.of_component[component], np.int32(-1))
 
     def find_stacks(self) -> RegionStacks:
-        """Find which regions lie above which others, and in how many cells."""
+        """Find the pairs of regions that lie above each other, and in how many cells."""
         upper, lower, _, num_cells = self.components.pairs_of_kind(STACKED).T
         return RegionStacks(self.of_component[upper], self.of_component[lower], num_cells)
 
@@ -201,14 +202,14 @@ class Regions:
         )
 
     def mark_in_range(self, mask: Bool, heights: HeightRange) -> Bool:
-        """Mark those of some regions that have a surface in a range of heights.
+        """Mark the regions that have a surface in a range of heights.
 
         Args:
             mask: the regions to test, shape (regions,).
             heights: the range [low, high) [m].
 
         Returns:
-            shape (regions,), bool.
+            A mask, shape (regions,), bool.
         """
         in_range = np.zeros_like(mask)
         for region in np.flatnonzero(mask).tolist():
@@ -222,17 +223,17 @@ def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
 
     Args:
         lattice: of the surfaces.
-        agent: whose step and slope count.
+        agent: the agent, of which the step and slope are used.
     """
     return JoinRule(agent.traversable_floor_height, by_slopes=may_slopes_join(lattice, agent))
 
 
 def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GROUPS) -> Regions:
-    """Connect surfaces to regions.
+    """Connect surfaces to regions by steps and slopes.
 
     Args:
         surfaces: all surfaces.
-        agent: whose step and slope count.
+        agent: the agent, of which the step and slope are used.
         group: as `find_components` takes it.
     """
     components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
@@ -263,15 +264,15 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
     """Mark the regions that are large enough for floors.
 
     A region is large enough if it keeps `floors.min_area` when it is shrunk by `floors.shrink`. Its
-    cells are taken together over all heights.
+    cells at all heights are shrunk together.
 
     Args:
         regions: all regions.
         mask: which of them are tested, shape (regions,).
-        settings: `min_area` [m²] and `shrink` [m] count.
+        settings: the settings of `floors`; `min_area` [m²] and `shrink` [m] are used.
 
     Returns:
-        Which regions are large enough, shape (regions,), bool.
+        A mask of the regions that are large enough, shape (regions,), bool.
     """
     disc = area_test(regions.lattice, settings)
     is_large = np.zeros(regions.num, dtype=np.bool_)
@@ -303,9 +304,9 @@ class Patch:
     """A summary of surfaces that lie side by side, such as a region that is no floor.
 
     Attributes:
-        geom: id of the geom that most of them belong to.
-        area: [m²].
-        position: x, y, z of one of them near their middle, in world coordinates [m].
+        geom: id of the geom that most of the surfaces belong to.
+        area: their area [m²].
+        position: x, y, z of a surface near their middle, in world coordinates [m].
         cells: ids of their cells, shape (n,), int32.
     """
 
@@ -319,7 +320,7 @@ def describe_surfaces(lattice: Lattice, surfaces: RegionSurfaces) -> Patch:
     """Summarize some surfaces as a patch: their main geom, area, position and cells.
 
     Args:
-        lattice: of their cells.
+        lattice: the lattice of their cells.
         surfaces: one at least.
     """
     row, col = np.divmod(surfaces.cell, lattice.width)
@@ -334,10 +335,10 @@ def describe_surfaces(lattice: Lattice, surfaces: RegionSurfaces) -> Patch:
 def find_nearest_position(
     lattice: Lattice, surfaces: RegionSurfaces, row: float, col: float
 ) -> tuple[float, float, float]:
-    """Find the surface nearest to a row and a column.
+    """Return the position of the surface nearest to a row and a column.
 
     Args:
-        lattice: of the cells.
+        lattice: the lattice of the cells.
         surfaces: one at least.
         row: a row of the lattice, not necessarily a whole number.
         col: a column of it.
@@ -360,8 +361,8 @@ def describe_regions(
     Args:
         regions: all regions.
         mask: which of them are described, shape (regions,).
-        height_ranges: if there are any, only surfaces in these heights [low, high) are described
-            [m].
+        height_ranges: ranges of heights [low, high) [m]; only surfaces in them are described. If
+            empty, all are.
     """
     patches = []
     for region in np.flatnonzero(mask).tolist():

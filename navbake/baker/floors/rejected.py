@@ -124,12 +124,12 @@ def find_rejected_regions(
 
 
 class TopDrops(NamedTuple):
-    """How many edges of a region drop to which other regions.
+    """How many edges of a region drop to each of the regions below it.
 
     Attributes:
-        drops_to: by region, how many edges drop to it; empty where `_find_tops` rules out a top by
-            its outline, or by the room under it.
-        drops_in_holes: the same of edges at the rims of holes alone.
+        drops_to: by region below, how many edges drop to it; empty where `_find_tops` rules out a
+            top by its outline, or by the free space under it.
+        drops_in_holes: like `drops_to`, but only for edges at the rims of holes.
         outline: how many edges are at the outer rim.
     """
 
@@ -143,14 +143,14 @@ def _find_tops(context: RegionContext) -> Bool:
 
     A region is a top if
 
-    - at least a quarter of its outline drops to floors, see `RegionContext.classify_edges`; of the
-      rims of holes only what drops counts;
+    - at least a quarter of its outline drops to floors, see `RegionContext.classify_edges`; edges
+      at the rims of holes are a part of the outline only if they drop;
     - it has at most 6 m², is nowhere wider than 3 m, or drops to a floor larger than 0.9 of its
-      size: else it is the ground beside a pool, a ditch or a track bed. Or a floor winds through
-      it: the drops to that floor, from the rims of its holes and of the things in these, are longer
-      than its outline;
-    - under at most half of it, from the height of that floor up, is room for an agent, as under a
-      mezzanine.
+      size: otherwise it is the ground beside a pool, a ditch or a track bed. It can also be a top
+      if a floor winds through it: the drops to that floor, from the rims of its holes and of the
+      objects in these, are longer than its outline;
+    - under at most half of it there is room for an agent, measured from the height of that floor
+      up; under a mezzanine there is more.
     """
     regions = context.regions
     num_drops = np.bincount(context.edges.region, context.edges.rows[:, 4], regions.num)
@@ -275,7 +275,7 @@ def _find_roofs(context: RegionContext, candidates: Bool, over_share: Float) -> 
 def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
     """Mark the regions with walls along at most half of their outline.
 
-    Walls count up to `floors.shrink` inside of the outline.
+    Walls up to `floors.shrink` inside of the outline are counted, too.
     """
     if not candidates.any():
         return candidates
@@ -312,8 +312,8 @@ def _select_outer_edges(context: RegionContext, candidates: Bool, reach: int) ->
 def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
     """Find the regions that are shelves.
 
-    A shelf is nowhere deeper than 2.5 m, as a mezzanine is, and more than half of its outline drops
-    to a floor, unlike that of a gallery from wall to wall.
+    A shelf is nowhere deeper than 2.5 m (a mezzanine is deeper), and more than half of its outline
+    drops to a floor (less does for a gallery from wall to wall).
     """
     candidates = candidates & ~_mark_wider_than(context, candidates, SHELF_DEPTH)
     if not candidates.any():
@@ -351,14 +351,14 @@ def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
 
 
 def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool:
-    """Mark the surfaces of a roof over the top of a wall that carries it, or that ends within it.
+    """Mark the surfaces of a roof that lie over a wall which carries the roof or ends within it.
 
     Args:
         context: the hits of all columns, and the agent.
         members: surfaces of a region.
 
     Returns:
-        shape (surfaces,), bool.
+        A mask, shape (surfaces,), bool.
     """
     cell = members.cell
     columns = context.columns.covering(cell)
@@ -381,7 +381,7 @@ def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool
 
 
 def mark_reported_roofs(context: RegionContext, is_roof: Bool, is_floor: Bool) -> Bool:
-    """Mark the roofs to report: those clearly larger than any floor, or large and without walls.
+    """Mark the roofs to report: roofs clearly larger than any floor, and large roofs without walls.
 
     Args:
         context: all regions.

@@ -66,7 +66,7 @@ class Surfaces(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def find_planes_above(planes, lattice, cell, z):
-    """Count the infinite planes above a height in a cell; also the last one's geom id, or -1."""
+    """Return how many infinite planes are above a height in a cell, and the last one's geom id."""
     count = 0
     geom = np.int32(-1)
     for p in range(planes.geom.shape[0]):
@@ -137,12 +137,14 @@ def _find_enclosing_mesh(hits, i, last):
 def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, end):
     """List the surfaces that floors may consist of, in the columns of ``cells[begin:end]``.
 
-    A hit is FLOOR_LIKE if its normal keeps the agent's slope; or if it faces up more steeply, at
-    most a step above one that keeps it: a bump too low to be an obstacle.
+    A hit is FLOOR_LIKE if its normal is within the agent's slope. A steeper hit that faces up is
+    FLOOR_LIKE, too, if it lies at most a step above a hit within the slope: a bump too low to be an
+    obstacle.
 
-    A hit is STANDABLE if it keeps the slope, lies inside of no solid, and has the agent's headroom
-    below the next hit above it. It is ENCLOSED if that holds without the closed meshes around it,
-    or without the infinite planes above it. Of several hits at one height the lowest counts.
+    A hit is STANDABLE if it is within the slope, lies inside of no solid, and has the agent's
+    headroom below the next hit above it. It is ENCLOSED if it would be STANDABLE without the closed
+    meshes around it, or without the infinite planes above it. Of several hits at one height the
+    lowest counts.
 
     In a building that leans, a line may leave a tread by its side, at most a step above the tread
     below. There the floor is that tread, which becomes STANDABLE.
@@ -151,7 +153,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
     (see `Surfaces`), marks, and normal.
 
     Args:
-        lattice: of the cells.
+        lattice: the lattice of the cells.
         hits: the `ColumnHits` of the cells.
         planes: the infinite planes of the scene.
         limits: the `AgentLimits`.
@@ -159,7 +161,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
         counts: receives the number of rows of each cell.
         columns: the arrays of the rows; normals may have no columns.
         begin: the first of the cells.
-        end: past the last one.
+        end: the index past the last one.
     """
     heights, geoms, marks, normals = columns
     num = 0
@@ -223,7 +225,7 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
 
 @subkernel(**NO_REFCOUNT)
 def slopes_join(surfaces, a, b, direction, step):
-    """Whether slopes join two surfaces of neighboring cells that no step joins.
+    """Return whether slopes join two surfaces of neighboring cells that no step joins.
 
     The normal of each surface predicts the rise from `a` to `b`, and the steeper one predicts more
     than a step. The surfaces join if the real rise lies between the two predictions, as where a

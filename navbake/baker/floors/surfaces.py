@@ -25,9 +25,9 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
     """Find the height of the uppermost surface of each cell's column, if it is not too steep.
 
     Args:
-        shapes: the geometry whose upper side is asked about.
+        shapes: the geometry whose upper side is measured.
         lattice: the cells.
-        agent: whose slope counts.
+        agent: the agent, of which the slope is used.
 
     Returns:
         Heights, shape (height, width), float64 [m]; NaN where nothing lies in the column, or its
@@ -43,11 +43,11 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
 
 
 def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
-    """Return whether a slope that an agent keeps may rise by more than a step over a cell.
+    """Return whether the steepest slope that an agent can climb rises by more than a step per cell.
 
     Args:
-        lattice: whose cells they are.
-        agent: whose slope and step count.
+        lattice: the lattice of the cells.
+        agent: the agent, of which the slope and step are used.
     """
     rise = lattice.cell_size * np.tan(np.radians(agent.max_slope))
     return bool(rise > agent.traversable_floor_height)
@@ -61,7 +61,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
     Args:
         columns: the hits of all columns.
         planes: the infinite planes of the scene.
-        agent: whose slope, step and height count.
+        agent: the agent, of which the slope, step and height are used.
     """
     lattice = columns.lattice
     # normals are stored only where slopes may join surfaces

@@ -60,10 +60,10 @@ class Extents(NamedTuple):
 
 
 def measure_extents(shapes: Shapes, num_geoms: int) -> Extents:
-    """Measure the geoms that count.
+    """Compute the upright box of each geom that has geometry in `shapes`.
 
-    A solid's box is aligned with whichever of the solid's own axes makes it smallest, that of
-    triangles with the direction that most of their vertical faces look in.
+    A solid's box is aligned with the one of the solid's own axes that makes it smallest; a box of
+    triangles is aligned with the direction that most of their vertical faces face.
 
     Args:
         shapes: the geometry.
@@ -138,7 +138,7 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
 
 
 def facing_angles(corners: Float, group: Int32, num_groups: int) -> Float:
-    """Find the horizontal direction in which most vertical faces of each group look.
+    """Find the horizontal direction that most vertical faces of each group face.
 
     Args:
         corners: of triangles, shape (m, 3, 3) [m].

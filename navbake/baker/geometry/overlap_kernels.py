@@ -243,7 +243,7 @@ def find_blocked_lines(cells, low, high, hits, blocked, first, end):
         cells: the columns, (n,) int64.
         low, high: the heights of each, (n,) float64 [m].
         hits: the columns' hits, as `ColumnHits`.
-        blocked: receives the answer for each, (n,) bool.
+        blocked: receives for each column whether its line is blocked, (n,) bool.
         first, end: range of entries of `cells`.
     """
     for n in range(first, end):

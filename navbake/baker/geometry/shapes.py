@@ -83,16 +83,16 @@ class Meshes:
 
     @property
     def counts(self) -> Int:
-        """How many triangles each geom has, shape (n,)."""
+        """Return the number of triangles of each geom, shape (n,)."""
         return np.array([len(mesh.faces) for mesh in self.triangles], dtype=np.int64)
 
     @cached_property
     def expanded(self) -> Facets:
-        """All triangles, expanded once and kept."""
+        """Return all triangles; they are expanded once and kept."""
         return self.expand()
 
     def only(self, mask: Bool) -> Meshes:
-        """Return the geoms that are marked, shape (n,)."""
+        """Return the meshes of the geoms that a mask of shape (n,) marks."""
         if mask.all():
             return self
         triangles = [self.triangles[n] for n in np.flatnonzero(mask).tolist()]
@@ -154,7 +154,7 @@ class Shapes:
 
     @cached_property
     def bounds(self) -> Float | None:
-        """The box around all finite geoms, shape (2, 3), float64 [m]; None if there are none."""
+        """Return the box around all finite geoms, shape (2, 3) [m]; None if there are none."""
         finite_boxes = self.meshes.boxes[~self.endless[self.meshes.geom]]
         boxes = np.concatenate([self.solids.bounds, finite_boxes])
         low = boxes[:, :3]
@@ -169,12 +169,12 @@ class Shapes:
 
     @cached_property
     def boxed_geoms(self) -> Int32:
-        """The geom id of each of `boxes`, shape (n,)."""
+        """Return the geom id of each box in `boxes`, shape (n,)."""
         return np.concatenate([self.solids.geom, self.meshes.geom, self.planes.geom])
 
     @property
     def triangles(self) -> Facets:
-        """All triangles."""
+        """Return all triangles."""
         return self.meshes.expanded
 
     def forget_triangles(self) -> None:
@@ -182,7 +182,7 @@ class Shapes:
         self.meshes.__dict__.pop("expanded", None)
 
     def facets_in_batches(self) -> Iterator[Facets]:
-        """Yield all triangles, those of few geoms at a time unless all are expanded already."""
+        """Yield all triangles in batches of few geoms, or at once if they are expanded already."""
         if "expanded" in self.meshes.__dict__:
             yield self.triangles
             return
@@ -209,7 +209,7 @@ class Shapes:
         return Shapes(select(self.solids), select(self.planes), meshes, self.endless & geoms)
 
     def with_replaced(self, new: Shapes, geoms: Bool) -> Shapes:
-        """Return the shapes with new ones in place of those of the marked geoms.
+        """Return the shapes, with those of the marked geoms replaced by new ones.
 
         Args:
             new: the geometry of the marked geoms, of the same kinds.
@@ -457,7 +457,7 @@ def drop_unused_vertices(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
 
 
 def tessellate(kind: str, size: Sequence[float]) -> Mesh:
-    """Make a solid of triangles; round ones, and cones, have `NUM_SIDES` sides.
+    """Make a triangle mesh of a solid; round solids, and cones, have `NUM_SIDES` sides.
 
     Args:
         kind: "plane", "box", "sphere", "capsule", "ellipsoid", "cylinder" or "cone".

@@ -53,7 +53,7 @@ def _filter_bit(key, filter_size):
 
 @kernel(nogil=True)
 def weld_points(points, num_shares, number, first, end):
-    """Number points by the first one at the same place, for shares ``range(first, end)``.
+    """Give points at one place the same number, the index of the first, for some shares.
 
     Points are divided into shares by their hashes, each share with a filter and a hash table with
     open addressing.
@@ -198,7 +198,7 @@ def label_shells(mate, shell):
 
     Args:
         mate: see `pair_half_edges`, (3 m,) int32.
-        shell: receives the lowest triangle of each one's shell, or NOT_SHELL, (m,) int32.
+        shell: by triangle, receives the lowest triangle of its shell, or NOT_SHELL, (m,) int32.
     """
     is_shell = np.ones(shell.shape[0], np.bool_)
     for f in range(shell.shape[0]):

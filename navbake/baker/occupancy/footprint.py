@@ -28,7 +28,7 @@ class Footprint(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """How far the footprint reaches from the cell's centre along an axis [m]."""
+        """Return how far the footprint reaches from the cell's centre along an axis [m]."""
         return max(self.square, self.radius) + TOUCH_DEPTH
 
     @classmethod
@@ -49,5 +49,5 @@ class Footprint(NamedTuple):
         )
 
     def between(self, heights: HeightRange) -> Footprint:
-        """Return the same footprint between two other heights over the floor [m]."""
+        """Return a footprint of the same shape, between two heights over the floor [m]."""
         return self._replace(low=heights.low + TOUCH_DEPTH, high=heights.high - TOUCH_DEPTH)

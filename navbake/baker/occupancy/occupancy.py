@@ -52,7 +52,7 @@ NO_LISTS = OccupantLists(
 
 
 class Occupancy(NamedTuple):
-    """Occupancy of all levels.
+    """Which cells of all levels are occupied.
 
     Attributes:
         levels: of each level, shape (height, width) of the whole lattice, bool: a geom meets
@@ -101,7 +101,7 @@ def check_occupancy(
         footprint: the volume over a floor that has to be free.
         cells: cell ids of the lattice, shape (n,), int64, in any order, repeated or not.
         floors: height of each cell's floor, shape (n,), float64 [m].
-        lists: receives the occupants of the cells; then `cells` have to ascend.
+        lists: receives the occupants of the cells; if given, `cells` have to be in ascending order.
 
     Returns:
         The occupancy of each cell, shape (n,), and the lists of occupants.

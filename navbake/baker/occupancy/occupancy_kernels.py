@@ -123,7 +123,7 @@ class TileState(NamedTuple):
 
 
 class TileTask(NamedTuple):
-    """All that the work on one tile reads and writes.
+    """All inputs and outputs of the work on one tile.
 
     Attributes:
         lattice: the cells.

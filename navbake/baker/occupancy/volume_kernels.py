@@ -85,8 +85,8 @@ class OccupantLists(NamedTuple):
     All arrays are empty where only occupancy is wanted.
 
     Attributes:
-        ceiling: by query, up to where geoms are occupants, at least the agent's height over the
-            floor, (n,) float64 [m].
+        ceiling: by query, the height up to which geoms count as occupants, at least the agent's
+            height over the floor, (n,) float64 [m].
         first: receives, by query, where its list begins, (n,) int32; see `check_tiles`.
         floor_geom: receives the geom whose surface the floor is, -1 for none, (n,) int32.
         gap_below: receives how far another geom's floor lies below it, inf for none, (n,) float64
@@ -180,9 +180,9 @@ def make_envelope(lattice, footprint, queries, lists, query, row, col):
 
 @subkernel(inline="always")
 def shape_meets_prism(shape_arrays, kind, shape, prism, scratch):
-    """Does a shape of a geom meet a prism? APART, MEETS, or UNDECIDED if rounding hides it.
+    """Return whether a shape of a geom meets a prism: APART, MEETS, or UNDECIDED.
 
-    Only solids may be UNDECIDED: planes and triangles are tested without an iteration.
+    UNDECIDED means that rounding errors leave no proof; it is returned for solids only.
 
     Args:
         shape_arrays: all shapes.

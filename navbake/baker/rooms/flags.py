@@ -69,11 +69,11 @@ class MarkedRooms(NamedTuple):
     """The rooms that one source marks.
 
     Attributes:
-        names: of the rooms, None for none; room k + 1 is called ``names[k]``.
+        names: the names of the rooms, None for a room without a name; room k + 1 has ``names[k]``.
         labels: by level, the number of each cell's room, shape (height, width), 0 for none.
         warnings: what the user should know, one line each.
-        covered: the same as `labels`, with cells whose floor lies up to a step over the room's, as
-            on a podium; empty where it is no different.
+        covered: like `labels`, but a room also covers cells whose floor lies up to a step above the
+            room's, as on a podium. Empty if that adds no cells.
         outdoors: the numbers of the rooms that are outdoors.
     """
 
@@ -94,10 +94,10 @@ class LevelFlags(NamedTuple):
         at_edge: open cells beside which there is nothing up to the edge of the grid, or ground too
             steep to stand on, such as the bank of a ditch; no walls and pillars, which reach above
             heads.
-        under_sky: with a floor, and nothing above an agent's head; no cells of a level where too
-            few are at the edge for anything to be outdoors: nothing else depends on it.
-        is_bank: without a floor, and the ground under the sky is too steep to stand on.
-        occupied: without a floor, or what stands meets the square in an agent's way.
+        under_sky: with a floor, and nothing above an agent's head. All False on levels with too few
+            cells at the edge for anything to be outdoors.
+        is_bank: without a floor, where ground under the open sky is too steep to stand on.
+        occupied: without a floor, or a fixed geom meets the cell's square at an agent's height.
     """
 
     floor: Float
@@ -110,7 +110,7 @@ class LevelFlags(NamedTuple):
 
 
 class RoomFlags(NamedTuple):
-    """All that rooms depend on besides settings and closed leaves.
+    """All inputs that rooms are computed from, except settings and closed leaves.
 
     Attributes:
         lattice: the whole lattice.
@@ -144,7 +144,7 @@ def gather_flags(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Gather all that rooms depend on, but settings and closed leaves.
+    """Gather all inputs of the rooms, except settings and closed leaves.
 
     Args:
         scene: whose geoms and sites mark rooms.
@@ -215,14 +215,15 @@ def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
 
 
 def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
-    """Mark the cells that border on empty cells outside, or on sides with nothing beyond.
+    """Mark the occupied cells at the outer boundary of a scene.
 
     Args:
         is_empty: cells with nothing, shape (height, width).
         sides: of the lattice beyond which there is nothing, [[upper, lower], [left, right]].
 
     Returns:
-        The other cells at these sides, or beside empty cells that are connected to them.
+        A mask of the cells that are not empty and lie at one of these sides, or beside empty cells
+        that are connected to one, shape (height, width).
     """
     padded = np.pad(is_empty, 1)
     padded[[0, -1]] |= sides[0][:, None]
@@ -266,7 +267,7 @@ def mark_rooms(
 
 
 def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[int], list[int]]:
-    """Find the geoms and the sites of a model that mark rooms by name, if their bodies stand.
+    """Find the geoms and the sites of fixed bodies whose names mark rooms.
 
     Args:
         model: whose names are compared with the patterns.
@@ -487,7 +488,7 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
 
 
 def _find_highest(surfaces: _Surfaces, marks: Bool, num_cells: int, no_geom: int) -> Int32:
-    """Find the geom of each cell's highest surface, of those that mark; of several the first.
+    """Find the geom of the highest surface in each cell that marks a room; of several the first.
 
     Returns:
         The geom of each cell, `no_geom` for none, shape (num_cells,).

@@ -92,7 +92,7 @@ class Scan(NamedTuple):
     """A lattice as it is scanned in a direction, shape (rows, cols).
 
     Attributes:
-        label: the space of each cell before any were joined, 0 for none.
+        label: the space of each cell before any spaces were joined, 0 for none.
         is_open: cells that a line can run through.
         shift: the row of a line in each column less that in the first, shape (cols,).
         depths: at which distances behind gaps spaces are measured, shape (depths,) [rows].
@@ -194,8 +194,8 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
     Args:
         is_open: shape (rows, cols), bool.
         shift: see `Scan`.
-        is_near_wall: cells that are near to a wall along the line: a run without any is no gap.
-            It is spread to all cells of a run.
+        is_near_wall: cells near a wall that runs along the line, bool; a run without such a cell is
+            no gap. Changed: if a cell of a run is marked, all cells of the run get marked.
         limits: a `GapLimits`.
         marks: receives the marks, shape (rows, cols), uint8.
     """
@@ -220,7 +220,7 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
 
 @subkernel
 def measure_runs(is_open, shift, marked):
-    """Measure the run of open cells along a line through each cell.
+    """Measure the length of the run of open cells that each cell belongs to, along the scan lines.
 
     The first pass counts the cells of each run up to each column, the second one copies its length
     back from its last cell to all others.
@@ -268,7 +268,7 @@ def _min_longer_run(width, limits):
 
 @subkernel(**NO_REFCOUNT)
 def _find_doorway_end(run, first_row, col, limits):
-    """Find the row past the last one of a doorway, from its first row; that row if it is none.
+    """Return the row after a doorway's last row, or `first_row` if no doorway begins there.
 
     The doorway ends where the space widens again, a wall's thickness away at most.
     """
@@ -312,7 +312,7 @@ def _mark_doorway(run, shift, row, col, marks):
 
 @kernel
 def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
-    """Measure how much of the width of the spaces on both sides gaps take.
+    """Measure the share that each gap has of the widths of the spaces on both sides.
 
     On each side a space is measured along lines parallel to the gap, at each of the scan's depths.
     A line runs as far as the space reaches, but beyond the gap's ends at most `LINE_REACH` times
@@ -334,9 +334,9 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
         The lines that were measured, a `GapLines` of n gaps.
         By gap and side, the least share that the gap has of a line's length, shape (n, 2), float64;
         1 on both sides where both are one space.
-        By gap, whether its shares wait for rays to walls that were not cast yet, shape (n,), bool.
-        Pairs of gaps and further spaces that their lines met: only if one of these is joined to a
-        space of the gap, the lines change.
+        By gap, whether its shares need rays to walls that were not cast yet, shape (n,), bool.
+        Pairs of a gap and a further space that its lines met; the gap has to be measured again only
+        if such a space is joined to a space of the gap.
     """
     num = len(chosen_gaps)
     num_depths = len(scan.depths)
@@ -406,7 +406,7 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
 
 @subkernel(**NO_REFCOUNT)
 def _limit_depth(scan, gaps, gap, side, number):
-    """Find the depth and the lean of one of a gap's lines, so that the first is in its space.
+    """Return the depth and the lean of one of a gap's lines, limited so that it is in the space.
 
     A space that ends before the first depth, as seen from the middle of the gap, is measured where
     it ends.
@@ -558,7 +558,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
 
 @subkernel(**NO_REFCOUNT)
 def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
-    """Whether a column is open from a gap's top row to its bottom row, and so is a mirror cell.
+    """Return whether a column is open over a gap's rows, and so is a mirrored cell.
 
     All rows count: a single one may miss a thin wall at an angle.
     """
@@ -587,7 +587,7 @@ def _record_met_space(met_spaces, gap, space):
 
 @kernel(nogil=True)
 def mark_sills(is_low, is_wall, shift, is_sill):
-    """Mark the sills along lines: chains of low cells from one wall to another.
+    """Mark the sills along lines: chains of low cells that lead from a wall to a second wall.
 
     A chain follows its line exactly, or within a cell where no wall is beside it and the line
     itself meets the walls at its ends. So chains follow thin sills that alternate between two lines
@@ -664,14 +664,14 @@ def _extend_chains(is_low, is_wall, to_next, is_next_wall, next_chains, chains):
 
 @kernel(nogil=True)
 def sweep_distances(target, reach, along, squared, first, end):
-    """Find squared distances to a target, in two calls: within columns, and then across them.
+    """Compute squared distances to a target, in two calls: along columns, then along rows.
 
     Squared Euclidean distances separate by axis (Saito and Toriwaki, 1994). Only those up to a
     reach matter: the lowest of all parabolas within it is found by comparing all, which vectorizes.
 
     Args:
-        target: where it is, bool.
-        reach: how far distances matter; beyond they are ``reach + 1``.
+        target: mask of the target cells, bool.
+        reach: the largest distance that is measured; larger ones are written as ``reach + 1``.
         along: receives distances within the columns ``range(first, end)``, int16.
         squared: receives squared distances in the rows ``range(first, end)``, from those in the
             columns, int32; empty for the first call.

@@ -61,12 +61,12 @@ from navbake.types import Bool, Int, Int32
 
 
 class CloseCall(NamedTuple):
-    """A gap that just separates two spaces, or just does not.
+    """A gap whose share is close to the limit between separating two spaces and joining them.
 
     Attributes:
         cell: row and column of its middle, in fractions of cells.
         width: how wide it is [m].
-        separates: whether it separates them.
+        separates: whether the gap separates the two spaces.
     """
 
     cell: tuple[float, float]
@@ -93,7 +93,7 @@ class SeparatedSpaces(NamedTuple):
 
     Attributes:
         directions: the gaps of each direction.
-        label: the space of each cell, from 1, 0 for none; shape (height, width), int32.
+        label: the number of each cell's space, from 1, 0 for none; shape (height, width), int32.
         num_cells: how many cells each space has, by label, int64; 0 for label 0.
     """
 
@@ -270,7 +270,7 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
 
 
 def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
-    """List where columns cross from one space to another over marked cells.
+    """List where columns of the scan lead from a space over marked cells to a second space.
 
     One of the cells at least is marked in this direction, and a line can run through all of them.
     """
@@ -388,9 +388,9 @@ class SpaceMerger:
         self.measure(np.arange(num_gaps))
 
     def join_all(self) -> None:
-        """Join spaces at gaps as wide as both of them are, then as wide as the narrower one.
+        """Join spaces at gaps as wide as both spaces, then at gaps as wide as the narrower one.
 
-        A line across a room at a doorway's edge is decided before the doorway.
+        So a gap across a room at a doorway's edge is decided before the doorway is.
         """
         for by_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
@@ -410,7 +410,7 @@ class SpaceMerger:
                         heapq.heappush(queue, (new_priority, measured_gap))
 
     def _find_priority(self, gap: int, by_wider: bool) -> tuple[bool, float] | None:
-        """The priority of joining the spaces at a gap, lowest first; None if they are not joined.
+        """Return the priority of joining the spaces at a gap, lowest first; None for no joining.
 
         By the share of the wider space, which the gap then has of both, the greatest share comes
         first, doorways last; by that of the narrower space, the widest gap comes first.
@@ -471,12 +471,12 @@ class SpaceMerger:
         return (col, row) if direction.swapped else (row, col)
 
     def separates(self, gap: int) -> bool:
-        """Whether a gap still separates two spaces, by its number."""
+        """Return whether a gap, given by its number, still separates two spaces."""
         above, below = self._labels[gap]
         return bool(self.space_of[above] != self.space_of[below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure the shares that gaps, by their numbers, have of the spaces on both sides."""
+        """Measure the shares of the given gaps (numbers) in the spaces on both sides."""
         directions = self._direction_of[gaps]
         for number in sorted(set(directions.tolist())):
             direction, scan, direction_gaps = self._directions[number]
@@ -503,10 +503,11 @@ class SpaceMerger:
             self._shares[first_gap + chosen_gaps] = shares
 
     def join(self, gap: int) -> list[int]:
-        """Join the spaces on both sides of a gap, by its number.
+        """Join the spaces on both sides of a gap, given by its number.
 
         Returns:
-            The gaps that were measured again: those at one of the spaces whose lines met the other.
+            The numbers of the gaps that were measured again: gaps of one of the two spaces whose
+            lines met the other space.
         """
         above, below = self.space_of[self._labels[gap]].tolist()
         changed = self._gaps_at[above] & self._gaps_meeting[below]

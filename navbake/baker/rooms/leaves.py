@@ -1,4 +1,4 @@
-"""Closed leaves among the cells of a level: which of them separate the spaces beside them."""
+"""Closed door leaves on a level: find those that separate the spaces on their two sides."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class LeafLines(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLeaf:
-    """What a candidate for a door blocks when it is closed, and the cells beside it.
+    """The cells that a closed door leaf blocks, and the cells beside it.
 
     Attributes:
         cells: by level, the ids of the cells that it blocks, ascending.
-        lines: from its sides and ends; None where its geometry has none.
+        lines: the lines that start at its sides and ends; None if its geometry gives no sides.
     """
 
     cells: Sequence[Int]
@@ -222,7 +222,7 @@ class _SpacesBetweenLeaves:
 
 
 def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
-    """Mark the steps of lines of sight that lie before the first wall on their line.
+    """Mark the cells on lines of sight that lie before the first wall on their line.
 
     A wall is a cell of a level that has a floor, and is not open.
 
@@ -232,7 +232,7 @@ def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
         floor: heights of its floors, NaN for none [m].
 
     Returns:
-        Whether a step is before the first wall, shape (…, steps).
+        A mask of the cells before the first wall, of the shape of `sight`.
     """
     cell = np.maximum(sight, 0)
     is_wall = (sight >= 0) & ~is_open.ravel()[cell] & ~np.isnan(floor.ravel()[cell])
@@ -240,7 +240,7 @@ def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
 
 
 def _find_majority_label(label: Int32) -> Int32:
-    """Find the label that most lines of each side have, of several the first line's.
+    """Find the most common label among the lines of each side; on a tie, the first line's.
 
     Args:
         label: 0 for none, shape (leaves, 2, lines).

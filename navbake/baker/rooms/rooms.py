@@ -1,4 +1,4 @@
-"""Rooms: which one each cell belongs to, where they open to each other, and the table of them."""
+"""Rooms: the room of each cell, the openings between rooms, and the table of rooms."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Opening:
     Attributes:
         level: the number of the level.
         rooms: the indices of both rooms, the lower one first.
-        cells: on both sides, ids on the whole lattice, ascending.
+        cells: ids of the cells on both sides of it, on the whole lattice, ascending.
     """
 
     level: int
@@ -78,12 +78,12 @@ class Rooms:
     """The rooms of a scene.
 
     Attributes:
-        index: by level.
+        index: by level, the index of each cell's room, shape (height, width).
         table: the rooms by level and index; `with_neighbours` adds what they open to.
         openings: where rooms of a level meet.
         links: pairs of rooms between which a step leads to another level.
         lattice: the whole lattice.
-        open_cells: by level, those that may be in a room, see `LevelFlags`.
+        open_cells: by level, a mask of the cells that may be in a room, see `LevelFlags`.
         warnings: what the user should know, one line each.
     """
 
@@ -112,7 +112,7 @@ class Rooms:
         return {(room.level, room.index): room.id for room in self.table}
 
     def with_neighbours(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
-        """Add to each room of the table what it opens to: freely, by a link, or by a door.
+        """Add to each room of the table its neighbours: by an opening, by a link, or by a door.
 
         Args:
             doors: by id the rooms that a door joins, and by level the cells that it blocks when it
@@ -153,7 +153,7 @@ class NamedRoom(NamedTuple):
     """The name of a room, its source, and whether it is outdoors.
 
     Attributes:
-        name: None for none.
+        name: the name, None for a room without a name.
         source: ``geoms``, ``sites``, ``polygons`` or ``auto``.
         outdoors: whether it is outdoors.
     """
@@ -171,18 +171,18 @@ def find_rooms(
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
-    A cell's room is that of the first source that has one for it; for ``auto`` see
-    `assign_unmarked`. Cells without a floor, or in a wall or a window, belong to none. On each
-    level, rooms are numbered by their first cells in reading order: from large y to small, from
-    small x to large. A room over several levels is one room on each.
+    The first source that has a room for a cell decides; for ``auto`` see `assign_unmarked`. Cells
+    without a floor, or in a wall or a window, belong to none. On each level, rooms are numbered by
+    their first cells in reading order: from large y to small, from small x to large. A room over
+    several levels is one room on each.
 
     The source ``auto`` lets no room continue through a closed leaf that separates two spaces; two
-    rooms meet in its cells. What such a leaf leads into is a room whatever its size.
+    rooms meet in its cells. The space behind such a leaf is a room whatever its size.
 
     Args:
         flags: all that rooms depend on besides the other arguments.
         settings: sources and limits.
-        max_step: rooms of a level meet where steps of at most this lead from one to another [m].
+        max_step: the highest step over which two rooms of a level open to each other [m].
         closed_leaves: all leaves of the scene.
 
     Returns:
@@ -357,7 +357,7 @@ def describe_rooms(
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
-    """Describe each room but for its neighbours; its id is its name, or ``<level>:<index>``.
+    """Describe each room, without its neighbours; its id is its name, or ``<level>:<index>``.
 
     Args:
         index: the room of each cell, by level.
@@ -407,8 +407,9 @@ def find_openings(
 ) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
 
-    A slope is a link between cells of a level; 8-connected cells form one opening. One in which no
-    two cells beside each other are free of what stands is closed (a curtain, a stub of a wall).
+    A slope is a link between cells of a level; 8-connected cells form one opening. An opening
+    without two neighbouring cells that are both unoccupied is closed (by a curtain or a stub of a
+    wall), and is left out.
 
     Args:
         index: the room of each cell, by level.
@@ -460,8 +461,9 @@ def match_doors(
 ) -> dict[int, list[str]]:
     """Find the opening that each door is in.
 
-    Of the openings between the two rooms that it joins, a door is in the one with most cells within
-    `DOOR_REACH` of cells that it blocks when closed; of two as good, the nearer. It may be in none.
+    A door belongs to one of the openings between the two rooms that it joins: the opening with most
+    cells within `DOOR_REACH` of the cells that the closed door blocks; on a tie, the nearer one. A
+    door may belong to no opening.
 
     Args:
         openings: of all levels.
@@ -471,7 +473,7 @@ def match_doors(
         lattice: the whole lattice.
 
     Returns:
-        By number of the opening, the ids of its doors, sorted.
+        The sorted ids of its doors, by the index of the opening.
     """
     reach = DOOR_REACH / lattice.cell_size + LIMIT_SLACK  # [cells]
     doors_of: dict[int, list[str]] = {}

@@ -112,7 +112,7 @@ def segment_by_gaps(
 
     Returns:
         The segment of each cell from 1, in reading order, 0 for none, shape (height, width), int32.
-        The gaps that just separate two spaces, or just do not.
+        The gaps that are close to the limit between separating two spaces and joining them.
 
     Source:
         Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
@@ -194,7 +194,7 @@ def _join_spaces(
     cell_size: float,
     min_area: float,
 ) -> Int32:
-    """Join stairs and small spaces to another one; returns labels, 0 where a space is too small.
+    """Join stairs and small spaces to a neighbour; returns labels, 0 where a space is too small.
 
     Args:
         label: the space of each cell, shape (height, width).
@@ -233,8 +233,9 @@ def _join_spaces(
 def spread_labels(label: Int32, open_cells: Bool) -> None:
     """Spread labels to the open cells without one, wave by wave across edges.
 
-    Of several in one wave, the nearest labelled cell wins, then the lower label, then the cell
-    further clockwise, which turns with the map.
+    If several labels reach a cell in one wave, the label of the nearest labelled cell wins, then
+    the lower label, then the cell further clockwise: a rule that does not depend on the map's
+    orientation.
 
     Args:
         label: from 1, 0 for none, shape (height, width); is written into.
@@ -391,7 +392,7 @@ class _SpaceGraph:
         Args:
             min_cells: spaces with fewer cells are small.
             num_at_edge: how many cells of each space are at the edge of the grid; is written into.
-            max_counted: more cells at the edge count no more.
+            max_counted: numbers of cells at the edge are compared up to this number.
         """
         is_small = (self._space_of == np.arange(len(self._num_cells))) & (
             self._num_cells < min_cells
@@ -422,11 +423,11 @@ class _SpaceGraph:
                 heapq.heappush(queue, (int(self._num_cells[best]), best))
 
     def select_rooms(self, min_cells: float, is_room: Bool) -> Int32:
-        """List the space that each label became part of, 0 for too small ones.
+        """Return, by label, the space that it became part of, 0 where that space is too small.
 
         Args:
             min_cells: how many cells a space needs.
-            is_room: by label, whether what it became part of needs none.
+            is_room: by label, whether the space that it became part of is a room whatever its size.
         """
         is_large = self._num_cells >= min_cells
         is_large[self._space_of[is_room]] = True
@@ -490,7 +491,7 @@ def find_widest_distances(label: Int32, distance: Int32, count: int) -> Int32:
 
 
 def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
-    """Give cells (a podium) to the room whose floor lies under theirs, if it is in their segment.
+    """Give cells (as of a podium) to the room below their floor, if it is in the same segment.
 
     So a house is no part of the ground that it stands on.
 
@@ -500,7 +501,7 @@ def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
         segment: the segment of each cell, 0 for none.
 
     Returns:
-        The room of each cell.
+        The room of each cell, shape (height, width).
     """
     base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
     owned = owner > 0
@@ -514,7 +515,7 @@ def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
 def assign_unmarked(
     owner: Int32, segment: Int32, cell_size: float, min_area: float, beyond: Int | None = None
 ) -> tuple[Int32, Int32]:
-    """Divide what marked rooms leave of segments between these rooms and new ones.
+    """Divide the cells of segments that no marked room has between marked rooms and new rooms.
 
     A segment without a mark is a room. In others each connected component without a mark is one,
     unless it is smaller than `min_area`, or nowhere half a metre wide though its segment is (a
@@ -564,7 +565,7 @@ def assign_unmarked(
 
 
 def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
-    """Give the cells of leaves without a room to those on their sides; of two as near, the smaller.
+    """Give leaf cells without a room to the nearest room beside them; on a tie, to the smaller.
 
     Which of two rooms is the smaller turns with the map, unlike their numbers.
 
@@ -648,7 +649,7 @@ def mark_cavities(
         beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
     Returns:
-        By segment, from 0, whether it is a cavity.
+        A mask of the cavities by segment number, from 0.
     """
     level_flags = flags.levels[level]
     cell_size = flags.lattice.cell_size
@@ -680,9 +681,9 @@ def mark_cavities(
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
-    They reach the edge of the grid in one piece wider than any door; and at least half of their
-    cells have nothing above an agent's head, or lie under eaves. Walls separate two pieces of
-    outdoors, unless the ground is endless; a ditch does not.
+    A segment is outdoors if it reaches the edge of the grid in one piece wider than any door, and
+    at least half of its cells have nothing above an agent's head or lie under eaves. Walls separate
+    two pieces of outdoors, unless the ground is endless; a ditch does not.
 
     Args:
         segment: the segment of each cell, 0 for none, shape (height, width).
@@ -690,8 +691,8 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
         level: the number of the level.
 
     Returns:
-        The segments, united where they are outdoors.
-        The numbers of those outdoors.
+        The segment of each cell, with touching outdoor segments united.
+        The numbers of the outdoor segments.
     """
     level_flags = flags.levels[level]
     cell_size = flags.lattice.cell_size
@@ -723,7 +724,7 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
     """Unite the segments outdoors that touch, maybe over banks.
 
     Returns:
-        By segment, the least one that it is united with, or itself.
+        By segment, the lowest number of the segments that it is united with, or its own.
     """
     bank, num_banks = label_components_2d(is_bank)
     # nodes are the segments, and behind them the banks

@@ -97,7 +97,7 @@ def squared_distances(target: Bool, reach: int) -> Int32:
 
     Args:
         target: shape (rows, cols).
-        reach: how far distances matter, >= 0 [cells].
+        reach: the largest distance that is measured, >= 0 [cells].
 
     Returns:
         The squared distance, ``(reach + 1) ** 2`` beyond `reach`, shape (rows, cols), int32.
@@ -114,13 +114,13 @@ def squared_distances(target: Bool, reach: int) -> Int32:
 
 
 def squared_distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
-    """Measure how far some nodes are from those on closed cells or the lattice's edge.
+    """Measure how far some nodes are from the nearest closed cell or the lattice's edge.
 
-    It is as fast as a few sweeps over cells, of which there are a quarter as many as nodes.
+    Only cells are swept, of which there are a quarter as many as nodes.
 
     Args:
         open_cells: shape (height, width).
-        reach: how far distances matter, >= 0 [nodes].
+        reach: the largest distance that is measured, >= 0 [nodes].
         row: the nodes' rows, see `mark_wall_nodes`, shape (n,).
         col: their columns.
 
@@ -185,7 +185,7 @@ class WallDirection(NamedTuple):
 
 
 class WallPoints(NamedTuple):
-    """Points on walls, from which the directions of these follow.
+    """Points on walls, from which the directions of the walls are found.
 
     Attributes:
         position: row and column of each, in fractions of cells, shape (2, n).
@@ -216,7 +216,7 @@ def find_directions(
         rays: to the walls' geometry, None for none.
 
     Returns:
-        The directions, that with most points first.
+        The directions, in descending order of their numbers of points.
     """
     shape = open_cells.shape
     if rays is not None:
@@ -369,7 +369,7 @@ def _refine_angle(position: Float, bin_number: int, angle_bin: float, line_width
 
 
 def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
-    """Make a direction from its angle, near to which are all cells.
+    """Make a direction from its angle, with all cells marked as near to its walls.
 
     Args:
         angle: from the columns' axis towards the rows' [°].
@@ -453,7 +453,7 @@ class WallRays:
         self._rotated = dict[tuple[bool, float], RotatedWalls]()
 
     def measure(self, direction: WallDirection, cells: Int) -> Float:
-        """Measure how far walls are from the centres of cells, back and on along a direction.
+        """Measure distances from cell centres to walls, back and forth along a direction.
 
         Args:
             direction: along which rays are cast.
@@ -461,9 +461,9 @@ class WallRays:
                 goes on, -1 for none; shape (…, 2).
 
         Returns:
-            By cell of the scan, back and on, the distance plus 1, so that 0 is what was not
-            measured by any call yet; inf for no wall, shape (cells, 2) [columns]. Later calls for
-            the direction write into the same array.
+            For each cell of the scan, the distances back and forth, plus 1, shape (cells, 2)
+            [columns]: 0 if not measured by any call yet, inf for no wall. Later calls for the
+            direction write into the same array.
         """
         walls = self._rotate(direction)
         entries = np.nonzero(cells >= 0)
@@ -489,7 +489,7 @@ class WallRays:
             open_cells: shape (height, width).
 
         Returns:
-            The points, and the number of rays, which met one each or nothing.
+            The points, and the number of rays that were cast; a ray meets one point or none.
         """
         closed = np.pad(~open_cells, 1, mode="edge")
         cell_size = self._lattice.cell_size

@@ -275,14 +275,14 @@ class Voxelizer:
         qpos: ArrayLike | None = None,
         data: mujoco.MjData | None = None,
     ) -> None:
-        """Pose the scene anew, without loading it.
+        """Change the pose of the scene without loading it again.
 
         Args:
             joints: positions by joint name [m or rad]; those of other joints are the keyframe's.
             keyframe: a keyframe's name or index; as modelled if None.
             qpos: all joint positions, shape (nq,), in place of `joints` and `keyframe`.
-            data: a mujoco.MjData of this scene whose geoms are placed already, in place of the
-                others.
+            data: a mujoco.MjData of this scene in which geom poses are already computed; replaces
+                the other arguments.
 
         Raises:
             ConfigError: there is no such joint or keyframe, or not as many positions.
