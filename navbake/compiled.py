@@ -43,11 +43,11 @@ from navbake.lazy import lazy
 
 filelock = lazy("filelock")  # needed for compiling alone
 
-LOGGER = logging.getLogger(__name__)
+LOG = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
-ROOT = Path(__file__).parent
-LIST = ROOT / "kernels.json"
-REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
+PACKAGE_FOLDER = Path(__file__).parent
+KERNEL_LIST = PACKAGE_FOLDER / "kernels.json"
+CACHE_REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
 MAX_PROCESSES = 4  # that compile side by side; kernels that share code are compiled by one
 FIRST_PROGRESS = 5.0  # time until the first line of progress; then it doubles each time [s]
 KERNELS: list[Any] = []
@@ -133,7 +133,11 @@ def cache_folder() -> Path | None:
     """
     numba_folder = os.environ.get("NUMBA_CACHE_DIR")
     user_folder = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    parents = [Path(numba_folder)] if numba_folder else [ROOT / "__pycache__", Path(user_folder)]
+    parents = (
+        [Path(numba_folder)]
+        if numba_folder
+        else [PACKAGE_FOLDER / "__pycache__", Path(user_folder)]
+    )
     folders = [parent.absolute() / f"{PACKAGE}-kernels" for parent in parents]
     existing = next((folder for folder in folders if folder.is_dir()), None)
     for folder in folders:
@@ -162,7 +166,7 @@ def _remove(folder: Path, process: int) -> None:
 @cache
 def _read_module(name: str) -> tuple[bytes, frozenset[str]]:
     """A module's source, and the modules of the package that it imports something from."""
-    path = ROOT.parent.joinpath(*name.split("."))
+    path = PACKAGE_FOLDER.parent.joinpath(*name.split("."))
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     source = path.read_bytes()
     pattern = rb"^\s*(?:from|import) (" + PACKAGE.encode() + rb"[\w.]*)"
@@ -200,7 +204,7 @@ class Entry(NamedTuple):
         try:
             import_object(self.name).compile(tuple(map(decode_type, self.types)))
         except Exception as error:  # a call of the kernel compiles it, and raises what is wrong
-            LOGGER.debug(f"{LIST.name} is out of date: {self.name}: {error}")
+            LOG.debug(f"{KERNEL_LIST.name} is out of date: {self.name}: {error}")
 
 
 def import_object(name: str) -> Any:
@@ -212,7 +216,7 @@ def import_object(name: str) -> Any:
 @cache
 def read_list() -> tuple[list[Entry], list[Entry]]:
     """Read the list of kernels: those that bakes call, and all others."""
-    entries = json.loads(LIST.read_text(encoding="utf-8"))
+    entries = json.loads(KERNEL_LIST.read_text(encoding="utf-8"))
     bake_kernels = [Entry(*entry) for entry in entries["bake"]]
     further_kernels = [Entry(*entry) for entry in entries["others"]]
     return bake_kernels, further_kernels
@@ -289,12 +293,10 @@ def _compile(entries: list[Entry]) -> None:
     num_processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MAX_PROCESSES) if is_python else 1
     duration = max(map(_total_seconds, _divide(uncompiled, num_processes)), default=0)
     if folder is None:
-        reason = f"as no folder for compiled code can be written: {REMEDY}"
-        LOGGER.warning(
-            f"compiling in memory: about {duration:.0f} s, in each process anew, {reason}"
-        )
+        reason = f"as no folder for compiled code can be written: {CACHE_REMEDY}"
+        LOG.warning(f"compiling in memory: about {duration:.0f} s, in each process anew, {reason}")
     elif uncompiled:
-        LOGGER.warning(f"compiling for this machine, once: about {duration:.0f} s")
+        LOG.warning(f"compiling for this machine, once: about {duration:.0f} s")
     if folder is None or not uncompiled or not is_python:
         return  # each kernel is compiled when it is first called
 
@@ -310,7 +312,7 @@ def _compile(entries: list[Entry]) -> None:
             except (filelock.Timeout, subprocess.TimeoutExpired):
                 num_done = len(uncompiled) - len(list_uncompiled(uncompiled))
                 elapsed = time.monotonic() - begin
-                LOGGER.warning(
+                LOG.warning(
                     f"compiled {num_done} of {len(uncompiled)} functions after {elapsed:.0f} s"
                 )
                 timeout *= 2  # not to fill a log file
@@ -351,7 +353,7 @@ def _divide(entries: list[Entry], num_processes: int) -> list[list[Entry]]:
 def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]:
     """Start a process that compiles entries into a folder."""
     # modules are found where this process finds them, and not in the current folder first
-    path = [*filter(None, sys.path), str(ROOT.parent)]
+    path = [*filter(None, sys.path), str(PACKAGE_FOLDER.parent)]
     code = f"import sys; sys.path[:] = {path!r}; from {__name__} import serve; serve()"
     environment = {
         **os.environ,
@@ -379,8 +381,8 @@ def serve() -> None:
 
 
 # what may take minutes is printed if the program has not set up logging
-if not LOGGER.handlers:
+if not LOG.handlers:
     _printer = logging.StreamHandler()
     _printer.addFilter(lambda record: not logging.getLogger().handlers)
     _printer.setFormatter(logging.Formatter("navbake: %(message)s"))
-    LOGGER.addHandler(_printer)
+    LOG.addHandler(_printer)

@@ -52,8 +52,8 @@ class NavbakeError(Exception):
         long message the middle is left out.
         """
         text = printable(super().__str__())
-        is_short = len(text) <= MAX_BEGINNING + MAX_END
-        return text if is_short else f"{text[:MAX_BEGINNING]} … {text[-MAX_END:]}"
+        is_short = len(text) <= MAX_BEGINNING + MAX_TEXT_END
+        return text if is_short else f"{text[:MAX_BEGINNING]} … {text[-MAX_TEXT_END:]}"
 
 
 class ConfigError(NavbakeError):
@@ -87,7 +87,7 @@ class BakeWarning(UserWarning):
 MAX_NAME = 200  # characters of a name in a message
 # characters of a message that is longer than both together
 MAX_BEGINNING = 700
-MAX_END = 400
+MAX_TEXT_END = 400
 
 
 def shorten(text: str) -> str:

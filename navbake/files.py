@@ -20,7 +20,7 @@ from navbake.errors import NavbakeError, printable
 
 LOG = logging.getLogger("navbake")
 # names of temporary files, and of folders by `tempfile`
-TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")
+TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")
 LEFTOVER_AGE = 86400.0  # no write takes a day [s]
 _cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
 
@@ -174,7 +174,7 @@ def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
         for entry in entries:
             status = entry.stat(follow_symlinks=False)
             is_of_user = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-            if not (TEMPORARY.fullmatch(entry.name) and is_of_user):
+            if not (TEMPORARY_NAME.fullmatch(entry.name) and is_of_user):
                 continue
             if time.time() - status.st_mtime < age:
                 continue

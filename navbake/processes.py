@@ -18,7 +18,7 @@ except ImportError:  # on Windows
 GIB = 1 << 30  # bytes
 END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 # messages of failed allocations: of MuJoCo's own, of C++'s in MuJoCo, and of the system
-NO_MEMORY = ("could not allocate memory", "unknown exception", "cannot allocate memory")
+NO_MEMORY_TEXTS = ("could not allocate memory", "unknown exception", "cannot allocate memory")
 
 
 def end_with_parent(parent: int | None = None) -> None:
@@ -87,7 +87,7 @@ def lacked_memory(error: BaseException) -> bool:
             return True
         text = str(cause).lower()
         # navbake's own errors repeat their cause, and name files
-        if not isinstance(cause, NavbakeError) and any(words in text for words in NO_MEMORY):
+        if not isinstance(cause, NavbakeError) and any(words in text for words in NO_MEMORY_TEXTS):
             return True
         cause = cause.__cause__ or cause.__context__
     return False

@@ -23,9 +23,9 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.episodes.episode import EDGES, Episode, EpisodeSet, named_agent, scene_of
+from navbake.episodes.episode import CLASS_EDGES, Episode, EpisodeSet, named_agent, scene_of
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import SNAP, find_stops, path_through
+from navbake.episodes.goals import MAX_SNAP, find_stops, path_through
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
@@ -38,12 +38,12 @@ from navbake.types import Float, Json
 NDTW_THRESHOLD = 3.0  # as VLN-CE has it [m]
 NUM_RESAMPLES = 1000  # of a bootstrap
 ARRIVAL_TOLERANCE = 1e-6  # by which a straight move may miss its end [m]
-MEANS = (
+MEAN_FIELDS = (
     "success", "spl", "soft_spl", "distance", "oracle_success", "ndtw", "length", "collisions",
     "time", "coverage",
 )  # fmt: skip
 """The measures of an episode of which a table has means."""
-GROUPS = ("all", "distance", "ratio", "room", "scene", "split")
+GROUP_KINDS = ("all", "distance", "ratio", "room", "scene", "split")
 
 Array: TypeAlias = Any
 """An array of numpy, jax.numpy or torch."""
@@ -313,7 +313,9 @@ class Measures:
         to_free_cell = np.zeros(len(points))  # [m]
         blocked = np.flatnonzero(~flat.free[cells])
         if len(blocked):
-            positions, nearest = snap_to_cells(flat, flat.free, points[blocked], max_distance=SNAP)
+            positions, nearest = snap_to_cells(
+                flat, flat.free, points[blocked], max_distance=MAX_SNAP
+            )
             is_near = nearest >= 0
             cells[blocked] = np.where(is_near, nearest, cells[blocked])
             offsets = np.linalg.norm(positions - points[blocked], axis=1)
@@ -334,8 +336,8 @@ class Measures:
             stopped: whether the agent called stop at its last position.
 
         Returns:
-            The measures by name: those of `MEANS`, and ``shortest``, the length of the shortest
-            path [m]. A measure that has no meaning for the episode is NaN.
+            The measures by name: those of `MEAN_FIELDS`, and ``shortest``, the length of the
+            shortest path [m]. A measure that has no meaning for the episode is NaN.
         """
         positions = np.array(self._positions)
         places = self._stops.places
@@ -566,19 +568,19 @@ def summarize(
 
     Args:
         rows: rows that `score_set` returned.
-        by: one of `GROUPS`. ``distance`` groups by classes of the shortest path's length,
+        by: one of `GROUP_KINDS`. ``distance`` groups by classes of the shortest path's length,
             ``ratio`` by classes of that over the straight line's.
         seed: seed of `bootstrap`, which computes the intervals.
 
     Returns:
         For each group its name (``group``), its number of ``episodes``, and an `Interval` for each
-        of `MEANS`; infinite values are left out.
+        of `MEAN_FIELDS`; infinite values are left out.
 
     Raises:
         QueryError: there is no such grouping.
     """
-    if by not in GROUPS:
-        raise QueryError(f"expected one of {', '.join(GROUPS)} to group by, got {by!r}")
+    if by not in GROUP_KINDS:
+        raise QueryError(f"expected one of {', '.join(GROUP_KINDS)} to group by, got {by!r}")
     if by in ("distance", "ratio"):
         groups = _group_by_class(rows, by)
     else:
@@ -588,7 +590,7 @@ def summarize(
     summaries = []
     for name, members in groups.items():
         means = {}
-        for measure in MEANS:
+        for measure in MEAN_FIELDS:
             values = np.array([row[measure] for row in members], dtype=float)
             means[measure] = bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
         summaries.append({"group": name, "episodes": len(members), **means})
@@ -599,7 +601,7 @@ def _group_by_class(
     rows: Sequence[Mapping[str, object]], by: str
 ) -> dict[str, list[Mapping[str, object]]]:
     """Group rows by classes of their distance or ratio; ``-`` for those without one."""
-    edges = (0.0, *EDGES["distance"]) if by == "distance" else EDGES["ratio"]
+    edges = (0.0, *CLASS_EDGES["distance"]) if by == "distance" else CLASS_EDGES["ratio"]
     unit = " m" if by == "distance" else ""
     classes = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
     names = ["-", *classes, f"{edges[-1]:g} and more{unit}"]

@@ -21,7 +21,7 @@ from numba import types
 import navbake
 from navbake.baker.rooms.walls import find_windows
 from navbake.cli.main import main as run_command
-from navbake.compiled import KERNELS, LIST
+from navbake.compiled import KERNEL_LIST, KERNELS
 from navbake.files import scratch_folder
 
 ROOT = Path(__file__).parents[1]
@@ -71,7 +71,7 @@ def main() -> None:
     known = [(name, types) for name, _, types in bake]
     others = [[name, cost, types] for name, cost, types in every if (name, types) not in known]
     lines = [",\n".join(map(json.dumps, entries)) for entries in (bake, others)]
-    LIST.write_text(
+    KERNEL_LIST.write_text(
         f'{{"bake": [\n{lines[0]}\n],\n"others": [\n{lines[1]}\n]}}\n', encoding="utf-8"
     )
     print(f"{len(bake)} kernels of bakes, {len(others)} others")

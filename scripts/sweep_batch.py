@@ -44,8 +44,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the tests)
 from batch_scenes import draw_room, write_scenes, wrong_rows  # noqa: E402
 from navbake.baker.bake.pipeline import run_bake  # noqa: E402
-from navbake.batch.index import NAME, read_index  # noqa: E402
-from navbake.batch.job import CACHE, prepare  # noqa: E402
+from navbake.batch.index import INDEX_NAME, read_index  # noqa: E402
+from navbake.batch.job import MESH_CACHE_SIZE, prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402
 from ray_cluster import two_nodes  # noqa: E402
@@ -97,7 +97,7 @@ def wait_for_moment(process: subprocess.Popen[bytes], out: Path, random_: random
     def size() -> int:
         return index.stat().st_size if index.exists() else 0
 
-    index = out / NAME
+    index = out / INDEX_NAME
     before, starts = size(), random_.random() < WHILE_STARTING
     while not starts and process.poll() is None and size() <= before:
         time.sleep(0.01)
@@ -118,7 +118,7 @@ def show_kills(folder: Path, args: argparse.Namespace) -> bool:
         while not is_done or kills < args.kills:
             if is_done:  # begin anew
                 rounds += 1
-                for path in [*out.rglob("*.*"), out / NAME]:
+                for path in [*out.rglob("*.*"), out / INDEX_NAME]:
                     path.unlink(missing_ok=True)
             with start_list(scenes, out, *options) as process:
                 if kills < args.kills:
@@ -202,9 +202,9 @@ def show_slices(folder: Path, args: argparse.Namespace) -> bool:
     )
     is_same = of_one == of_parts and [*rows_of_one] == [*rows_of_parts]
     indexes = [path.name for path in parts.glob("*index*")]
-    before = (parts / NAME).read_bytes().splitlines()
+    before = (parts / INDEX_NAME).read_bytes().splitlines()
     run(scenes, parts, *options)
-    after = (parts / NAME).read_bytes().splitlines()
+    after = (parts / INDEX_NAME).read_bytes().splitlines()
     good = [b'"status":"ok"' in line for line in before]
     same = all(a == b for a, b, ok in zip(before, after, good, strict=True) if ok)
     print(
@@ -213,14 +213,14 @@ def show_slices(folder: Path, args: argparse.Namespace) -> bool:
         f"{'are the same' if is_same else 'DIFFER'}; indexes: {', '.join(indexes)}; a run after "
         f"that leaves the bytes of {sum(good)} rows {'as they are' if same else 'CHANGED'}"
     )
-    return is_same and same and indexes == [NAME]
+    return is_same and same and indexes == [INDEX_NAME]
 
 
 def grow(folder: str, limited: bool) -> list[int]:
     """Resident memory of a worker before its first scene and after the last, and the peak [MB]."""
     prepare((), False)
     cache = mujoco.mj_getCache()
-    mujoco.mj_setCacheCapacity(cache, CACHE if limited else 500 << 20)
+    mujoco.mj_setCacheCapacity(cache, MESH_CACHE_SIZE if limited else 500 << 20)
     begin = resident()
     for path in sorted(Path(folder).glob("*.xml")):
         config = as_config({"scene": {"path": str(path)}, "grid": {"cell_size": 0.2}})
@@ -249,7 +249,7 @@ def show_memory(folder: Path, args: argparse.Namespace) -> bool:
     for limited in (False, True):
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             begin, end, most = pool.apply(grow, (str(folder), limited))
-        kept = f"{CACHE >> 20} MB" if limited else "500 MB"
+        kept = f"{MESH_CACHE_SIZE >> 20} MB" if limited else "500 MB"
         print(
             f"{NUM_MESHES} scenes, MuJoCo keeps meshes of {kept}: {begin} MB before, {end} MB "
             f"after, {most} MB at most",

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from navbake.batch.products import RECORD
+from navbake.batch.products import RECORD_NAME
 from project_paths import ROOT
 from ray_cluster import VARIABLES
 
@@ -42,7 +42,7 @@ def digests(out: Path, pattern: str = "*/*") -> dict[str, str]:
     """sha256 of each file in the scenes' folders but records, by its path."""
     found = {}
     for path in out.glob(pattern):
-        if path.name == RECORD:  # it has times
+        if path.name == RECORD_NAME:  # it has times
             continue
         with contextlib.suppress(FileNotFoundError):
             found[path.relative_to(out).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -13,7 +13,7 @@ import navbake
 from browser import needs_browser, open_browser, wait_until
 from navbake.auditor.audit import audit
 from navbake.batch.page import write_page
-from navbake.cli.batch import INDEX
+from navbake.cli.batch import INDEX_NAME
 from navbake.views.report import write_report
 from project_paths import GOLDEN, ROOT
 
@@ -52,7 +52,7 @@ def test_the_page_of_a_batch(tmp_path, dark):
     made |= {"seconds": 0.5, "warnings": ["set `a.b`"], "stages": {"scene": 0.1}}
     rows = [{"id": f"scene {k}", **made, "cells": 10 * k} for k in range(30)]
     rows.append({"id": "broken", "status": "failed", "how": "error", "error": "no `mesh`"})
-    (tmp_path / INDEX).write_text("".join(json.dumps(row) + "\n" for row in rows))
+    (tmp_path / INDEX_NAME).write_text("".join(json.dumps(row) + "\n" for row in rows))
     write_page(tmp_path)
     page = (tmp_path / "index.html").as_uri()
     assert serious(page, "document.body.dataset.ready", dark) == []

@@ -85,7 +85,9 @@ def test_a_check_leaves_nothing(tmp_path):
 
 
 def temporary_files(folder):
-    return sorted(path.name for path in folder.iterdir() if files.TEMPORARY.fullmatch(path.name))
+    return sorted(
+        path.name for path in folder.iterdir() if files.TEMPORARY_NAME.fullmatch(path.name)
+    )
 
 
 def test_what_a_killed_writer_left_is_removed_a_day_later_and_nothing_else(tmp_path):
@@ -168,7 +170,7 @@ def place(tmp_path, monkeypatch):
 def test_a_folder_is_gone_when_it_is_left(place):
     with scratch_folder() as folder:
         (folder / "a").mkdir()
-        assert folder.parent == place and files.TEMPORARY.fullmatch(folder.name)
+        assert folder.parent == place and files.TEMPORARY_NAME.fullmatch(folder.name)
     assert os.listdir(place) == []
     with pytest.raises(ZeroDivisionError), scratch_folder() as folder:
         folder.joinpath("b").write_bytes(b"" * (1 // 0))

@@ -12,7 +12,15 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import DOWN, ERROR, REMARK, RIGHT, Facts, Finding, read_inflations
+from navbake.auditor.facts import (
+    ABOVE_AND_BELOW,
+    ERROR,
+    LEFT_AND_RIGHT,
+    REMARK,
+    Facts,
+    Finding,
+    read_inflations,
+)
 from navbake.errors import count_of
 from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Float, Int
@@ -223,7 +231,7 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
     for number, island in enumerate(islands):
         num_cells += np.bincount(island.ravel(), minlength=num_islands)
         padded = np.pad(island, 1)  # beyond the edge is no island
-        for first, second in (DOWN, RIGHT):
+        for first, second in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
             differs = padded[first] != padded[second]
             num_edges += np.bincount(padded[first][differs], minlength=num_islands)
             num_edges += np.bincount(padded[second][differs], minlength=num_islands)

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from navbake.errors import FormatError, count_of, shorten
 from navbake.navgrid.grid import GridBase, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST
+from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
@@ -27,9 +27,9 @@ INFLATION_MODES = ("exact", "minos")
 MAX_INFLATION = 10_000.0  # the largest radius, and the largest clearance [m]
 STEP_SLACK = 1e-6  # by which a step may exceed the highest one [m]
 
-DOWN = (np.s_[:-1], np.s_[1:])
+ABOVE_AND_BELOW = (np.s_[:-1], np.s_[1:])
 """Slices of an array: the cells that have one below, and those below."""
-RIGHT = (np.s_[:, :-1], np.s_[:, 1:])
+LEFT_AND_RIGHT = (np.s_[:, :-1], np.s_[:, 1:])
 """Slices of an array: the cells that have one to the right, and those to the right."""
 
 
@@ -150,7 +150,7 @@ def _label_walkable(mask: Bool, floor: Float, step_limit: float) -> tuple[Int32,
     """Label the components of a level's marked cells that steps connect; and count them."""
     pairs = []  # of marked neighbours, downwards and to the right
     is_step = []  # of these, whether the floors are at most a step apart
-    for cells, neighbors in (DOWN, RIGHT):
+    for cells, neighbors in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
         pairs.append(mask[cells] & mask[neighbors])
         with np.errstate(invalid="ignore"):  # another check reports infinite floors
             is_step.append(~(np.abs(floor[cells] - floor[neighbors]) > step_limit))
@@ -213,7 +213,7 @@ def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
         ("traversableFloorHeight", 0.0, ">= 0"),
     ):
         length = grid.metadata.get(key)
-        if length is not None and not is_within(length, least, FARTHEST / grid.unit):
+        if length is not None and not is_within(length, least, MAX_COORDINATE / grid.unit):
             problems[key] = f"`{key}` is {shorten(repr(length))}, which is no length {expected}"
     if not problems and grid.max_step >= grid.agent_height:
         steps = f"takes steps of {grid.max_step:g} m"
@@ -284,7 +284,7 @@ class Facts:
     def step_limit(self) -> float:
         """The greatest height between connected floors: a step, and float32's rounding [m]."""
         highest = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
-        rounding = float(np.spacing(np.float32(min(highest, FARTHEST))))
+        rounding = float(np.spacing(np.float32(min(highest, MAX_COORDINATE))))
         return self.grid.max_step + STEP_SLACK + rounding
 
     @cached_property

@@ -19,18 +19,18 @@ from typing import NamedTuple
 import filelock
 
 from navbake.batch import store
-from navbake.batch.products import CLASSES
+from navbake.batch.products import MEASURE_CLASSES
 from navbake.errors import NavbakeError
 from navbake.files import write_all
 from navbake.formats.source import import_extra
 from navbake.types import Json
 
-NAME = "index.jsonl"
-TABLE = "index.parquet"
-LOCK = ".navbake-batch.lock"
-PART = re.compile(r"index-(\d+)-of-(\d+)\.jsonl")
-PART_LOCK = re.compile(r"\.navbake-batch-\d+-of-\d+\.lock")
-PATIENCE = 5.0  # for a slice that looks whether the whole batch runs [s]
+INDEX_NAME = "index.jsonl"
+TABLE_NAME = "index.parquet"
+LOCK_NAME = ".navbake-batch.lock"
+SLICE_INDEX_PATTERN = re.compile(r"index-(\d+)-of-(\d+)\.jsonl")
+SLICE_LOCK_PATTERN = re.compile(r"\.navbake-batch-\d+-of-\d+\.lock")
+LOCK_TIMEOUT = 5.0  # for a slice that looks whether the whole batch runs [s]
 
 
 class Slice(NamedTuple):
@@ -55,21 +55,21 @@ def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
-    name = NAME if part is None else part.file
-    for name_in_folder in (LOCK, name, TABLE):
+    name = INDEX_NAME if part is None else part.file
+    for name_in_folder in (LOCK_NAME, name, TABLE_NAME):
         store.check_inside(folder, folder / name_in_folder)
     slices: list[str] = []
     with ExitStack() as stack:
 
         def hold(name: str) -> filelock.BaseFileLock:
-            lock = filelock.FileLock(folder / name, timeout=PATIENCE if part else 0)
+            lock = filelock.FileLock(folder / name, timeout=LOCK_TIMEOUT if part else 0)
             return stack.enter_context(lock.acquire())
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            batch_lock = hold(LOCK)
+            batch_lock = hold(LOCK_NAME)
             if part is None:
-                slices = [*filter(PART_LOCK.fullmatch, os.listdir(folder))]
+                slices = [*filter(SLICE_LOCK_PATTERN.fullmatch, os.listdir(folder))]
                 for name_in_folder in slices:
                     hold(name_in_folder)
             else:
@@ -131,13 +131,13 @@ def write_index(
         store.write_file(folder, part.file, b"".join(map(line_of, row_of_scene.values())))
         return
     parts = find_parts(folder)
-    earlier_rows = merge_rows(folder, (*parts, NAME))
+    earlier_rows = merge_rows(folder, (*parts, INDEX_NAME))
     row_of_scene |= {id: row for id, row in earlier_rows.items() if id not in row_of_scene}
-    store.write_file(folder, NAME, b"".join(map(line_of, row_of_scene.values())))
+    store.write_file(folder, INDEX_NAME, b"".join(map(line_of, row_of_scene.values())))
     if has_table:
-        store.write_file(folder, TABLE, encode_rows(row_of_scene.values()))
+        store.write_file(folder, TABLE_NAME, encode_rows(row_of_scene.values()))
     else:
-        store.remove_files(folder, [TABLE])  # outdated
+        store.remove_files(folder, [TABLE_NAME])  # outdated
     store.remove_files(folder, parts)
 
 
@@ -147,11 +147,11 @@ def find_parts(folder: store.Folder) -> list[str]:
     They are sorted by the number of slices, then by the slice's number.
     """
     names = store.sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
-    matches = [match for match in map(PART.fullmatch, names) if match]
+    matches = [match for match in map(SLICE_INDEX_PATTERN.fullmatch, names) if match]
     return [match[0] for match in sorted(matches, key=lambda match: (int(match[2]), int(match[1])))]
 
 
-def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
+def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, Json]:
     """Read an index: the last row of each scene, by the scene's id; {} without an index.
 
     A truncated line, which a killed batch may leave, is skipped.
@@ -206,7 +206,7 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
         table = pyarrow.Table.from_pylist([_cells(row) for row in rows], schema=_schema(pyarrow))
     except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise NavbakeError(f"a row of the index doesn't fit into {TABLE}: {reason}") from error
+        raise NavbakeError(f"a row of the index doesn't fit into {TABLE_NAME}: {reason}") from error
     file = io.BytesIO()
     parquet.write_table(table, file, compression="zstd")
     return file.getvalue()
@@ -220,7 +220,7 @@ def _schema(pyarrow: ModuleType) -> object:
     count = pyarrow.int32()
     wide = pyarrow.int64()
     file = pyarrow.struct([("path", text), ("size", wide), ("sha256", text)])
-    counts = pyarrow.struct([(measure, pyarrow.list_(wide)) for measure in CLASSES])
+    counts = pyarrow.struct([(measure, pyarrow.list_(wide)) for measure in MEASURE_CLASSES])
     return pyarrow.schema(
         [
             *(("id", text), ("source", text), ("status", text), ("how", text), ("error", text)),

@@ -23,7 +23,13 @@ from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch import store
-from navbake.batch.products import GRID, OWN, RECORD, THUMBNAIL, make_product
+from navbake.batch.products import (
+    GRID_NAME,
+    PRODUCT_FILE_PATTERN,
+    RECORD_NAME,
+    THUMBNAIL_NAME,
+    make_product,
+)
 from navbake.batch.scenes import Job, outlines_of, settings_of
 from navbake.config.settings import (
     BakeConfig,
@@ -46,13 +52,14 @@ notebook = lazy("navbake.views.notebook")  # loads Pillow
 
 OK = "ok"
 FAILED = "failed"
-LEFT = "left"
-NEW = "new"  # why a scene without a record isn't done
-ERROR = "error"  # of a failure in a process that goes on
-DIGITS = 4  # of seconds
-CACHE = 64 << 20  # of meshes that MuJoCo keeps in a worker [bytes]; by itself it keeps 500 MB
+LEFT_OUT = "left"
+NOT_RECORDED = "new"  # why a scene without a record isn't done
+RAISED = "error"  # of a failure in a process that goes on
+SECONDS_DECIMALS = 4  # of seconds
+# Of meshes that MuJoCo keeps in a worker [bytes]; by itself it keeps 500 MB
+MESH_CACHE_SIZE = 64 << 20
 # keys of a record that are not in the index: files that don't count, and parts of the key
-OF_RECORD = ("more", "content", "settings", "products")
+RECORD_ONLY_KEYS = ("more", "content", "settings", "products")
 
 
 class Plan(NamedTuple):
@@ -84,7 +91,7 @@ class Plan(NamedTuple):
         return [name for name in (job.list or job.source, *map(outlines_of, settings)) if name]
 
 
-class Scene(NamedTuple):
+class BatchScene(NamedTuple):
     """The settings, input files and digests of a scene that is to be baked."""
 
     config: BakeConfig  #: Its settings, with paths on this machine.
@@ -101,7 +108,7 @@ class Scene(NamedTuple):
 
 
 @contextmanager
-def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[Scene]:
+def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[BatchScene]:
     """Find a scene's files and compute its key; copies from stores exist inside the with statement.
 
     The key is a digest of the settings, navbake's version, the products, and the name and content
@@ -128,7 +135,7 @@ def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[Scene]:
             raise NavbakeError(translated) from error
 
 
-def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
+def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> BatchScene:
     """The files and the key of a scene from its settings."""
     # the grid states the name
     home = config.inputs[0].parent
@@ -158,7 +165,9 @@ def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
         json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
         for value in (with_products, unnamed, settings)
     )
-    return Scene(config, inputs, *(hashlib.sha256(text.encode()).hexdigest() for text in texts))
+    return BatchScene(
+        config, inputs, *(hashlib.sha256(text.encode()).hexdigest() for text in texts)
+    )
 
 
 def check_record(
@@ -171,13 +180,13 @@ def check_record(
     another size; or the part of the key that changed: ``version``, ``products``, ``settings``, or
     ``files`` and their names. `sizes` has the sizes of all files in an output folder on a store.
     """
-    if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
-        return None, NEW
+    if sizes is not None and f"{job.id}/{RECORD_NAME}" not in sizes:
+        return None, NOT_RECORDED
     try:
         place = plan.place(job)
         row = read_record(place)
         if row["id"] != job.id:
-            return None, NEW
+            return None, NOT_RECORDED
         for name, state in row["files"].items():
             path = Path(store.join(place, name))
             size_here = os.path.getsize(path) if sizes is None and path.exists() else None
@@ -193,16 +202,16 @@ def check_record(
                 if differ:
                     changed.append(f"files: {' '.join(Path(name).name for name in differ)}")
                 return None, ", ".join(changed) or "files"
-        row = {key: value for key, value in row.items() if key not in OF_RECORD}
+        row = {key: value for key, value in row.items() if key not in RECORD_ONLY_KEYS}
     except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
-        return None, NEW
+        return None, NOT_RECORDED
     return {**row, "source": _name(plan, job.source)}, ""  # it may have moved
 
 
 def read_record(place: store.Folder) -> Json:
     """Return the record of the files that a batch made in a scene's folder; {} if none."""
     with suppress(NavbakeError, ValueError):
-        record = json.loads(store.read_file(store.join(place, RECORD)))
+        record = json.loads(store.read_file(store.join(place, RECORD_NAME)))
         if isinstance(record, dict) and isinstance(record.get("files"), dict):
             return record
     return {}
@@ -210,7 +219,7 @@ def read_record(place: store.Folder) -> Json:
 
 def write_record(place: store.Folder, record: Json) -> None:
     """Write the record of the files in a scene's folder, see `remove_made`."""
-    store.write_file(place, RECORD, json.dumps(record, allow_nan=False).encode())
+    store.write_file(place, RECORD_NAME, json.dumps(record, allow_nan=False).encode())
 
 
 def remove_made(place: store.Folder) -> None:
@@ -220,9 +229,12 @@ def remove_made(place: store.Folder) -> None:
     are recorded before they are made.
     """
     record = read_record(place)
-    made = filter(OWN.fullmatch, {*record.get("files", ()), *record.get("more", ())} - {GRID})
+    made = filter(
+        PRODUCT_FILE_PATTERN.fullmatch,
+        {*record.get("files", ()), *record.get("more", ())} - {GRID_NAME},
+    )
     # the grid first, as it marks completeness; the record last, as it names the others
-    store.remove_files(place, [GRID, *sorted(made), RECORD])
+    store.remove_files(place, [GRID_NAME, *sorted(made), RECORD_NAME])
     if isinstance(place, Path):
         remove_leftovers(place, age=0)
 
@@ -247,10 +259,10 @@ def bake_scene(plan: Plan, job: Job) -> Json:
         why = str(error)
         if not isinstance(error, NavbakeError | OSError):
             why = f"{traceback.format_exception_only(error)[-1].strip()} (an unexpected error)"
-        row = fail(plan, job, ERROR, printable(why), time.perf_counter() - begin)
+        row = fail(plan, job, RAISED, printable(why), time.perf_counter() - begin)
         if full := store.why_full(error):
             refused = store.refused(f"into {store.shown(os.fspath(plan.place(job)))}", full)
-            return {**begin_row(plan, job, LEFT), "error": str(refused)}
+            return {**begin_row(plan, job, LEFT_OUT), "error": str(refused)}
         return row
 
 
@@ -277,7 +289,7 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
 
     Thus modules are loaded before the first scene, and don't count in its time.
     """
-    limit_mesh_cache(CACHE)
+    limit_mesh_cache(MESH_CACHE_SIZE)
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:
@@ -285,8 +297,8 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
             with suppress(NavbakeError):  # raised again by the scenes
                 make_product(product, grid, config, folder)
         if thumbnail:
-            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
-        write_navgrid(grid, folder / GRID)
+            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
+        write_navgrid(grid, folder / GRID_NAME)
     audit(grid)
 
 
@@ -317,17 +329,17 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             "warnings": list(grid.warnings),
             "audit": [str(remark) for remark in audit(grid).remarks],
             "inputs": scene.inputs,
-            "stages": {name: round(seconds, DIGITS) for name, seconds in timings.items()},
+            "stages": {name: round(seconds, SECONDS_DECIMALS) for name, seconds in timings.items()},
         }
         remove_made(place)
         row["files"] = _write_products(plan, place, grid, scene.config, row)
         row |= _times(time.perf_counter() - begin)
-        parts = [[THUMBNAIL] * plan.thumbnail, scene.content, scene.settings, [*plan.products]]
-        write_record(place, {**row, **dict(zip(OF_RECORD, parts, strict=True))})
+        parts = [[THUMBNAIL_NAME] * plan.thumbnail, scene.content, scene.settings, [*plan.products]]
+        write_record(place, {**row, **dict(zip(RECORD_ONLY_KEYS, parts, strict=True))})
     return row
 
 
-def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
+def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
     """The grid of an equal scene under this one's name, as its own bake would make it.
 
     None without such a scene, if it isn't done, or if a warning names one of its files.
@@ -338,7 +350,7 @@ def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
         place = plan.place(job._replace(id=job.twin))
         if read_record(place).get("content") != scene.content:
             return None
-        grid = read_navgrid(store.read_file(store.join(place, GRID)))
+        grid = read_navgrid(store.read_file(store.join(place, GRID_NAME)))
     except NavbakeError:
         return None
     stated_path = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
@@ -364,11 +376,11 @@ def _write_products(
             for measure, counts in noted.pop("episodes", {}).items():
                 before = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
                 row["episodes"][measure] = [a + b for a, b in zip(before, counts, strict=True)]
-        write_navgrid(grid, folder / GRID)
+        write_navgrid(grid, folder / GRID_NAME)
         files = {name: store.describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
-            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
-        other_names = [name for name in os.listdir(folder) if name != GRID]
+            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
+        other_names = [name for name in os.listdir(folder) if name != GRID_NAME]
         # existing files are the user's until replaced
         is_local = isinstance(place, Path)
         new_names = [
@@ -378,13 +390,13 @@ def _write_products(
         ]
         if new_names:
             write_record(place, {"files": {}, "more": new_names})
-        for name in (*other_names, GRID):
+        for name in (*other_names, GRID_NAME):
             store.write_file(place, name, (folder / name).read_bytes())
     return files
 
 
 def _times(seconds: float) -> Json:
-    return {"seconds": round(seconds, DIGITS), "ended": stamp()}
+    return {"seconds": round(seconds, SECONDS_DECIMALS), "ended": stamp()}
 
 
 def _name(plan: Plan, path: str | Path) -> str:

@@ -21,8 +21,8 @@ import numpy as np
 
 from navbake.batch import store
 from navbake.batch.index import read_index
-from navbake.batch.job import FAILED, LEFT, OK, read_record, stamp, write_record
-from navbake.batch.products import CLASSES, GRID, THUMBNAIL
+from navbake.batch.job import FAILED, LEFT_OUT, OK, read_record, stamp, write_record
+from navbake.batch.products import GRID_NAME, MEASURE_CLASSES, THUMBNAIL_NAME
 from navbake.errors import NavbakeError, count_of, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
@@ -31,27 +31,28 @@ from navbake.views.layers import nice_step
 from navbake.views.notebook import draw_thumbnail
 from navbake.views.page import make_page, to_text
 
-NAME = "index.html"
-PICTURES = "'self' file: data:"  # thumbnails are beside the page
-EVERY = 15.0  # least interval of writing a running batch's page [s]
-SHARE = 0.01  # of the time for this, at most
+PAGE_NAME = "index.html"
+PICTURE_POLICY = "'self' file: data:"  # thumbnails are beside the page
+MIN_WRITE_INTERVAL = 15.0  # least interval of writing a running batch's page [s]
+MAX_WRITE_SHARE = 0.01  # of the time for this, at most
 
-STATUSES = (OK, FAILED, LEFT)
+STATUSES = (OK, FAILED, LEFT_OUT)
 CHARTS = ("free_area", "cells", "rooms", "seconds")
-SHOWN = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)  # as it is
+ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)  # as it is
 NUM_BINS = 24  # bars of a chart, about
-SKEWED = 20  # ratio of maximum and median from which bars have equal ratios, not widths
-TEXTS = ("failures", "warnings", "audit")  # grouped by `fold`
+SKEWED_RATIO = 20  # ratio of maximum and median from which bars have equal ratios, not widths
+GROUPED_TEXTS = ("failures", "warnings", "audit")  # grouped by `fold`
 
 # a setting, what is quoted, and words
-PART = re.compile(
+FOLDED_PART = re.compile(
     r"""(?P<setting>`[^`]*`)|(?<!\w)'[^']*'(?!\w)|(?<!\w)"[^"]*"(?!\w)"""
     r"""|(?P<word>[^\s`'"(),;:=<>\[\]{}]+)"""
 )
 THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")  # commas within a number
 # with a unit: 5cm, 30%
 NUMBER = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
-NAMED = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")  # in a path, a file's name or a numbered name
+# In a path, a file's name or a numbered name
+PATH_OR_NAME = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")
 
 
 def write_page(
@@ -73,9 +74,9 @@ def write_page(
     content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
     title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
     packed = to_text(json.dumps(content).encode())  # names may be no UTF-8
-    page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURES)
+    page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURE_POLICY)
     if path is None:
-        store.write_file(folder, NAME, page)
+        store.write_file(folder, PAGE_NAME, page)
     else:
         write_bytes(page, path)
 
@@ -83,9 +84,9 @@ def write_page(
 def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
     """A predicate whether a scene has a thumbnail, by its id; a store is listed once."""
     if isinstance(folder, Path):
-        return lambda id: os.path.isfile(folder / id / THUMBNAIL)
+        return lambda id: os.path.isfile(folder / id / THUMBNAIL_NAME)
     sizes = store.sizes_below(folder)
-    return lambda id: f"{id}/{THUMBNAIL}" in sizes
+    return lambda id: f"{id}/{THUMBNAIL_NAME}" in sizes
 
 
 def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
@@ -102,10 +103,10 @@ def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
         place = store.as_folder(store.join(folder, id))
         try:
             store.check_inside(folder, place)
-            picture = draw_thumbnail(read_navgrid(store.read_file(store.join(place, GRID))))
+            picture = draw_thumbnail(read_navgrid(store.read_file(store.join(place, GRID_NAME))))
             if record := read_record(place):  # for its removal with the grid
-                write_record(place, {**record, "more": [THUMBNAIL]})
-            store.write_file(place, THUMBNAIL, picture)
+                write_record(place, {**record, "more": [THUMBNAIL_NAME]})
+            store.write_file(place, THUMBNAIL_NAME, picture)
         except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
             if (why := store.why_full(error)) is not None:
                 raise store.refused(
@@ -124,7 +125,9 @@ class LivePage:
     def __init__(self, folder: store.Folder, total: int) -> None:
         self._folder = folder
         self._total = total
-        self._next = time.monotonic() + EVERY if isinstance(folder, Path) else float("inf")
+        self._next = (
+            time.monotonic() + MIN_WRITE_INTERVAL if isinstance(folder, Path) else float("inf")
+        )
 
     def refresh(self, done: int) -> None:
         """Write the page if it is due; `done` is the number of ended scenes."""
@@ -134,21 +137,21 @@ class LivePage:
         with suppress(NavbakeError):  # raised at the end, if it can't be written then
             write_page(self._folder, progress=(done, self._total))
         end = time.monotonic()
-        self._next = end + max(EVERY, (end - begin) / SHARE)
+        self._next = end + max(MIN_WRITE_INTERVAL, (end - begin) / MAX_WRITE_SHARE)
 
 
 def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -> Json:
     """Return the data that the page shows, from the rows of an index.
 
     Its keys are ``scenes``, a list of the scenes; ``work``, see `measure_work` [s]; ``groups``,
-    which maps each status, and each text of the kinds in `TEXTS`, to the name of its group;
+    which maps each status, and each text of the kinds in `GROUPED_TEXTS`, to the name of its group;
     ``edges``, the edges of each chart's bars; and ``classes``, the lower edges of the episodes'
     classes.
     """
     scenes: list[Json] = []
     for row in rows:
         if row.get("status") in STATUSES:
-            scene: Json = {key: row.get(key) for key in SHOWN}
+            scene: Json = {key: row.get(key) for key in ROW_KEYS}
             why = ": ".join(filter(None, (row.get("how"), row.get("error"))))
             scene["failures"] = [why] if row["status"] == FAILED else []
             scene |= {key: row.get(key) or [] for key in ("warnings", "audit")}
@@ -159,9 +162,11 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
     return {
         "work": round(measure_work(scenes), 3),
         "scenes": scenes,
-        "classes": CLASSES,
+        "classes": MEASURE_CLASSES,
         "groups": {"status": {status: status for status in STATUSES}}
-        | {kind: _group(text for scene in scenes for text in scene[kind]) for kind in TEXTS},
+        | {
+            kind: _group(text for scene in scenes for text in scene[kind]) for kind in GROUPED_TEXTS
+        },
         "edges": {key: _edges([s[key] for s in scenes if s[key] is not None]) for key in CHARTS},
     }
 
@@ -187,7 +192,7 @@ def _edges(values: Sequence[float]) -> list[float]:
         return []
     least = float(min(values))
     most = float(max(values))
-    if least > 0 and most > SKEWED * float(np.median(values)):
+    if least > 0 and most > SKEWED_RATIO * float(np.median(values)):
         return [*np.geomspace(least, most, NUM_BINS + 1).tolist()[:-1], most]
     step = nice_step((most - least or abs(most) or 1) / (NUM_BINS - 4))
     if all(float(value).is_integer() for value in values):
@@ -215,7 +220,7 @@ def fold(text: str) -> str:
         if match["word"] is None:
             return match["setting"] or "…"
         core = match["word"].rstrip(".!?")
-        folded = "#" if NUMBER.fullmatch(core) else "…" if NAMED.search(core) else core
+        folded = "#" if NUMBER.fullmatch(core) else "…" if PATH_OR_NAME.search(core) else core
         return folded + match["word"][len(core) :]
 
-    return PART.sub(replace, THOUSANDS.sub("", text))
+    return FOLDED_PART.sub(replace, THOUSANDS.sub("", text))

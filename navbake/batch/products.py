@@ -14,7 +14,7 @@ import numpy as np
 
 from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
-from navbake.episodes.episode import EDGES, EpisodeSet, Header
+from navbake.episodes.episode import CLASS_EDGES, EpisodeSet, Header
 from navbake.episodes.files import write_episodes
 from navbake.episodes.formats import decode
 from navbake.episodes.sampler import make_episodes, make_rules, make_task
@@ -32,22 +32,23 @@ voxelizer = lazy("navbake.baker.voxels.voxelize")
 plot = lazy("navbake.views.plot")
 report = lazy("navbake.views.report")
 
-GRID = "grid.json.gz"  # of every scene, written last
-PICTURE = "picture.png"
-REPORT = "report.html"
-THUMBNAIL = "thumbnail.png"  # no product, as it can be made of the grid later
-RECORD = ".navbake-made"  # of a scene's folder: its files and key, see `job.py`; of all: shards
+GRID_NAME = "grid.json.gz"  # of every scene, written last
+PICTURE_NAME = "picture.png"
+REPORT_NAME = "report.html"
+THUMBNAIL_NAME = "thumbnail.png"  # no product, as it can be made of the grid later
+# Of a scene's folder: its files and key, see `job.py`; of all: shards
+RECORD_NAME = ".navbake-made"
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had
-OWN = re.compile(
+PRODUCT_FILE_PATTERN = re.compile(
     r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
     r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png|episodes-[\w-]+\.jsonl"
 )
-CLASSES = {measure: EDGES[measure] for measure in ("distance", "ratio", "levels")}
+MEASURE_CLASSES = {measure: CLASS_EDGES[measure] for measure in ("distance", "ratio", "levels")}
 """Measures of episodes that a scene's row counts, and the lower edges of their classes."""
 
 
-KINDS = {
+PRODUCT_KINDS = {
     "inflated": (1, 2, "inflated:RADIUS[:CLEARANCE]"),
     "nav2": (0, 1, "nav2[:RADIUS]"),
     "voxels": (1, 2, "voxels:EDGE[:ENDING]"),
@@ -65,11 +66,11 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
     equal keys in any order. Raises a ConfigError for an unknown kind or wrong values, and a
     MissingDependencyError if an extra isn't installed.
     """
-    unknown = (0, -1, f"one of {', '.join(usage for *_, usage in KINDS.values())}")
+    unknown = (0, -1, f"one of {', '.join(usage for *_, usage in PRODUCT_KINDS.values())}")
     products = set()
     for text in texts:
         name, *values = text.split(":")
-        least, most, usage = KINDS.get(name, unknown)
+        least, most, usage = PRODUCT_KINDS.get(name, unknown)
         if not least <= len(values) <= most:
             raise ConfigError(f"expected {usage} to make, got {text!r}")
         products.add(":".join((name, *_check_values(name, values, text))))
@@ -126,9 +127,9 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
         )
         write_voxels(made, folder / f"voxels-{edge}.{ending}")
     elif kind == "picture":
-        plot.plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
+        plot.plot_grid(grid, folder / PICTURE_NAME, layers=tuple(values) or PICTURE_LAYERS)
     elif kind == "report":
-        report.write_report(grid, folder / REPORT, audits=[audit(grid)])
+        report.write_report(grid, folder / REPORT_NAME, audits=[audit(grid)])
     else:
         return _make_episodes(grid, values, folder)
     return {}
@@ -137,7 +138,9 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
 def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     task, sampler, count, seed = values
     try:
-        drawn = make_episodes(grid, task, sampler, count=int(count), seed=int(seed), files=[GRID])
+        drawn = make_episodes(
+            grid, task, sampler, count=int(count), seed=int(seed), files=[GRID_NAME]
+        )
     except QueryError as error:  # no such object, or no valid episode
         return {"warnings": [f"no episodes of {task}: {error}"]}
     # all scenes' are merged into one set
@@ -149,7 +152,7 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     write_episodes(EpisodeSet(drawn.header, episodes), file)
     measured = [episode.measures for episode in episodes]
     counts = {}
-    for measure, edges in CLASSES.items():
+    for measure, edges in MEASURE_CLASSES.items():
         numbers = [value for measures in measured if (value := measures[measure]) is not None]
         counts[measure] = np.histogram(numbers, [*edges, np.inf])[0].tolist()
     return {"episodes": counts}
@@ -166,7 +169,7 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
     for id, content in sets:
         head, _, episodes = content.partition(b"\n")
         header = decode(head, Header, f"the episodes of {id}")
-        grids = [msgspec.structs.replace(grid, file=f"{id}/{GRID}") for grid in header.grids]
+        grids = [msgspec.structs.replace(grid, file=f"{id}/{GRID_NAME}") for grid in header.grids]
         headers.append(msgspec.structs.replace(header, grids=tuple(grids)))
         pieces.append(episodes)
     grids = [grid for header in headers for grid in header.grids]

@@ -27,8 +27,8 @@ from navbake._version import __version__
 from navbake.batch import index, store
 from navbake.batch.job import (
     FAILED,
-    LEFT,
-    NEW,
+    LEFT_OUT,
+    NOT_RECORDED,
     OK,
     Plan,
     bake_scene,
@@ -41,23 +41,23 @@ from navbake.batch.job import (
     stamp,
     write_record,
 )
-from navbake.batch.products import RECORD, merge_sets
+from navbake.batch.products import RECORD_NAME, merge_sets
 from navbake.batch.scenes import Job, check_settings
-from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
+from navbake.batch.workers import DONE, RETRIED, Ended, JobLimits, do_jobs
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
 from navbake.types import Json
 
-AT_ONCE = 16  # scenes whose records are read at once
+MAX_RECORD_READS = 16  # scenes whose records are read at once
 # keys of a record that are not in the index
-BOOKKEEPING = ("key", "inputs", "files", "ended")
-SHARD = re.compile(r"shard-\d{6,}\.tar")
-TIMES = ("seconds", "stages", "ended")  # keys of a row that differ each time
+RECORD_ONLY_KEYS = ("key", "inputs", "files", "ended")
+SHARD_PATTERN = re.compile(r"shard-\d{6,}\.tar")
+TIME_KEYS = ("seconds", "stages", "ended")  # keys of a row that differ each time
 # why a scene isn't baked, or would be in vain
 DONE_BEFORE = "done"
-BROKEN = "broken"
-SHARES = (50, 90, 100)  # percentiles
+BROKEN_BEFORE = "broken"
+PERCENTILES = (50, 90, 100)  # percentiles
 
 
 Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
@@ -132,7 +132,7 @@ def run_batch(
         if isinstance(plan.folder, Path):
             stack.enter_context(index.only_batch(plan.folder, part))
             lines = index.LineFile(
-                plan.folder / (part.file if part else index.NAME), f"into {plan.folder}"
+                plan.folder / (part.file if part else index.INDEX_NAME), f"into {plan.folder}"
             )
             stack.callback(lines.close)
         rows: dict[str, Json] = {}
@@ -152,7 +152,7 @@ def run_batch(
         def note(jobs: Sequence[Job], event: str, ended: Ended) -> None:
             why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
             why |= {"how": ended.how, "error": ended.value}
-            on_event(event, {"id": jobs[ended.number].id, **(why if event == AGAIN else {})})
+            on_event(event, {"id": jobs[ended.number].id, **(why if event == RETRIED else {})})
 
         try:
             if remaining:
@@ -176,7 +176,7 @@ def run_batch(
                         row = end.value
                         if end.how != DONE:
                             row = fail(plan, job, end.how, end.value, end.seconds)
-                        if row["status"] == LEFT:  # no room for others, either
+                        if row["status"] == LEFT_OUT:  # no room for others, either
                             result.stopped = row["error"]
                             break
                         rows[job.id] = row
@@ -197,7 +197,7 @@ def run_batch(
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
                         remove_leftovers(Path(plan.place(job)), age=0)
-            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
+            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT_OUT) for job in jobs]
             try:
                 index.write_index(plan.folder, result.rows, plan.has_table, part)
             except store.FullError as error:
@@ -236,7 +236,7 @@ def write_shards(folder: store.Folder, rows: Sequence[Json], count: int | None) 
     packed = [row for row in rows if row["status"] == OK] if count else []
     number = min(count or 0, len(packed))
     names = [f"shard-{k:06}.tar" for k in range(number)]
-    before = {*filter(SHARD.fullmatch, read_record(folder).get("files", ()))}
+    before = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
     if names:
         write_record(folder, {"files": dict.fromkeys(sorted({*before, *names}))})
     for k, name in enumerate(names):
@@ -246,7 +246,7 @@ def write_shards(folder: store.Folder, rows: Sequence[Json], count: int | None) 
     if names:
         write_record(folder, {"files": dict.fromkeys(names)})
     elif before:
-        store.remove_files(folder, [RECORD])
+        store.remove_files(folder, [RECORD_NAME])
 
 
 def _encode_shard(folder: store.Folder, rows: Sequence[Json]) -> Iterator[bytes]:
@@ -257,7 +257,7 @@ def _encode_shard(folder: store.Folder, rows: Sequence[Json]) -> Iterator[bytes]
             yield from _member(
                 f"{key}.{name}", store.read_file(store.join(folder, f"{row['id']}/{name}"))
             )
-        timeless_row = {name: value for name, value in row.items() if name not in TIMES}
+        timeless_row = {name: value for name, value in row.items() if name not in TIME_KEYS}
         yield from _member(f"{key}.json", index.line_of(timeless_row))
     yield bytes(2 * tarfile.BLOCKSIZE)
 
@@ -273,7 +273,7 @@ def _member(name: str, content: bytes) -> Iterator[bytes]:
 def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, str]]:
     """Return the result of `job.check_record` for each scene, in order."""
     sizes = store.sizes_below(plan.folder) if isinstance(plan.folder, str) else None
-    with ThreadPoolExecutor(AT_ONCE) as pool:  # stores respond slowly
+    with ThreadPoolExecutor(MAX_RECORD_READS) as pool:  # stores respond slowly
         return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
 
 
@@ -297,7 +297,7 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dic
             alike[os.path.getsize(job.source) if is_here else job.source].append(job)
     groups = [group for group in alike.values() if group[1:] and group[-1].id not in done]
     candidates = [job for group in groups for job in group]
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(MAX_RECORD_READS) as pool:
         contents = [*pool.map(content_of, candidates)]
     first_of_content: dict[str, str] = {}
     twins: dict[str, str] = {}
@@ -316,9 +316,9 @@ def line_of_event(event: str, values: Json) -> Json:
     """
     is_error = values.get("status") == FAILED or values.get("stopped") or values.get("failed")
     level = "error" if is_error else "info"
-    if event == AGAIN or (values.get("warnings") and not is_error):
+    if event == RETRIED or (values.get("warnings") and not is_error):
         level = "warning"
-    values = {key: value for key, value in values.items() if key not in BOOKKEEPING}
+    values = {key: value for key, value in values.items() if key not in RECORD_ONLY_KEYS}
     if event == "begin":
         values["version"] = __version__
     return {"time": stamp(), "level": level, "event": event, **values}
@@ -349,12 +349,16 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
             return _sum_sizes(done[job.id].get("inputs")), ""
         try:
             with open_scene(plan, job, copy_all=False) as scene:
-                lack = "" if scene.inputs else f"{BROKEN}: no scene file {store.shown(job.source)}"
+                lack = (
+                    ""
+                    if scene.inputs
+                    else f"{BROKEN_BEFORE}: no scene file {store.shown(job.source)}"
+                )
                 return _sum_sizes(scene.inputs), lack
         except (NavbakeError, OSError) as error:
-            return 0, f"{BROKEN}: {printable(str(error))}"
+            return 0, f"{BROKEN_BEFORE}: {printable(str(error))}"
 
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(MAX_RECORD_READS) as pool:
         measured = [*pool.map(measure, jobs)]
     previews = []
     for job, (row, why), (num_bytes, broken) in zip(jobs, checked, measured, strict=True):
@@ -362,7 +366,7 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
             why = DONE_BEFORE
         elif broken or job.id in twins:
             why = broken or f"equal to {twins[job.id]}"
-        elif why == NEW and job.id in failed:
+        elif why == NOT_RECORDED and job.id in failed:
             why = "failed before"
         source = begin_row(plan, job, "")["source"]
         previews.append({"id": job.id, "source": source, "why": why, "bytes": num_bytes})
@@ -384,7 +388,7 @@ def measure_cost(rows: Iterable[Json]) -> Json | None:
     }
     cost: Json = {"scenes": len(done)}
     for name, each in values.items():
-        shares = np.percentile(each, SHARES, method="inverted_cdf").tolist()
+        shares = np.percentile(each, PERCENTILES, method="inverted_cdf").tolist()
         cost[name] = dict(zip(("sum", "median", "p90", "max"), (sum(each), *shares), strict=True))
     return cost
 

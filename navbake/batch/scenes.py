@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from navbake import samples
 from navbake.batch import store
-from navbake.batch.products import OWN
+from navbake.batch.products import PRODUCT_FILE_PATTERN
 from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import merge
 from navbake.config.settings import SECTIONS, BakeConfig, is_settings, parse_config
@@ -26,20 +26,20 @@ from navbake.formats.source import import_extra, unpack
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides, decode_yaml, override_key
 
-LISTS = (".txt", ".csv", ".jsonl", ".parquet")
+LIST_SUFFIXES = (".txt", ".csv", ".jsonl", ".parquet")
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
-TEXTS = ("id", *SCENE_KEYS)  # whose `001` is text
-OF_EACH = ("path", "id")  # keys of the settings' `scene` that are unique
+TEXT_COLUMNS = ("id", *SCENE_KEYS)  # whose `001` is text
+UNIQUE_SCENE_KEYS = ("path", "id")  # keys of the settings' `scene` that are unique
 LINE_END = re.compile(r"\r\n?|\n")
 # characters that some file system forbids, or drops at the end of a name
-UNFIT = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
-RESERVED = re.compile(
+UNPORTABLE = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
+RESERVED_NAMES = re.compile(
     r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?"
     r"|index-\d+-of-\d+\.jsonl|shard-\d+\.tar"
 )
-NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
-MOST_NAME = 200  # of a part of an id; file systems take 255
-WANTED = "expected a scene, settings, a list or a pattern, got"
+NO_ROW_COLUMNS: Mapping[str, str] = MappingProxyType({})
+MAX_ID_PART = 200  # of a part of an id; file systems take 255
+EXPECTED_SCENE = "expected a scene, settings, a list or a pattern, got"
 
 
 class Job(NamedTuple):
@@ -53,7 +53,7 @@ class Job(NamedTuple):
     twin: str = ""  #: The id of an equal scene, whose grid serves for this one; empty without one.
 
 
-def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -> list[Job]:
+def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMNS) -> list[Job]:
     """List the scenes of sources, in their order.
 
     A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
@@ -108,10 +108,10 @@ def check_id(name: str, place: str) -> None:
     unprintable character.
     """
     for part in name.split("/"):
-        is_fit = part.isprintable() and 0 < len(part.encode()) <= MOST_NAME
-        if not is_fit or UNFIT.search(part) or RESERVED.fullmatch(part):
+        is_fit = part.isprintable() and 0 < len(part.encode()) <= MAX_ID_PART
+        if not is_fit or UNPORTABLE.search(part) or RESERVED_NAMES.fullmatch(part):
             wanted = "that can be the name of a folder on any system, or several between slashes"
-        elif OWN.fullmatch(part.casefold()):
+        elif PRODUCT_FILE_PATTERN.fullmatch(part.casefold()):
             wanted = f"without names of files that navbake writes, as {part}"
         else:
             continue
@@ -155,12 +155,14 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     if not store.is_url(source) and not is_pattern and not os.path.exists(source):
         settings = str(samples.find(source))
         hint = "" if settings == source else f"; the settings of that name are {settings}"
-        raise ConfigError(f"{WANTED} {source}: there is no such file{hint}")
-    if _list_ending(name) in LISTS:
+        raise ConfigError(f"{EXPECTED_SCENE} {source}: there is no such file{hint}")
+    if _list_ending(name) in LIST_SUFFIXES:
         yield from _read_list(source, columns)
     elif source.endswith("/") or os.path.isdir(source):
         folder = name.rstrip("/")
-        raise ConfigError(f"{WANTED} the folder {folder}: name its files, as '{folder}/*.xml'")
+        raise ConfigError(
+            f"{EXPECTED_SCENE} the folder {folder}: name its files, as '{folder}/*.xml'"
+        )
     elif is_pattern:
         if store.is_url(source):
             paths = store.match_files(source)
@@ -310,7 +312,7 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
                 raise ConfigError(f"{expected}, got {len(values)}: {got}")
             elif values:
                 cells = zip(columns, values, strict=False)
-                yield place, {key: v if key in TEXTS else _plain(v) for key, v in cells if v}
+                yield place, {key: v if key in TEXT_COLUMNS else _plain(v) for key, v in cells if v}
             place = f"{name}, line {lines.line_num + 1}"
     except csv.Error as error:
         raise ConfigError(f"broken CSV at {place}: {error}") from error
@@ -360,7 +362,7 @@ def check_shared(settings: Mapping[str, Any], place: str) -> None:
     if not isinstance(scene, Mapping):
         got = f"got {show_value(scene)}: {hint}"
         raise ConfigError(f"expected settings as `scene` in {place}, {got}")
-    for key in OF_EACH:
+    for key in UNIQUE_SCENE_KEYS:
         if key in scene:
             raise ConfigError(f"expected no `scene.{key}` in {place}: {hint}")
 
@@ -373,7 +375,7 @@ def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str
     """
     for override in overrides:
         key = override_key(override)
-        if key[0] == "scene" and (len(key) == 1 or key[1] in OF_EACH):
+        if key[0] == "scene" and (len(key) == 1 or key[1] in UNIQUE_SCENE_KEYS):
             raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
     outlines = outlines_of(apply_overrides(shared, overrides))
     is_of_each = outlines and not os.path.isabs(outlines) and any(map(is_settings, sources))

@@ -22,20 +22,20 @@ from navbake.types import Json
 Folder: TypeAlias = Path | str
 """A folder: a Path of this machine, or the URL of one on a store."""
 
-URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
+URL_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
 URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
-HERE = ("file", "local")  # schemes of this machine's own files
-WEB = ("http", "https")  # a query (`?…`) may follow the path; folders have no listing
+LOCAL_SCHEMES = ("file", "local")  # schemes of this machine's own files
+WEB_SCHEMES = ("http", "https")  # a query (`?…`) may follow the path; folders have no listing
 # Schemes with atomic uploads. Elsewhere a file is written under another name and moved, which on an
 # object store would be a second upload.
 OBJECT_STORES = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "obs", "memory")
 # a store's fingerprints of a file: a digest or a version, else a time of change
-TAGS = (
+VERSION_KEYS = (
     *("etag", "md5hash", "md5", "content_md5", "content-md5", "sha", "digest", "generation"),
     *("lastmodified", "last_modified", "last-modified", "mtime", "modified", "updated", "created"),
 )
 # errors of a full file system, and what is missing
-REMEDIES = {
+FULL_DISK_REMEDIES = {
     errno.ENOSPC: "free space",
     getattr(errno, "EDQUOT", errno.ENOSPC): "free space",  # Windows has no quotas
     errno.EROFS: "make it writable",
@@ -58,18 +58,18 @@ class MissingFileError(NavbakeError):
 
 def is_url(path: object) -> bool:
     """Return whether a path is the URL of a file on a store; ``file://`` URLs are local."""
-    match = URL.match(path) if isinstance(path, str) else None
-    return match is not None and match[1].lower() not in HERE
+    match = URL_PATTERN.match(path) if isinstance(path, str) else None
+    return match is not None and match[1].lower() not in LOCAL_SCHEMES
 
 
 def _is_web(url: str) -> bool:
-    return is_url(url) and url.partition("://")[0].lower() in WEB
+    return is_url(url) and url.partition("://")[0].lower() in WEB_SCHEMES
 
 
 def plain_path(path: str) -> str:
     """Return the path of a URL such as ``file:///a/b``; other paths and URLs stay as they are."""
-    match = URL.match(path)
-    return match[2] if match is not None and match[1].lower() in HERE else path
+    match = URL_PATTERN.match(path)
+    return match[2] if match is not None and match[1].lower() in LOCAL_SCHEMES else path
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
@@ -105,13 +105,13 @@ def join(folder: Folder, name: str) -> str:
 
 def shown(url: str) -> str:
     """Return a URL without its password and query, to show in messages and the index."""
-    match = URL.match(url)
+    match = URL_PATTERN.match(url)
     if match is None:
         return url
     authority, slash, path = _without_query(url).partition("://")[2].partition("/")
     user, at, host = authority.rpartition("@")
     # web services use tokens as users
-    user = "" if match[1].lower() in WEB or not at else f"{user.partition(':')[0]}@"
+    user = "" if match[1].lower() in WEB_SCHEMES or not at else f"{user.partition(':')[0]}@"
     return f"{match[1]}://{user}{host}{slash}{path}"
 
 
@@ -344,7 +344,7 @@ class Mirror(ExitStack):
         """Return the size and a fingerprint of a file: the store's tag, or else its sha256."""
         info = self._find(path) or {}
         facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
-        tag = next((f"{key}:{facts[key]}" for key in TAGS if key in facts), None)
+        tag = next((f"{key}:{facts[key]}" for key in VERSION_KEYS if key in facts), None)
         if tag is None or facts.get("size") is None:
             self.ensure_local(path)
             return describe_file(path)
@@ -390,7 +390,7 @@ class Mirror(ExitStack):
 def why_full(error: BaseException | None) -> OSError | None:
     """Return the system's "disk full" error among an error and its causes; None if none is."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in REMEDIES:
+        if isinstance(error, OSError) and error.errno in FULL_DISK_REMEDIES:
             return error
         error = error.__cause__
     return None
@@ -399,8 +399,8 @@ def why_full(error: BaseException | None) -> OSError | None:
 def refused(what: str, error: OSError) -> NavbakeError:
     """Return the error to raise for a failed write; a FullError if there is no room."""
     why = error.strerror or str(error)
-    if error.errno in REMEDIES:
-        remedy = REMEDIES[error.errno]
+    if error.errno in FULL_DISK_REMEDIES:
+        remedy = FULL_DISK_REMEDIES[error.errno]
         return FullError(f"cannot write {what}: {why}: {remedy} and run the same command again")
     return NavbakeError(f"cannot write {what}: {why}")
 

@@ -31,26 +31,26 @@ from navbake.files import scratch_folder
 from navbake.formats.source import import_extra
 from navbake.processes import end_with_parent, ending_of, limit_memory
 
-TICK = 0.5  # interval at which the parent looks for begun jobs [s]
-LATE = 1.0  # excess of a wait that shows that this process was stopped [s]
-AHEAD = 3  # submitted jobs per worker, so that none waits for the parent
-MOST_BREAKS = 3  # of consecutive pools without a finished job, before an error
-MOST_TEXT = 200  # characters of a worker's stderr
+POLL_INTERVAL = 0.5  # interval at which the parent looks for begun jobs [s]
+MAX_OVERSLEEP = 1.0  # excess of a wait that shows that this process was stopped [s]
+JOBS_PER_WORKER = 3  # submitted jobs per worker, so that none waits for the parent
+MAX_BROKEN_POOLS = 3  # of consecutive pools without a finished job, before an error
+MAX_STDERR_TEXT = 200  # characters of a worker's stderr
 DONE = "done"
 CRASHED = "crashed"
 TOO_LONG = "too long"
 TOO_LARGE = "too large"
 # events besides the ends of jobs
-BEGUN = "scene-begin"
-AGAIN = "retry"
+SCENE_BEGUN = "scene-begin"
+RETRIED = "retry"
 # of a cluster
-MOST_LOSSES = 3  # retries of a task whose node or process was lost
-LOOK = 5.0  # between checks of the cluster's size [s]
-PATIENCE = 10.0  # for a connection to a cluster [s]
-STORE = 80 << 20  # of the object store in a cluster of one's own [bytes]
+MAX_RAY_RETRIES = 3  # retries of a task whose node or process was lost
+CLUSTER_CHECK_INTERVAL = 5.0  # between checks of the cluster's size [s]
+CONNECTION_TIMEOUT = 10.0  # for a connection to a cluster [s]
+OBJECT_STORE_SIZE = 80 << 20  # of the object store in a cluster of one's own [bytes]
 # Read by Ray as it is imported: its processes listen on the loopback device only, and send no usage
 # statistics.
-PRIVATE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+RAY_ENVIRONMENT = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -147,7 +147,7 @@ class Workers:
                 if ended.how == DONE or num_failures[ended.number] > self._limits.retries:
                     yield ended
                 else:
-                    on_event(AGAIN, ended)
+                    on_event(RETRIED, ended)
                     retried.append(ended.number)
             if waiting or retried or alone:
                 self._stop()
@@ -157,7 +157,7 @@ class Workers:
                 waiting = retried
                 retried = deque()
                 alone = True
-            if num_breaks == MOST_BREAKS:
+            if num_breaks == MAX_BROKEN_POOLS:
                 reason = self._last_words(None)
                 details = f": {reason}" if reason else ""
                 raise NavbakeError(f"cannot start a worker process{details}")
@@ -190,7 +190,7 @@ class Workers:
         seconds = None if limit == float("inf") else limit
         excused: set[Future[Any]] = set()  # not late: this process, and so its workers, was stopped
         while waiting or number_of:
-            while waiting and len(number_of) < AHEAD * self._count:
+            while waiting and len(number_of) < JOBS_PER_WORKER * self._count:
                 arguments = (self._work, jobs[waiting[0]], alone, self._limits.memory)
                 try:
                     with _ctrl_c_waits():  # the first one starts the workers
@@ -200,13 +200,13 @@ class Workers:
                     return
                 number_of[future] = waiting.popleft()
             before = time.time()  # the pool's clock
-            done, _ = wait(number_of, TICK, FIRST_COMPLETED)
-            if time.time() - before > TICK + LATE:
+            done, _ = wait(number_of, POLL_INTERVAL, FIRST_COMPLETED)
+            if time.time() - before > POLL_INTERVAL + MAX_OVERSLEEP:
                 excused.update(number_of)
             for future in number_of.keys() - begun.keys():
                 if future.running() or future in done:
                     begun[future] = before
-                    on_event(BEGUN, Ended(number_of[future], "", ""))
+                    on_event(SCENE_BEGUN, Ended(number_of[future], "", ""))
             for future in done:
                 number = number_of.pop(future)
                 duration = time.time() - begun.pop(future)
@@ -241,9 +241,9 @@ class Workers:
         text = b""
         with suppress(OSError):
             for path in self._folder.glob(str(pid or "[0-9]*")):
-                text = path.read_bytes()[-16 * MOST_TEXT :] or text
+                text = path.read_bytes()[-16 * MAX_STDERR_TEXT :] or text
         lines = [line.strip() for line in text.decode(errors="replace").splitlines()]
-        return printable(next((line for line in reversed(lines) if line), "")[:MOST_TEXT])
+        return printable(next((line for line in reversed(lines) if line), "")[:MAX_STDERR_TEXT])
 
 
 @contextmanager
@@ -344,7 +344,9 @@ def do_on_ray(
     enter = partial(_enter_node, os.getcwd(), seen, __version__)
     make = partial(Workers, work, 1, limits=limits, prepare=prepare)
     with _connected(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
-        do = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, scheduling_strategy="SPREAD")(_do_task)
+        do = ray.remote(num_cpus=1, max_retries=MAX_RAY_RETRIES, scheduling_strategy="SPREAD")(
+            _do_task
+        )
         shared = ray.put((enter, make))
         numbers = iter(range(len(jobs)))
         number_of = dict[Any, int]()
@@ -353,21 +355,21 @@ def do_on_ray(
             most = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
             while len(number_of) < most and (number := next(numbers, None)) is not None:
                 number_of[do.remote(shared, number, jobs[number])] = number
-                on_event(BEGUN, Ended(number, "", ""))
+                on_event(SCENE_BEGUN, Ended(number, "", ""))
             if not number_of:
                 return
-            for task in ray.wait([*number_of], timeout=LOOK)[0]:
+            for task in ray.wait([*number_of], timeout=CLUSTER_CHECK_INTERVAL)[0]:
                 number = number_of.pop(task)
                 try:
                     ended, tries = ray.get(task)
                 except ray.exceptions.RayTaskError as error:
                     raise NavbakeError(_last_line(error.cause or error)) from error
                 except ray.exceptions.RayError as error:
-                    why = f"it was lost {MOST_LOSSES + 1} times, as {_last_line(error)}"
+                    why = f"it was lost {MAX_RAY_RETRIES + 1} times, as {_last_line(error)}"
                     ended = Ended(number, CRASHED, why)
                     tries = []
                 for each in tries:
-                    on_event(AGAIN, each)
+                    on_event(RETRIED, each)
                 yield ended
 
 
@@ -398,7 +400,7 @@ def _do_task(
     if _workers is None:
         _workers = make().__enter__()
     tries: list[Ended] = []
-    (ended,) = _workers.do([job], lambda event, each: tries.extend([each] * (event == AGAIN)))
+    (ended,) = _workers.do([job], lambda event, each: tries.extend([each] * (event == RETRIED)))
     return ended._replace(number=number), [each._replace(number=number) for each in tries]
 
 
@@ -411,7 +413,7 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
     address = address or os.environ.get("RAY_ADDRESS") or "local"
     is_own = address == "local"
     if is_own:
-        for name, value in PRIVATE.items():
+        for name, value in RAY_ENVIRONMENT.items():
             os.environ.setdefault(name, value)
     ray = import_extra("ray", "ray", "--executor ray")
     if ray.is_initialized():
@@ -423,7 +425,7 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
         local_options = {
             "num_cpus": num_cpus,
             "include_dashboard": False,
-            "object_store_memory": STORE,
+            "object_store_memory": OBJECT_STORE_SIZE,
             "_temp_dir": str(folder),
         }
         options = local_options if is_own else {}
@@ -448,7 +450,7 @@ def _check_reachable(address: str) -> None:
     if "/" in address or not port.isdigit():
         return  # looked up by Ray, as "auto"
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), PATIENCE):
+        with socket.create_connection((host.strip("[]"), int(port)), CONNECTION_TIMEOUT):
             pass
     except (OSError, OverflowError) as error:
         why = getattr(error, "strerror", None) or str(error)

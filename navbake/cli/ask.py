@@ -9,16 +9,16 @@ from typer import BadParameter, Exit, Option
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT, PLACE, PLACE_HELP, AsJson, GridFile, argument, option
+from navbake.cli.options import OUTPUT_FLAGS, PLACE, PLACE_HELP, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_tables, print_warnings, say
 from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
 # Functions import views when they run: --help loads no numpy.
 
-NAMED = ("room:", "object:")
-PLACES = f"{PLACE}|room:NAME"
-FACTS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
+NAME_PREFIXES = ("room:", "object:")
+PLACE_METAVAR = f"{PLACE}|room:NAME"
+PATH_FIELDS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
 
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
@@ -109,15 +109,19 @@ def path(
     closed: list[str] | None = option("LINK", "Close a link; may be repeated.", "--close"),
     opened: list[str] | None = option("LINK", "Open a link; may be repeated.", "--open"),
     start: str = option(
-        PLACES, f"Start, {PLACE_HELP}; or a room's middle.", "--from", "--start", default=...
+        PLACE_METAVAR, f"Start, {PLACE_HELP}; or a room's middle.", "--from", "--start", default=...
     ),
     goals: list[str] = option(
-        f"{PLACES}|object:NAME", "Goal; the cheapest of several.", "--to", "--goal", default=...
+        f"{PLACE_METAVAR}|object:NAME",
+        "Goal; the cheapest of several.",
+        "--to",
+        "--goal",
+        default=...,
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
-    output: Path | None = option("PNG|SVG", "Draw the path; - for a PNG on stdout.", *OUTPUT),
+    output: Path | None = option("PNG|SVG", "Draw the path; - for a PNG on stdout.", *OUTPUT_FLAGS),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
 
@@ -127,7 +131,7 @@ def path(
     """
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid])
-    is_named = any(goal.startswith(NAMED) for goal in goals)
+    is_named = any(goal.startswith(NAME_PREFIXES) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
     begin = None if start.startswith("room:") else options.parse_place(start, "--from")
@@ -152,7 +156,7 @@ def path(
     reason = None if path_found else finder.why_not(origin, goal)
     with options.beside_output(output):
         if as_json:
-            facts = {key: getattr(path_found, key) for key in FACTS} if path_found else None
+            facts = {key: getattr(path_found, key) for key in PATH_FIELDS} if path_found else None
             print_json({"path": facts, "reason": reason})
         elif path_found:
             print(f"length  {path_found.length:.3f} m")

@@ -14,7 +14,7 @@ from typer import BadParameter, Exit
 import navbake
 from navbake.cli import options, printing
 from navbake.cli.options import (
-    OUTPUT,
+    OUTPUT_FLAGS,
     AsJson,
     ModelPath,
     Overrides,
@@ -38,7 +38,9 @@ Triple = tuple[float, float, float]  # navbake.types would load numpy
 
 def init(
     scene: Path = argument("SCENE", "Scene file: MJCF, MJB, URDF, USD, SDF or a mesh."),
-    output: Path | None = option("FILE", "YAML; - for stdout.  [default: ./<id>.yaml]", *OUTPUT),
+    output: Path | None = option(
+        "FILE", "YAML; - for stdout.  [default: ./<id>.yaml]", *OUTPUT_FLAGS
+    ),
     force: bool = flag("--force", "Overwrite FILE if it exists."),
 ) -> None:
     """Write a YAML file with all settings, commented, for a scene.
@@ -57,7 +59,7 @@ def init(
 
 def samples(
     names: list[str] | None = argument("NAME", "Samples to copy.  [default: list them]", None),
-    folder: Path = option("FOLDER", "Where to copy them to.", *OUTPUT, default=Path()),
+    folder: Path = option("FOLDER", "Where to copy them to.", *OUTPUT_FLAGS, default=Path()),
 ) -> None:
     """Copy sample scenes and their settings here, to try navbake with.
 
@@ -120,7 +122,7 @@ def voxelize(
     airsim: bool = flag("--airsim", ".binvox: use AirSim's layout."),
     free: bool = flag("--free", "Octrees: mark voxels that are not occupied as free."),
     outputs: list[Path] = option(
-        "FILE", "File: .binvox, .bt, .ot or .npz. May be repeated.", *OUTPUT, default=...
+        "FILE", "File: .binvox, .bt, .ot or .npz. May be repeated.", *OUTPUT_FLAGS, default=...
     ),
     segments: list[str] | None = option(
         "WHAT", "IDs by geom, body, top (top-most body) or PATTERN=ID, repeatedly.", "--segment"
@@ -218,7 +220,7 @@ def bake(
         "FILE|FOLDER",
         "File (.json or .json.gz), - for stdout, or a folder: one that exists, or a new one that "
         "ends in /.  [default: the settings' output, or <id>.grid.json here]",
-        *OUTPUT,
+        *OUTPUT_FLAGS,
     ),
     name: str | None = option(
         "NAME", "Of files in the folder: {id} of the scene, {stem}, {parent}.  [default: {id}]"
@@ -253,7 +255,7 @@ def bake(
         text = f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)"
         raise BadParameter(text, param_hint="-o")
     if is_file and output != str(options.STDOUT) and not Path(output or "").suffix:
-        text = f"expected a name that ends in {', '.join(options.GRIDS)}, got {output}"
+        text = f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)}, got {output}"
         raise BadParameter(f"{text}: a new folder is written {output}/", param_hint="-o")
     options.refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
@@ -289,11 +291,13 @@ def bake(
                 raise ConfigError(f"{text}, or name files, as by --name '{{parent}}-{{stem}}'")
             is_own = target == config.output
             inputs = (path, *config.inputs)
-            suffixes = () if is_own else options.GRIDS
+            suffixes = () if is_own else options.GRID_SUFFIXES
             may_make = not (is_file or is_own)
             options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
-            if not target.name.lower().endswith(options.GRIDS) and target != options.STDOUT:
-                text = f"expected a name that ends in {', '.join(options.GRIDS)} as `output`"
+            if not target.name.lower().endswith(options.GRID_SUFFIXES) and target != options.STDOUT:
+                text = (
+                    f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)} as `output`"
+                )
                 raise ConfigError(f"{text} in {path}, got {target}")
             _bake_one(config, target, threads, limits, not no_timings)
             written.add(target.resolve())
@@ -328,9 +332,9 @@ def _bake_one(
     from navbake.formats.navgrid import encode_files
     from navbake.views.describe import describe
 
-    with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
+    with printing.progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
         # with --quiet, all warnings follow the bake
-        print_hint = None if printing.VOLUME.quiet else lambda hint: print_warnings([hint])
+        print_hint = None if printing.VERBOSITY.quiet else lambda hint: print_warnings([hint])
         result = run_bake(
             config,
             threads=threads,
@@ -345,7 +349,7 @@ def _bake_one(
     (content,) = encode_files(result.grid, target).values()
     options.write_output(content, target)
     result.timings["write"] = time.perf_counter() - begin
-    if printing.VOLUME.quiet:
+    if printing.VERBOSITY.quiet:
         print_warnings(result.warnings)
         return
     with options.beside_output(target):

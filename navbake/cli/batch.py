@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Literal
 from typer import BadParameter, Exit
 
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT, STDOUT, Overrides, argument, flag, option
-from navbake.cli.printing import VOLUME, print_error, print_warnings, say, say_unless_quiet
+from navbake.cli.options import OUTPUT_FLAGS, STDOUT, Overrides, argument, flag, option
+from navbake.cli.printing import VERBOSITY, print_error, print_warnings, say, say_unless_quiet
 from navbake.errors import NavbakeError, count_of
 from navbake.lazy import lazy
 
@@ -36,8 +36,8 @@ else:  # --help loads neither MuJoCo nor numpy
     store = lazy("navbake.batch.store")
     workers = lazy("navbake.batch.workers")
 
-INDEX = "index.jsonl"
-MAX_NAMES = 5  # of scenes in a line of --plan
+INDEX_NAME = "index.jsonl"
+MAX_LISTED_SCENES = 5  # of scenes in a line of --plan
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class ProductOptions:
     """The options that say what a batch writes."""
 
     output: str = option(
-        "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT, default=...
+        "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT_FLAGS, default=...
     )
     make: list[str] | None = option(
         "WHAT",
@@ -208,7 +208,9 @@ def _check_options(
 
 def _check_log(log: Path, jobs: list[scenes.Job], scene_options: SceneOptions, output: str) -> None:
     """Refuse a log that is an input, or a file that the batch writes."""
-    written = [os.path.join(output, name) for name in (index.NAME, page.NAME, index.TABLE)]
+    written = [
+        os.path.join(output, name) for name in (index.INDEX_NAME, page.PAGE_NAME, index.TABLE_NAME)
+    ]
     config = [] if scene_options.config is None else [scene_options.config]
     sources = [listed.source for listed in jobs]
     inputs = map(Path, [*scene_options.sources, *config, *sources, *written])
@@ -220,15 +222,15 @@ def _ray_executor(worker_options: WorkerOptions, folder: store.Folder) -> run.Ex
     if worker_options.executor != "ray":
         return None
     # workers of a cluster stop when the lock of this process is gone
-    witness = folder / index.LOCK if isinstance(folder, Path) else None
+    witness = folder / index.LOCK_NAME if isinstance(folder, Path) else None
     return partial(workers.do_on_ray, address=worker_options.ray_address, witness=witness)
 
 
 def _written_names(batch_slice: index.Slice | None, product_options: ProductOptions) -> list[str]:
     """The names of the files that a batch writes beside its scenes."""
-    names = [index.NAME if batch_slice is None else batch_slice.file]
+    names = [index.INDEX_NAME if batch_slice is None else batch_slice.file]
     if product_options.parquet:
-        names.append(index.TABLE)
+        names.append(index.TABLE_NAME)
     if product_options.shards:
         names.append("shard-*.tar")
     return names
@@ -262,7 +264,7 @@ def _print_preview(plan: job.Plan, jobs: list[scenes.Job], as_json: bool) -> Non
         size = filesize.decimal(sum(scene["bytes"] for scene in scenes_of_reason))
         names = _name_scenes(reason, scenes_of_reason)
         say(f"{reason}: {count_of(len(scenes_of_reason), 'scene')}, {size}{names}")
-    not_baked = (run.DONE_BEFORE, run.BROKEN)
+    not_baked = (run.DONE_BEFORE, run.BROKEN_BEFORE)
     num_baked = sum(
         len(scenes_of_reason)
         for reason, scenes_of_reason in scenes_by_reason.items()
@@ -287,7 +289,7 @@ def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
     if reason == run.DONE_BEFORE:
         return ""
     names = []
-    for scene in scenes_of_reason[:MAX_NAMES]:
+    for scene in scenes_of_reason[:MAX_LISTED_SCENES]:
         detail = scene["why"].removeprefix(f"{reason}: ")
         names.append(scene["id"] if detail == reason else f"{scene['id']} ({detail})")
     num_more = len(scenes_of_reason) - len(names)
@@ -347,7 +349,7 @@ class _Watch:
 
         if compiled.cache_folder() is None:
             problem = "no folder for compiled code can be written: each worker compiles its own"
-            print_warnings([f"{problem}: {compiled.REMEDY}"])
+            print_warnings([f"{problem}: {compiled.CACHE_REMEDY}"])
         compiled.ensure_compiled()  # once for all workers
         self._total = values["scenes"] - values["skipped"]
         self._counts["skipped"] = values["skipped"]
@@ -359,7 +361,7 @@ class _Watch:
             self._page = page.LivePage(self._folder, self._total)
         # on a terminal, lines and a bar would mix
         is_mixed = self._as_json and printing.is_terminal(sys.stdout)
-        bars = printing.progress_bars("batch", VOLUME.quiet or is_mixed)
+        bars = printing.progress_bars("batch", VERBOSITY.quiet or is_mixed)
         self._show_progress = self._stack.enter_context(bars)
 
     def _refresh(self) -> None:
@@ -408,7 +410,7 @@ class _Watch:
             draw_missing_thumbnails(self._folder)
             try:
                 page.write_page(self._folder)
-                names = [*names, page.NAME]
+                names = [*names, page.PAGE_NAME]
             except NavbakeError as error:
                 print_warnings([str(error)])
         if self._as_json:
@@ -439,7 +441,7 @@ def _describe_counts(counts: Json) -> str:
 def draw_missing_thumbnails(folder: store.Folder) -> None:
     """Draw the missing thumbnails of a batch's page."""
     try:
-        with printing.progress_bars("page", VOLUME.quiet) as show:
+        with printing.progress_bars("page", VERBOSITY.quiet) as show:
             num_missing = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
     except store.FullError as error:
         print_warnings([str(error)])
@@ -460,7 +462,7 @@ def warm_up() -> None:
 
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written, so nothing can be kept"
-        print_warnings([f"{lost}: {compiled.REMEDY}"])
+        print_warnings([f"{lost}: {compiled.CACHE_REMEDY}"])
         return
     cold = compiled.warm_up()
     if cold:

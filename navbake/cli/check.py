@@ -19,7 +19,7 @@ import navbake
 from navbake import samples
 from navbake._version import __version__
 from navbake.cli import options
-from navbake.cli.options import BAKED_SCENE, PICTURE, AsJson, GridFile, flag, option
+from navbake.cli.options import PICTURE_OPTION, SCENE_OPTION, AsJson, GridFile, flag, option
 from navbake.cli.printing import print_json, print_tables, say
 from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
@@ -34,7 +34,7 @@ config = lazy("navbake.config.settings")
 pipeline = lazy("navbake.baker.bake.pipeline")
 threads = lazy("navbake.threads")
 
-COLUMNS = {
+VERIFY_COLUMNS = {
     "level": "name",
     "cells": "cells",
     "free, free": "free_free",
@@ -48,19 +48,19 @@ COLUMNS = {
     "places lost": "lost",
 }
 """Headings, and which of a level's counts stand under them: the grid first, then the scene."""
-SAMPLE = 100_000
-SHOWN = 20  # printed disagreements
-BAKED = "apartment"
-USUAL = 0.5  # [s] a warm bake of the sample takes 0.05 to 0.2 s on a desktop's cores
+SAMPLED_CELLS = 100_000
+MAX_LISTED_FINDINGS = 20  # printed disagreements
+CHECKED_SAMPLE = "apartment"
+USUAL_BAKE_SECONDS = 0.5  # [s] a warm bake of the sample takes 0.05 to 0.2 s on a desktop's cores
 REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:;.*?extra == ["'](?P<extra>[\w-]+)["'])?""")
 
 
 def verify(
     grid: GridFile,
-    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE),
+    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLED_CELLS),
     all_cells: bool = flag("--all", "Look at all cells."),
     seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0),
-    scene: Path | None = BAKED_SCENE,
+    scene: Path | None = SCENE_OPTION,
     radius: float | None = option(
         "METRES", "Of the agent [m]; inflates the grid, if need be.  [default: that of the grid]"
     ),
@@ -71,7 +71,7 @@ def verify(
         default=1e-4,
     ),
     as_json: AsJson = False,
-    output: Path | None = PICTURE,
+    output: Path | None = PICTURE_OPTION,
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
 ) -> None:
     """Compare a grid with its scene by MuJoCo and FCL.
@@ -80,7 +80,7 @@ def verify(
 
     Example: navbake verify house.grid.json --all
     """
-    if all_cells and sample != SAMPLE:
+    if all_cells and sample != SAMPLED_CELLS:
         raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
@@ -113,8 +113,8 @@ def verify(
 
 def _print(report: VerifyReport) -> None:
     shown = [*report.levels, report.total] if report.levels[1:] else report.levels
-    rows = [[getattr(level, key) for key in COLUMNS.values()] for level in shown]
-    print_tables(make_table(tuple(COLUMNS), rows, numbers=COLUMNS.keys() - {"level"}))
+    rows = [[getattr(level, key) for key in VERIFY_COLUMNS.values()] for level in shown]
+    print_tables(make_table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"}))
     if report.sweeps is not None:
         swept = report.sweeps
         say(
@@ -123,13 +123,13 @@ def _print(report: VerifyReport) -> None:
         )
     for note in report.notes:
         say(f"note: {note}")
-    for finding in report.findings[:SHOWN]:
+    for finding in report.findings[:MAX_LISTED_FINDINGS]:
         x, y, z = finding.position
         cell = "" if finding.cell is None else f", row {finding.cell[0]}, col {finding.cell[1]}"
         place = f"level {finding.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f})"
         say(f"{finding.kind}: {place}: {finding.text}")
-    if len(report.findings) > SHOWN:
-        say(f"and {len(report.findings) - SHOWN} more: --json lists them")
+    if len(report.findings) > MAX_LISTED_FINDINGS:
+        say(f"and {len(report.findings) - MAX_LISTED_FINDINGS} more: --json lists them")
     verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
     say(f"grid and scene {verdict}, at {report.checked:,} of {report.num_cells:,} cells")
 
@@ -137,7 +137,7 @@ def _print(report: VerifyReport) -> None:
 def audit(
     grid: GridFile,
     as_json: AsJson = False,
-    output: Path | None = PICTURE,
+    output: Path | None = PICTURE_OPTION,
     on: Path | None = option("FILE", "GRID is a graph of routes on this grid or map.", "--grid"),
     radius: float | None = option(
         "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
@@ -195,7 +195,7 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
         print(f"{name:<12} {text}")
     if no_bake:
         return
-    settings = config.load_config(samples.path(BAKED))
+    settings = config.load_config(samples.path(CHECKED_SAMPLE))
     seconds_taken = []
     try:
         for _ in range(2):  # the first time with what compiling there is to do
@@ -203,11 +203,15 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
             grid = pipeline.bake(settings)
             seconds_taken.append(time.perf_counter() - begin)
     except NavbakeError as error:
-        raise NavbakeError(f"the sample {BAKED!r} can't be baked: {error}") from error
+        raise NavbakeError(f"the sample {CHECKED_SAMPLE!r} can't be baked: {error}") from error
     free = sum(int(level.free.sum()) for level in grid.levels)
-    is_usual = "as usual" if seconds_taken[1] <= USUAL else f"SLOW: usually below {USUAL} s"
+    is_usual = (
+        "as usual"
+        if seconds_taken[1] <= USUAL_BAKE_SECONDS
+        else f"SLOW: usually below {USUAL_BAKE_SECONDS} s"
+    )
     first, again = seconds_taken
-    text = f"{BAKED}: {first:.2f} s, again {again:.2f} s ({is_usual}), {free} free cells"
+    text = f"{CHECKED_SAMPLE}: {first:.2f} s, again {again:.2f} s ({is_usual}), {free} free cells"
     print(f"{'bake':<12} {text}")
 
 

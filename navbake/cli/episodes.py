@@ -9,7 +9,7 @@ from typer import Argument, BadParameter
 
 import navbake
 from navbake.cli import options
-from navbake.cli.options import OUTPUT, AsJson, argument, flag, option
+from navbake.cli.options import OUTPUT_FLAGS, AsJson, argument, flag, option
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
 from navbake.files import encode_csv
@@ -44,7 +44,9 @@ def episodes(
     height: float | None = option("METRES", "Of the agent, at most the grid's [m]."),
     speed: float | None = option("M/S", "Of the agent, as a note [m/s]."),
     agent: str | None = option("NAME", "One of the grids' agents: its size, speed and rights."),
-    output: Path = option("SET", "File: .jsonl, .jsonl.gz or .parquet.", *OUTPUT, default=...),
+    output: Path = option(
+        "SET", "File: .jsonl, .jsonl.gz or .parquet.", *OUTPUT_FLAGS, default=...
+    ),
 ) -> None:
     """Draw solvable episodes on grids: starts, goals and distances.
 
@@ -122,7 +124,9 @@ def score(
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, or for another agent."),
     as_json: AsJson = False,
-    output: Path | None = option("CSV", "Write a row for each episode; - for stdout.", *OUTPUT),
+    output: Path | None = option(
+        "CSV", "Write a row for each episode; - for stdout.", *OUTPUT_FLAGS
+    ),
 ) -> None:
     """Score trajectories in a set of episodes, with intervals of 95 %.
 
@@ -149,12 +153,14 @@ def score(
     groups = scores.summarize(rows, by, seed=seed)
     with options.beside_output(output):
         if as_json:
-            facts = [group | {k: group[k]._asdict() for k in scores.MEANS} for group in groups]
+            facts = [
+                group | {k: group[k]._asdict() for k in scores.MEAN_FIELDS} for group in groups
+            ]
             print_json(msgspec.json.decode(msgspec.json.encode(facts)))  # null for NaN
         else:
             for group in groups:
                 say(f"{group['group']}: {group['episodes']} episodes")
-                measured = [(key, group[key]) for key in scores.MEANS if group[key].known]
+                measured = [(key, group[key]) for key in scores.MEAN_FIELDS if group[key].known]
                 cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in measured]
                 print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:

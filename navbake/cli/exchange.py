@@ -11,7 +11,16 @@ from typer import Argument, BadParameter, Option
 import navbake
 from navbake.cli import options
 from navbake.cli.episodes import SET_FORMATS, convert_set
-from navbake.cli.options import GRIDS, LEVEL, OUTPUT, STDOUT, AsJson, GridFile, argument, option
+from navbake.cli.options import (
+    GRID_SUFFIXES,
+    LEVEL_OPTION,
+    OUTPUT_FLAGS,
+    STDOUT,
+    AsJson,
+    GridFile,
+    argument,
+    option,
+)
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import (
@@ -38,7 +47,7 @@ EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endin
 def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
-    level: int | None = LEVEL,
+    level: int | None = LEVEL_OPTION,
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m]."),
     mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]"),
     image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]"),
@@ -189,7 +198,7 @@ def inflate(
     grid: GridFile,
     metres: float | None = argument("RADIUS", "Radius of the agent [m].", None),
     radius: float | None = option("METRES", "The same."),
-    output: Path = option("FILE", ".json or .json.gz; - for stdout.", *OUTPUT, default=...),
+    output: Path = option("FILE", ".json or .json.gz; - for stdout.", *OUTPUT_FLAGS, default=...),
     clearance: float | None = option(
         "METRES", "Cells so near beyond the radius cost more [m].  [default: 0, or as nav2 does]"
     ),
@@ -222,7 +231,7 @@ def inflate(
     ledges = ledges or "avoid"
     # check the arguments before reading the grid, which takes seconds
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
-    options.check_output(output, *GRIDS, inputs=[grid])
+    options.check_output(output, *GRID_SUFFIXES, inputs=[grid])
     before = navbake.load(grid)
     held = before.inflated_radius if mode == "exact" else 0.0
     if held > radius:
@@ -257,10 +266,10 @@ def _warn_of_closed_connections(before: Search, after: Search, radius: float) ->
 
 def routes(
     grid: GridFile,
-    output: Path = option("FILE", "File to write, - for stdout.", *OUTPUT, default=...),
+    output: Path = option("FILE", "File to write, - for stdout.", *OUTPUT_FLAGS, default=...),
     agent: str | None = option("NAME", "An agent that the grid names.  [default: the grid's own]"),
     radius: float | None = option("METRES", "Of the agent [m].  [default: its own, or the grid's]"),
-    level: int | None = LEVEL,
+    level: int | None = LEVEL_OPTION,
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
     from navbake.formats.route_files import encode_routes

@@ -10,12 +10,12 @@ from typer import BadParameter
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.batch import INDEX, draw_missing_thumbnails
+from navbake.cli.batch import INDEX_NAME, draw_missing_thumbnails
 from navbake.cli.options import (
-    BAKED_SCENE,
-    GRIDS,
-    LEVEL,
-    OUTPUT,
+    GRID_SUFFIXES,
+    LEVEL_OPTION,
+    OUTPUT_FLAGS,
+    SCENE_OPTION,
     STDOUT,
     GridFile,
     Overrides,
@@ -28,13 +28,13 @@ from navbake.errors import ConfigError, NavbakeError
 
 # Functions import what they need when they run: --help loads no numpy, no MuJoCo and no viser.
 
-ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
+GRID_ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
 
 
 def plot(
     grid: GridFile,
-    output: Path = option("PNG|SVG", "Picture; - for a PNG on stdout.", *OUTPUT, default=...),
-    level: int | None = LEVEL,
+    output: Path = option("PNG|SVG", "Picture; - for a PNG on stdout.", *OUTPUT_FLAGS, default=...),
+    level: int | None = LEVEL_OPTION,
     layers: list[str] | None = option(
         "LAYER",
         "occupancy, floor, rooms, doors, clearance, island, weights, links or area. May be "
@@ -66,7 +66,9 @@ def plot(
 def report(
     grids: list[Path] = argument("GRID|FOLDER", "Grids, or a batch's folder."),
     output: Path | None = option(
-        "HTML", "Page; - for stdout. Of a batch, index.html in its folder unless given.", *OUTPUT
+        "HTML",
+        "Page; - for stdout. Of a batch, index.html in its folder unless given.",
+        *OUTPUT_FLAGS,
     ),
     with_audit: bool = flag("--audit", "Audit the grids, and add what is found."),
     verifications: list[Path] | None = option(
@@ -90,17 +92,17 @@ def report(
             ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
         )
-        from navbake.batch.page import NAME, write_page
+        from navbake.batch.page import PAGE_NAME, write_page
 
-        if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX):
+        if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX_NAME):
             listed = ", ".join(map(str, grids))
             raise ConfigError(
-                f"expected grids, or one folder of a batch with {INDEX}, got {listed}"
+                f"expected grids, or one folder of a batch with {INDEX_NAME}, got {listed}"
             )
-        html = grids[0] / NAME if output is None else output
+        html = grids[0] / PAGE_NAME if output is None else output
         if html == STDOUT:
             raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
-        options.check_output(html, ".html", ".htm", inputs=[grids[0] / INDEX])
+        options.check_output(html, ".html", ".htm", inputs=[grids[0] / INDEX_NAME])
         draw_missing_thumbnails(grids[0])
         write_page(grids[0], output)
         say_unless_quiet(html)
@@ -115,7 +117,7 @@ def report(
     contents = [navbake.load(path) for path in grids]
     page = render_report(
         contents,
-        names=[ENDING.sub("", path.name) or path.name for path in grids],
+        names=[GRID_ENDING.sub("", path.name) or path.name for path in grids],
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
@@ -137,7 +139,7 @@ def view(
     source: Path = argument(
         "GRID|SCENE|CONFIG", "A NavGrid file, or a scene, settings or a sample's name to bake."
     ),
-    scene: Path | None = BAKED_SCENE,
+    scene: Path | None = SCENE_OPTION,
     overrides: Overrides = None,
     force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
     episodes: Path | None = option("EPISODES", "A set of episodes to show."),
@@ -165,14 +167,14 @@ def view(
         from navbake.baker.scene.scene import load_scene, load_scene_file
 
         config = load_config(source, overrides or [])
-        with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
+        with printing.progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
             opened = load_scene_file(config.scene)
             grid = run_bake(config, progress=progress, scene_model=opened).grid
         print_warnings(list(grid.warnings))
         baked = load_scene(config, scene_model=opened)
         return ViewState(grid, baked, config)
 
-    is_grid = source.name.lower().endswith(GRIDS)
+    is_grid = source.name.lower().endswith(GRID_SUFFIXES)
     options.refuse_unused(
         ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
         ("--scene", scene is not None, is_grid, "a GRID"),

@@ -23,14 +23,14 @@ from navbake.cli.check import audit, doctor, verify
 from navbake.cli.episodes import episodes, score
 from navbake.cli.exchange import convert, inflate, map_descriptor, routes
 from navbake.cli.look import plot, report, view
-from navbake.cli.options import Command, prepared
+from navbake.cli.options import NavbakeCommand, prepared
 from navbake.cli.printing import print_causes, print_error
 from navbake.errors import NavbakeError
 
 # No command draws with OpenGL. MuJoCo's import is faster without looking for it.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
-UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
 """The system's numbers for an output that takes no more."""
 
 COMMANDS = {
@@ -44,7 +44,7 @@ COMMANDS = {
 }
 """The commands in the groups in which --help lists them."""
 ALIASES = {"mdf": "map-descriptor"}
-ANSWERS = {  # guesses and old names of commands
+GUESSED_COMMANDS = {  # guesses and old names of commands
     "export": "write `navbake convert GRID FILE`: the ending of FILE says to what",
     "extrude": "write `navbake convert MAP scene.xml`",
 }
@@ -64,8 +64,8 @@ class _Groups(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find a command by its name, or suggest the nearest."""
-        if args[0] in ANSWERS:
-            ctx.fail(f"No such command '{args[0]}': {ANSWERS[args[0]]}")
+        if args[0] in GUESSED_COMMANDS:
+            ctx.fail(f"No such command '{args[0]}': {GUESSED_COMMANDS[args[0]]}")
         return super().resolve_command(ctx, [ALIASES.get(args[0], args[0]), *args[1:]])
 
 
@@ -80,7 +80,7 @@ app = Typer(
 for command in (command for group in COMMANDS.values() for command in group):
     # a place may start with a minus
     settings = {"ignore_unknown_options": command is why}
-    app.command(cls=Command, context_settings=settings)(prepared(command))
+    app.command(cls=NavbakeCommand, context_settings=settings)(prepared(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print_causes(error)
         raise SystemExit(1) from None
     except OSError as error:
-        if error.filename is not None or error.errno not in UNWRITABLE:
+        if error.filename is not None or error.errno not in DISK_ERRORS:
             raise
         # drop the buffer, or Python would flush it again at its end, and fail
         with suppress(OSError, ValueError):  # ValueError: no file descriptor, as under tests

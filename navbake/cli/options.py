@@ -22,7 +22,7 @@ from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
 
 from navbake import files, samples
-from navbake.cli.printing import VOLUME, print_error, volume
+from navbake.cli.printing import VERBOSITY, print_error, volume
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.source import write_bytes
 
@@ -106,28 +106,28 @@ ModelPath = Annotated[
     list[Path] | None,
     Option("--model-path", metavar="FOLDER", help="Models of an SDF scene. May be repeated."),
 ]
-BAKED_SCENE = option(
+SCENE_OPTION = option(
     "SCENE|CONFIG",
     "The scene of GRID, or the settings of its bake (YAML).  [default: the file that GRID names, "
     "beside it or in the current folder, or in `scenes` there]",
 )
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
-QUIET = flag("-q", "Print only what was asked for, warnings and errors.", "--quiet")
-VERBOSE = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
-OUTPUT = "-o", "--output"
+QUIET_OPTION = flag("-q", "Print only what was asked for, warnings and errors.", "--quiet")
+VERBOSE_OPTION = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
+OUTPUT_FLAGS = "-o", "--output"
 """The names of the option."""
-PICTURE = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT)
-LEVEL = option("N", "Only this level; 0 is the lowest.", min=0)
+PICTURE_OPTION = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
+LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", min=0)
 STDOUT = Path("-")
 """The output that stands for stdout."""
-GRIDS = (".json", ".json.gz")
+GRID_SUFFIXES = (".json", ".json.gz")
 """Endings of NavGrid files."""
 PLACE = "X,Y[,Z|,LEVEL]"
 """How help texts show a place."""
 PLACE_HELP = "in metres; a third number is z, L0 is the lowest level"
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+NUMBER_PATTERN = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 PLACE_PATTERN = re.compile(  # also 1.5 -2, (1.5, -2) and 1.5, -2, level 1
-    rf"[(\[]?({NUMBER})[\s,;]+({NUMBER})(?:[\s,;]+(?:({NUMBER})|(?i:l|level)\s*(\d+)))?[)\]]?"
+    rf"[(\[]?({NUMBER_PATTERN})[\s,;]+({NUMBER_PATTERN})(?:[\s,;]+(?:({NUMBER_PATTERN})|(?i:l|level)\s*(\d+)))?[)\]]?"
 )
 PYTHON_TYPE = re.compile(r" <[^<>]*>$")
 """What typer adds to the name of an argument."""
@@ -207,7 +207,7 @@ def beside_output(path: Path | None) -> AbstractContextManager[object]:
 
 def say_if_sample(path: Path) -> None:
     """Print on stderr, unless --quiet, that a bare name stands for an installed sample."""
-    if VOLUME.quiet:
+    if VERBOSITY.quiet:
         return
     sample = samples.find(path)
     if sample not in (path, Path(f"{path}.yaml")):
@@ -229,7 +229,7 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
-class Command(TyperCommand):
+class NavbakeCommand(TyperCommand):
     """A command whose help shows plain metavars, without Python types, and --output first.
 
     Where an option's value is not a number, the error quotes the value.
@@ -287,8 +287,8 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
             parameters += _parameters_of(groups[parameter.name])
         else:
             parameters.append(_keyword(parameter.name, parameter.default, hints[parameter.name]))
-    parameters.append(_keyword("quiet", QUIET, bool))
-    parameters.append(_keyword("verbose", VERBOSE, bool))
+    parameters.append(_keyword("quiet", QUIET_OPTION, bool))
+    parameters.append(_keyword("verbose", VERBOSE_OPTION, bool))
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 
@@ -310,7 +310,7 @@ def _keyword(name: str, default: object, annotation: object) -> inspect.Paramete
 # --- places -----------------------------------------------------------------------------------
 
 
-class Place(NamedTuple):
+class TypedPlace(NamedTuple):
     """A place that a user typed: x and y, and either z, a level, or neither."""
 
     x: float  # world [m]
@@ -319,7 +319,7 @@ class Place(NamedTuple):
     level: int | None
 
 
-def parse_place(text: str, option: str) -> Place:
+def parse_place(text: str, option: str) -> TypedPlace:
     """Parse a place.
 
     Args:
@@ -341,10 +341,10 @@ def parse_place(text: str, option: str) -> Place:
     level = None if match[4] is None else int(match[4])
     if not all(map(math.isfinite, (x, y, z or 0.0))):
         raise BadParameter(f"expected finite numbers, got {text!r}", param_hint=option)
-    return Place(x or 0.0, y or 0.0, z, level)  # no -0.0
+    return TypedPlace(x or 0.0, y or 0.0, z, level)  # no -0.0
 
 
-def position_of_place(grid: NavGrid, place: Place, option: str) -> list[float]:
+def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[float]:
     """Return the position of a place; if the place has no z, on the floor of its level.
 
     A place without a level is on the only level with a floor there. On a grid of one level, a place

@@ -24,7 +24,7 @@ rich_progress = lazy("rich.progress")  # on a terminal only
 rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
-VOLUME = SimpleNamespace(quiet=False, verbose=False)
+VERBOSITY = SimpleNamespace(quiet=False, verbose=False)
 """Whether the command that runs was given --quiet or --verbose; `volume` sets it."""
 
 
@@ -35,8 +35,8 @@ def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
     With `verbose`, the log records of the logger ``navbake`` go to stderr, except warnings, which
     commands print in any case. The duration is printed at the end.
     """
-    VOLUME.quiet = quiet
-    VOLUME.verbose = verbose
+    VERBOSITY.quiet = quiet
+    VERBOSITY.verbose = verbose
     if not verbose:
         yield
         return
@@ -89,7 +89,7 @@ def say(text: object) -> None:
 
 def say_unless_quiet(text: object) -> None:
     """Print one line of information; with --quiet, print nothing."""
-    if not VOLUME.quiet:
+    if not VERBOSITY.quiet:
         say(text)
 
 
@@ -100,7 +100,7 @@ def print_error(message: str) -> None:
 
 def print_causes(error: BaseException) -> None:
     """Print the causes of an error on stderr, one line each, with --verbose only."""
-    cause = error.__cause__ if VOLUME.verbose else None
+    cause = error.__cause__ if VERBOSITY.verbose else None
     while cause is not None:
         print_error(f"because of {type(cause).__name__}: {cause}")
         cause = cause.__cause__

@@ -183,9 +183,13 @@ class Settings(BaseModel):
     )
 
 
-EXPECTED = dict.fromkeys(("model_type", "dict_type"), "a mapping")
-EXPECTED |= dict.fromkeys(("float_type", "finite_number"), "a number")
-EXPECTED |= {"list_type": "a list", "bool_type": "true or false", "invalid_key": "text as a key"}
+EXPECTED_TEXTS = dict.fromkeys(("model_type", "dict_type"), "a mapping")
+EXPECTED_TEXTS |= dict.fromkeys(("float_type", "finite_number"), "a number")
+EXPECTED_TEXTS |= {
+    "list_type": "a list",
+    "bool_type": "true or false",
+    "invalid_key": "text as a key",
+}
 KEYS_OF_OTHER_TOOLS = dict.fromkeys(
     ("climb", "max_climb", "max_step", "step", "step_height"), "agent.traversable_floor_height"
 )
@@ -213,7 +217,7 @@ ENTRY_SECTIONS = ("agents", "areas", "links")  # their keys are never meant outs
 MAX_VALUE = 60  # characters of a value in a message
 MAX_ITEMS = 6  # entries of a list in a message
 MAX_ERRORS = 3  # errors in a message
-NESTED = (Mapping, list, tuple, set)
+NESTED_TYPES = (Mapping, list, tuple, set)
 Location = tuple[int | str, ...]
 """The keys and list indices that lead to a value, from the top."""
 Sections = Mapping[str, type[BaseModel]]
@@ -306,7 +310,7 @@ def show_value(value: object) -> str:
     if isinstance(value, Mapping):
         return "a mapping"
     if isinstance(value, list | tuple | set):
-        is_nested = any(isinstance(item, NESTED) for item in value)
+        is_nested = any(isinstance(item, NESTED_TYPES) for item in value)
         if not value or len(value) > MAX_ITEMS or is_nested:
             return f"a list of {len(value)}"
         text = f"[{', '.join(show_value(item) for item in value)}]"
@@ -326,7 +330,7 @@ def _find_fault(error: ErrorDetails, location: Location, sections: Sections) -> 
         return _unknown_key(location, sections)
     if kind == "missing":
         return Fault(f"expected a value, found none at `{key}`", key, expected="a value")
-    expected = context.get("text") or EXPECTED.get(kind) or error["msg"]
+    expected = context.get("text") or EXPECTED_TEXTS.get(kind) or error["msg"]
     if kind == "literal_error":
         expected = context["expected"].replace("'", "")
     short_form = SHORT_FORMS.get(str(location[0]))

@@ -40,7 +40,7 @@ from navbake.navgrid.links import MAX_AREAS
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
-AT_MOST = "that of `agent`, which is the most"
+AGENT_LIMIT = "that of `agent`, which is the most"
 RULE_ONLY = ("height", "gap", "patterns")  # fields of a rule that finds links, with `auto`
 LINK_ONLY = ("name", "kind", "one_way", "width")  # fields of a single link
 
@@ -53,8 +53,8 @@ class NamedAgent(Settings):
     """An entry of ``agents``: an agent that plans on the grid, with sizes of its own."""
 
     radius: OptionalLength = setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
-    height: OptionalPositive = setting(None, "its height [m], > 0", AT_MOST)
-    step: OptionalLength = setting(None, "its highest step [m], >= 0", AT_MOST)
+    height: OptionalPositive = setting(None, "its height [m], > 0", AGENT_LIMIT)
+    step: OptionalLength = setting(None, "its highest step [m], >= 0", AGENT_LIMIT)
     speed: Positive = setting(1.0, "how fast it goes [m/s], > 0")
 
 

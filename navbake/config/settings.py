@@ -233,7 +233,8 @@ def expand_rooms(value: object) -> object:
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
-LIFTS = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)  # in the YAML of a building that has lifts
+# In the YAML of a building that has lifts
+LIFTS_KEY = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)
 MAP_KEYS = frozenset({"image", "resolution", "origin"})  # in the YAML of a nav2 map
 
 
@@ -468,7 +469,7 @@ def defaults_of(scene: Path) -> dict[str, Any]:
     """Return the default settings for a scene file; for a building, its lifts become links."""
     settings: dict[str, Any] = {"scene": {"path": scene}}
     if scene_suffix(scene) in BUILDING_SUFFIXES and scene.is_file():
-        settings["links"] = [{"auto": "lift"}] if LIFTS.search(scene.read_bytes()) else []
+        settings["links"] = [{"auto": "lift"}] if LIFTS_KEY.search(scene.read_bytes()) else []
     return settings
 
 

@@ -23,7 +23,7 @@ from navbake.types import Vector3
 TASKS = ("point", "object", "room", "sequence", "explore")
 FORMAT = "navbake-episodes"
 VERSION = 1
-EDGES: dict[str, tuple[float, ...]] = {
+CLASS_EDGES: dict[str, tuple[float, ...]] = {
     "distance": (1.0, 3.0, 6.0, 10.0, 20.0, 40.0),
     "ratio": (1.0, 1.1, 1.25, 1.5, 2.0),
     "doors": (0.0, 1.0, 2.0, 3.0, 5.0),
@@ -115,7 +115,7 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def measures(self) -> dict[str, float | None]:
-        """The quantities by which episodes can be stratified and counted, see `EDGES`."""
+        """The quantities by which episodes can be stratified and counted, see `CLASS_EDGES`."""
         return {
             "distance": self.distance,
             "ratio": self.ratio,

@@ -28,7 +28,7 @@ from navbake.known_names import suggest
 METADATA_KEY = b"navbake"  # of the header in a Parquet file
 TEXT_COLUMNS = ("id", "scene", "task", "split", "room")  # in a Parquet file, besides ``episode``
 NUMBER_COLUMNS = ("heading", "distance", "straight", "ratio")
-PACKERS: dict[str, Callable[[bytes], bytes]] = {
+COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
     ".gz": partial(gzip.compress, compresslevel=6, mtime=0),
     ".bz2": bz2.compress,
 }
@@ -98,7 +98,7 @@ def write_episodes(
     _, packing = _endings(path)
     is_own = name in NAVBAKE_FORMATS
     written = content if is_own else _rename_scenes(content, scenes or {})
-    pack = PACKERS.get(packing, bytes)
+    pack = COMPRESSORS.get(packing, bytes)
     write_bytes(pack(set_format.encode(written, name)), path)
     if is_own:
         return []
@@ -145,7 +145,7 @@ def _list_lost_fields(content: EpisodeSet, read_again: EpisodeSet) -> list[str]:
 def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
     """The ending of a file's name that tells its format, and the one that tells its packing."""
     stem, packing = os.path.splitext(os.fspath(path).lower())
-    if packing not in PACKERS:
+    if packing not in COMPRESSORS:
         return packing, ""
     return os.path.splitext(stem)[1], packing
 

@@ -33,7 +33,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 OBJECT_RADIUS = 0.1
 POINT_RADIUS = 0.2
 MINOS_RADIUS = 0.25  # of MINOS's point goals [m]
-COLUMNS = (
+MINOS_COLUMNS = (
     "sceneId", "split", "level", "roomId", "startX", "startY", "startZ", "startAngle", "startTilt",
     "goalRoomId", "goalRoomType", "goalObjectId", "goalObjectType", "goalX", "goalY", "goalZ",
     "goalAngle", "goalTilt", "dist", "pathDist", "pathNumDoors", "pathDoorIds", "pathNumRooms",
@@ -316,7 +316,7 @@ def read_habitat(text: bytes, name: str) -> Fields:
 def encode_minos(content: EpisodeSet, _: str) -> bytes:
     """Encode a set as MINOS's table of episode states, one row per episode."""
     file = io.StringIO()
-    table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
+    table = csv.DictWriter(file, MINOS_COLUMNS, restval="", lineterminator="\n")
     table.writeheader()
     for episode in content.episodes:
         goal = episode.goals[0]

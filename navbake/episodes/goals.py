@@ -25,9 +25,9 @@ from navbake.types import Float, Int, Vector3
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-SNAP = 0.5  # from a position in no free cell to the nearest one, at most [m]
-SPACING = 0.25  # between view points, and between points of a path [m]
-COUNTER = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends a name as chair_1
+MAX_SNAP = 0.5  # from a position in no free cell to the nearest one, at most [m]
+VIEW_POINT_SPACING = 0.25  # between view points, and between points of a path [m]
+COUNTER_PATTERN = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends a name as chair_1
 
 
 class Task(Record, frozen=True, kw_only=True):
@@ -135,12 +135,12 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     if not points:
         return np.empty(0, dtype=np.int64)
     positions = check_positions(points, flat.num_levels)
-    reach = max(SNAP, goal.radius)
+    reach = max(MAX_SNAP, goal.radius)
     _, cells = snap_to_cells(flat, flat.free, positions, same_level=False, max_distance=reach)
     return np.unique(cells[cells >= 0])
 
 
-class Route(TypedDict, total=False):
+class RouteFields(TypedDict, total=False):
     """A path to follow, and the fields of `Episode` that describe it."""
 
     path: tuple[Vector3, ...]
@@ -148,7 +148,7 @@ class Route(TypedDict, total=False):
     doors: tuple[str, ...]
 
 
-def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> Route:
+def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> RouteFields:
     """Plan a path through stops, at each stop through its nearest place.
 
     Args:
@@ -157,8 +157,8 @@ def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Flo
         stops: for each stop the array of its places, world x, y, z [m], shape (n, 3).
 
     Returns:
-        The path, whose points are at most `SPACING` apart, and the rooms and doors along it; empty
-        if there is no path.
+        The path, whose points are at most `VIEW_POINT_SPACING` apart, and the rooms and doors along
+        it; empty if there is no path.
     """
     position = np.array(start)
     points = list[Vector3]()
@@ -168,7 +168,7 @@ def path_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Flo
         path = finder.find_path(position, places)
         if path is None:
             return {}
-        distances = np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
+        distances = np.linspace(0.0, path.length, math.ceil(path.length / VIEW_POINT_SPACING) + 1)
         points += map(tuple, path.at(distances).tolist())
         # a leg begins in the room in which the last one ended
         rooms += path.rooms[1:] if rooms[-1:] == path.rooms[:1] else path.rooms
@@ -307,7 +307,7 @@ class GoalFinder:
     def _view_positions(self, object_cells: Int) -> list[Vector3]:
         """Centres of free cells near an object, with nothing between, world x, y, floor z [m].
 
-        They are `SPACING` apart, or all where none lies on that lattice.
+        They are `VIEW_POINT_SPACING` apart, or all where none lies on that lattice.
         """
         search = self.finder.search
         flat = search.flat
@@ -333,7 +333,7 @@ class GoalFinder:
             near_cells = span.start + rows * width + cols
             points = flat.positions(near_cells)
             distance, nearest = spatial.cKDTree(object_points).query(points[:, :2])
-            stride = max(1, round(SPACING / cell_size))
+            stride = max(1, round(VIEW_POINT_SPACING / cell_size))
             is_near = distance <= self.task.view_distance
             on_lattice = is_near & (rows % stride == 0) & (cols % stride == 0)
             for k in np.flatnonzero(on_lattice if on_lattice.any() else is_near):
@@ -353,4 +353,4 @@ class GoalFinder:
 
 def category_of(name: str) -> str:
     """Return an object's category: its name in lower case, without the number at its end."""
-    return COUNTER.sub("", name).lower() or name.lower()
+    return COUNTER_PATTERN.sub("", name).lower() or name.lower()

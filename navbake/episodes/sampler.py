@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from navbake.episodes.episode import (
-    EDGES,
+    CLASS_EDGES,
     Agent,
     Episode,
     EpisodeSet,
@@ -65,12 +65,12 @@ class Rules(Record, frozen=True, kw_only=True):
     share a goal's distance field."""
     paths: bool = False  #: Keep each path, and the doors and rooms along it.
     headings: str = "random"  #: Of starts: ``random``, to the ``goal``, or ``away`` from it.
-    strata: str | None = None  #: A key of `EDGES`: as many episodes in each of its classes.
+    strata: str | None = None  #: A key of `CLASS_EDGES`: as many episodes in each of its classes.
     edges: tuple[float, ...] = ()  #: Lower edges of the classes.
 
     def __post_init__(self) -> None:
         check_word(self.headings, ("random", "goal", "away"), "headings")
-        check_word(self.strata or "distance", EDGES, "strata")
+        check_word(self.strata or "distance", CLASS_EDGES, "strata")
         if list(self.edges) != sorted(set(self.edges)):
             raise ValueError(f"expected ascending edges, got {self.edges}")
 
@@ -300,7 +300,7 @@ class _Draw:
         self.island_radii = self._measure_islands()
         self.class_edges: tuple[float, ...] = (0.0,)
         if rules.strata:
-            self.class_edges = rules.edges or EDGES[rules.strata]
+            self.class_edges = rules.edges or CLASS_EDGES[rules.strata]
         self.missing: list[int] = []  # episodes still to be drawn in each class
 
     def _measure_islands(self) -> Float:

@@ -29,7 +29,7 @@ FREE_BYTES = 256 << 20  # of memory that any file may fill
 # and for each of its bytes; a campus as an octree takes 400, house-100 as JSON 40
 BYTES_PER_BYTE = 512
 BYTES_PER_CELL = 128  # of all arrays together, with a caller's `max_cells`
-TEXT_COST = 4  # bytes of memory for one of packed JSON, whose values take more
+BYTES_PER_TEXT_BYTE = 4  # bytes of memory for one of packed JSON, whose values take more
 PIXEL_COST = 6  # bytes of memory for a pixel: an image, a copy, and values
 MAX_SHOWN = 40  # characters of a wrong value that an error shows
 LEAF_TYPES = {str, int, bool, type(None)}  # JSON's values without children, but for floats
@@ -40,12 +40,12 @@ JSON_CLASSES = (str, int, float, dict, list, tuple)  # subclasses count as well
 # ---------------------------------------------------------------- values and their locations
 
 
-MISSING: object = object()  # stands for a missing field
+ABSENT: object = object()  # stands for a missing field
 
 
 def format_value(value: object) -> str:
     """Format a value for an error message: short, on one line."""
-    if value is MISSING:
+    if value is ABSENT:
         return "nothing"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
@@ -117,13 +117,13 @@ class JsonPath:
 
         Args:
             expected: what was expected, as ``a list``.
-            value: the actual value, `MISSING` if there is none.
+            value: the actual value, `ABSENT` if there is none.
 
         Raises:
             FormatError: always.
         """
         message = f"expected {expected}, got {format_value(value)}"
-        self.fail(message, expected=expected, value=None if value is MISSING else value)
+        self.fail(message, expected=expected, value=None if value is ABSENT else value)
 
 
 def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
@@ -299,7 +299,7 @@ class Allowance:
         self._rule = f"a file of {num_bytes:,} bytes may fill ({memory:,} bytes)"
         self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
         self._memory: float = memory
-        self._text = memory // TEXT_COST
+        self._text = memory // BYTES_PER_TEXT_BYTE
         self._num_bytes = num_bytes
         if limit is not None:
             self._rule = f"{keyword} = {limit} allows"

@@ -13,7 +13,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.formats.allowance import MISSING, Allowance, JsonPath, check_whole_number
+from navbake.formats.allowance import ABSENT, Allowance, JsonPath, check_whole_number
 from navbake.navgrid.metadata import datatype_name
 from navbake.types import Float, Int, JsonValue
 
@@ -73,7 +73,7 @@ def decode_array(
         if length != num_cells:
             place["length"].refuse(f"{num_cells}, which is width × height", length)
     allowance.take_array(shape, dtype.itemsize, place)
-    data = value.get("data", MISSING)
+    data = value.get("data", ABSENT)
     if not isinstance(data, list):
         data_place.refuse("a list", data)
     encoding = value.get("encoding")

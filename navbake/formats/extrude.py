@@ -36,9 +36,8 @@ from navbake.types import Bool, Float, Json
 from navbake.yaml_text import encode_yaml
 
 WALL_HEIGHT = 2.5  # over the highest floor [m]
-SLAB_THICKNESS = (
-    0.02  # thickness of a floor [m]; thin, because it takes headroom from the level below
-)
+# Thickness of a floor [m]; thin, because it takes headroom from the level below
+SLAB_THICKNESS = 0.02
 BOX_INSET = 1e-3  # of a cell, by which a box is smaller on each side
 TOP_MARGIN = 0.01  # where the uppermost level ends, over its highest floor [m]; walls go on
 MAX_BOXES = 200_000

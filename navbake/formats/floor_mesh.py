@@ -26,7 +26,7 @@ from navbake.errors import QueryError
 from navbake.formats.source import Files
 from navbake.navgrid.colors import FREE, color_rooms, rgb_of, to_linear
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.lattice import FARTHEST
+from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.types import Float, Int, Json, JsonValue
 
 HEIGHT_TOLERANCE = 0.001  # by which a quad may be off the floor, unless a caller says else [m]
@@ -131,7 +131,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
     Raises:
         QueryError: the tolerance is invalid.
     """
-    is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= FARTHEST
+    is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= MAX_COORDINATE
     if not is_length:
         raise QueryError(
             f"expected a tolerance of 0 m or more, got {tolerance!r}",

@@ -449,7 +449,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
     return RoomGraph(rooms, [connection for _, connection in connections], grid.level_names)
 
 
-class _Crossings(NamedTuple):
+class _RoomSteps(NamedTuple):
     """Steps between rooms: over sides of cells of one level, or over links."""
 
     kind: str  # ``open`` or ``link``
@@ -466,7 +466,7 @@ def _find_openings(search: Search, number: Int32) -> Iterator[_Opening]:
 
     flat = search.flat
     moves = search.graph.moves
-    all_crossings: list[_Crossings] = []
+    all_crossings: list[_RoomSteps] = []
     for level in range(flat.num_levels):
         level_cells = flat.cells_of(level)
         first_cell = level_cells.start
@@ -484,7 +484,7 @@ def _find_openings(search: Search, number: Int32) -> Iterator[_Opening]:
             down, right = first_corner
             corners.append(np.array([[row + down, col + right], [row + 1, col + 1]]))
         all_crossings.append(
-            _Crossings("open", np.concatenate(ends, axis=-1), np.concatenate(corners, axis=-1))
+            _RoomSteps("open", np.concatenate(ends, axis=-1), np.concatenate(corners, axis=-1))
         )
 
     link_ends = np.stack(flat.step_ends())
@@ -505,7 +505,7 @@ def _find_openings(search: Search, number: Int32) -> Iterator[_Opening]:
             for down, right in ((0, 0), (0, 1), (1, 0), (1, 1))
         ]
     )
-    all_crossings.append(_Crossings("link", link_ends[:, is_crossing], link_corners))
+    all_crossings.append(_RoomSteps("link", link_ends[:, is_crossing], link_corners))
 
     for crossings in all_crossings:
         room_pairs = np.sort(number[crossings.ends], axis=0).astype(np.int64)

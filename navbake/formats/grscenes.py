@@ -28,10 +28,10 @@ from navbake.formats.occupancy import (
 )
 from navbake.formats.source import Files, check_path
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
+from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice
 from navbake.types import Float
 
-OBSTACLE = 1
+OBSTACLE_VALUE = 1
 MAX_UNEVENNESS = 0.01  # of a step, by which a coordinate may be off
 MAX_DRIFT = 0.01  # of a cell, by which a map with steps of two lengths may be off at its end
 BYTES_PER_CELL = 32  # of memory: values, weights, layers
@@ -57,7 +57,7 @@ def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> F
         values = np.zeros((scene.height + 1, scene.width + 1))
         values[0, 1:] = scene.lattice.center_x()
         values[1:, 0] = scene.lattice.center_y()
-        values[1:, 1:][~scene.free] = OBSTACLE
+        values[1:, 1:][~scene.free] = OBSTACLE_VALUE
         if "floorHeight" in scene.attributes:
             values[1:, 1:][~scene.free & np.isnan(scene.floor_height)] = UNKNOWN
         file = io.BytesIO()
@@ -94,7 +94,7 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     if max(array.shape) < 3:
         place.fail("expected two samples at least, to tell how far they are apart, got one")
     values = array[1:, 1:]
-    if not np.isin(values, (UNKNOWN, FREE, OBSTACLE)).all():
+    if not np.isin(values, (UNKNOWN, FREE, OBSTACLE_VALUE)).all():
         place.fail("expected 0 (free), 1 (obstacle) or -1 (undefined) as values, got others")
     step_x = _find_step(array[0, 1:], "x", place)
     step_y = _find_step(array[1:, 0], "y", place)
@@ -134,8 +134,10 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
 
 def _find_step(coordinates: Float, axis: str, place: JsonPath) -> float:
     """Return the step between coordinates [m], negative if they fall; 0 for a single coordinate."""
-    if not (np.abs(coordinates) <= FARTHEST).all():  # NaN isn't, either
-        place.fail(f"expected {axis} of samples within {FARTHEST:g} m of the origin, got others")
+    if not (np.abs(coordinates) <= MAX_COORDINATE).all():  # NaN isn't, either
+        place.fail(
+            f"expected {axis} of samples within {MAX_COORDINATE:g} m of the origin, got others"
+        )
     if len(coordinates) == 1:
         return 0.0
     positions = coordinates.astype(np.float64)

@@ -57,7 +57,7 @@ MESSAGES = {
     ),
     "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
 }
-FRAME = {"frame_id": "map"}
+MAP_FRAME = {"frame_id": "map"}
 NO_ROTATION = {"w": 1.0}  # a quaternion
 LINE_LIST = 5  # type of a marker: a line between each two points
 LINE_WIDTH = 0.03  # [m]
@@ -106,14 +106,15 @@ def encode_mcap(
                 "height": scene.height,
             }
             values = compute_occupancy_values(grid, number)[::-1]  # a message begins at the bottom
-            message = {"header": FRAME, "info": info, "data": values.ravel().tolist()}
+            message = {"header": MAP_FRAME, "info": info, "data": values.ravel().tolist()}
             topic = "/map" if len(numbers) == 1 else f"/map_{number}"
             write(topic, "nav_msgs/OccupancyGrid", message)
         for number, planned in enumerate(route):
             poses = [
-                {"header": FRAME, "pose": _make_pose(position)} for position in planned.positions
+                {"header": MAP_FRAME, "pose": _make_pose(position)}
+                for position in planned.positions
             ]
-            write(f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses})
+            write(f"/path_{number}", "nav_msgs/Path", {"header": MAP_FRAME, "poses": poses})
         if len(numbers) == len(grid.levels):
             markers = list(_make_markers(grid))
             if markers:
@@ -136,7 +137,7 @@ def _make_markers(grid: NavGrid) -> Iterator[Json]:
         lines.append((link.name, list(chain.from_iterable(pairwise(stops)))))
     for number, (namespace, points) in enumerate(lines):
         yield {
-            "header": FRAME,
+            "header": MAP_FRAME,
             "ns": namespace,
             "id": number,
             "type": LINE_LIST,

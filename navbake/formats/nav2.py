@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
-from navbake.formats.allowance import MISSING, JsonPath, check_number, check_vector
+from navbake.formats.allowance import ABSENT, JsonPath, check_number, check_vector
 from navbake.formats.convert import list_level_paths
 from navbake.formats.navgrid import check_grid
 from navbake.formats.source import (
@@ -43,15 +43,15 @@ from navbake.formats.source import (
     read_yaml,
 )
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice, rounded
+from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice, rounded
 from navbake.runtime.inflation import NAV2_SCALING
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 
 MODES = ("trinary", "scale", "raw")
 PIXEL_RULES = ("humble", "main")
-IMAGES = ("pgm", "png")
-YAMLS = (".yaml", ".yml")
+IMAGE_SUFFIXES = ("pgm", "png")
+YAML_SUFFIXES = (".yaml", ".yml")
 # thresholds of map_saver; 0.25 would take 205 for free
 OCCUPIED_THRESHOLD = 0.65
 FREE_THRESHOLD = 0.196
@@ -125,7 +125,7 @@ def encode_nav2(
     if not image:
         image = "png" if mode == "scale" else "pgm"
     check_choice(mode, MODES, "mode")
-    check_choice(image, IMAGES, "image")
+    check_choice(image, IMAGE_SUFFIXES, "image")
     if mode == "scale" and image == "pgm":
         raise FormatError("mode scale marks unknown cells by transparency: expected image png")
     if inflation is not None and mode == "trinary":
@@ -137,7 +137,7 @@ def encode_nav2(
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
     files: Files = {}
-    for k, yaml_path in list_level_paths(grid, path, level, YAMLS).items():
+    for k, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
         if inflation is None:
             values = occupancy.compute_occupancy_values(grid, k)
         else:
@@ -289,17 +289,17 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
     entries, _ = read_yaml(path, expected="the YAML of a map")
     if not isinstance(entries, dict):
         place.fail("expected a map's keys (image, resolution, origin, …), got none")
-    image = entries.get("image", MISSING)
+    image = entries.get("image", ABSENT)
     if not isinstance(image, str) or not image:
         place["image"].refuse("the name of an image", image)
 
     def read_float(key: str) -> float:
-        return float(check_number(entries.get(key, MISSING), place[key]))
+        return float(check_number(entries.get(key, ABSENT), place[key]))
 
     resolution = read_float("resolution")
     occupied = read_float("occupied_thresh")
     free = read_float("free_thresh")
-    if not LEAST_EDGE <= resolution <= FARTHEST:
+    if not LEAST_EDGE <= resolution <= MAX_COORDINATE:
         place["resolution"].refuse("a number > 0 [m]", resolution)
     if not 0 <= free < occupied <= 1:
         place["free_thresh"].fail(
@@ -308,18 +308,18 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
     mode = entries.get("mode", "trinary")
     if mode not in MODES:
         place["mode"].refuse(" or ".join(MODES), mode)
-    negate = entries.get("negate", MISSING)
+    negate = entries.get("negate", ABSENT)
     if isinstance(negate, str):  # YAML's words for true and false, as yaml-cpp takes them
         words = {"yes": 1, "on": 1, "y": 1, "no": 0, "off": 0, "n": 0}
         negate = words.get(negate.lower(), negate)
     if not isinstance(negate, int):
         place["negate"].refuse("0 or 1", negate)
-    origin = check_vector(entries.get("origin", MISSING), place["origin"])
+    origin = check_vector(entries.get("origin", ABSENT), place["origin"])
     navbake_entry = entries.get("navbake")
     ground = navbake_entry.get("ground", 0.0) if isinstance(navbake_entry, dict) else 0.0
     ground = float(check_number(ground, place["navbake"]["ground"]))
-    if not all(abs(value) <= FARTHEST for value in (*origin[:2], ground)):
-        place["origin"].fail(f"expected a map within {FARTHEST:g} m of the origin")
+    if not all(abs(value) <= MAX_COORDINATE for value in (*origin[:2], ground)):
+        place["origin"].fail(f"expected a map within {MAX_COORDINATE:g} m of the origin")
     return MapYaml(
         image=Path(path).parent / image,
         resolution=resolution,

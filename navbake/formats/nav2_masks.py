@@ -27,7 +27,7 @@ from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, check_number, check_object
 from navbake.formats.convert import check_level, list_level_paths
-from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_map
+from navbake.formats.nav2 import IMAGE_SUFFIXES, YAML_SUFFIXES, check_choice, encode_map, read_map
 from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values
 from navbake.formats.shapes import read_room_outlines
@@ -36,15 +36,15 @@ from navbake.known_names import suggest
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import cover_cells, touch_cells
-from navbake.navgrid.links import MAX_AREAS, SPEED, Agent, Area
+from navbake.navgrid.links import DEFAULT_SPEED, MAX_AREAS, Agent, Area
 from navbake.runtime.blocking import find_agent
 from navbake.types import Bool, Json
 
 LOG = logging.getLogger(__name__)
 # types of filters, by nav2's numbers
 KEEPOUT = 0
-PERCENT = 1
-ABSOLUTE = 2
+SPEED_PERCENT = 1
+SPEED_ABSOLUTE = 2
 MAX_VALUE = 100  # of a mask
 MAX_LISTED = 20  # names that an error lists
 LIMIT_SLACK = 1e-9  # share by which a limit may be below a value's and still have this value
@@ -113,7 +113,7 @@ def encode_mask(
         QueryError: the grid has no such agent.
     """
     image = image or "pgm"
-    check_choice(image, IMAGES, "image")
+    check_choice(image, IMAGE_SUFFIXES, "image")
     if zone is None and zones is None and grid.areas:
         mask_agent = find_agent(grid, agent)
         masks, scale = _mark_areas(grid, mask_agent, has_limits, bool(absolute))
@@ -121,9 +121,9 @@ def encode_mask(
         if agent is not None or absolute:
             raise FormatError("agent and absolute are for masks of the grid's areas, without zones")
         masks = _mark_zones(grid, zone, zones, has_limits)
-        scale = FilterScale(PERCENT if has_limits else KEEPOUT)
+        scale = FilterScale(SPEED_PERCENT if has_limits else KEEPOUT)
     files: Files = {}
-    for k, yaml_path in list_level_paths(grid, path, level, YAMLS).items():
+    for k, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
         files |= encode_map(grid.levels[k], masks[k], yaml_path, "raw", image)
         kind = "speed" if has_limits else "keepout"
         mask_topic = f"{kind}_filter_mask"
@@ -159,12 +159,12 @@ def _mark_areas(
     values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # by area, from 1
     scale = FilterScale()
     if has_limits:
-        agent_speed = SPEED if agent is None else agent.speed
-        scale = FilterScale(PERCENT)
+        agent_speed = DEFAULT_SPEED if agent is None else agent.speed
+        scale = FilterScale(SPEED_PERCENT)
         unit = agent_speed / 100.0  # limit of a value of 1 [m/s]
         if absolute:
             unit = _find_multiplier([area.speed for area in grid.areas if area.speed is not None])
-            scale = FilterScale(ABSOLUTE, 0.0, unit)
+            scale = FilterScale(SPEED_ABSOLUTE, 0.0, unit)
     for number, area in enumerate(grid.areas, 1):
         if not has_limits:
             values[number] = OCCUPIED if area.bars(agent) else FREE
@@ -342,7 +342,7 @@ def read_mask(
     values[is_inside] = mask[rows[is_inside], cols[is_inside]]
 
     mask_agent = find_agent(grid, agent)
-    agent_speed = SPEED if mask_agent is None else mask_agent.speed
+    agent_speed = DEFAULT_SPEED if mask_agent is None else mask_agent.speed
     scale = _read_parameters(Path(path)) if has_limits else FilterScale()
     areas = list(grid.areas)
     area_index = grid.levels[level].area_index.copy()
@@ -424,8 +424,8 @@ def _make_area(value: int, scale: FilterScale, has_limits: bool, agent_speed: fl
             return Area("keepout" if value == OCCUPIED else f"keepout {value}", math.inf)
         return Area(f"cost {value}", float(1 + math.ceil(251 * (value - 1) / 97)))
     limit = round(scale.base + scale.multiplier * value, 9)
-    speed = limit if scale.type == ABSOLUTE else round(limit / 100.0 * agent_speed, 9)
-    name = f"speed {limit:g} m/s" if scale.type == ABSOLUTE else f"speed {limit:g} %"
+    speed = limit if scale.type == SPEED_ABSOLUTE else round(limit / 100.0 * agent_speed, 9)
+    name = f"speed {limit:g} m/s" if scale.type == SPEED_ABSOLUTE else f"speed {limit:g} %"
     # nav2 takes a limit of 0 and less as no limit
     return Area(name, 1.0, speed if speed > 0 else None)
 
@@ -434,7 +434,7 @@ def _read_parameters(path: Path) -> FilterScale:
     """Read the parameters beside a mask; without them, values are percent."""
     parameters_path = _find_parameters_path(path)
     if not parameters_path.exists():
-        return FilterScale(PERCENT)
+        return FilterScale(SPEED_PERCENT)
     content, name = read_yaml(parameters_path, expected="the parameters of a filter")
     place = JsonPath(name)
     for node, entry in check_object(content, place).items():
@@ -444,7 +444,7 @@ def _read_parameters(path: Path) -> FilterScale:
             filter_type = check_number(parameters.get("type"), node_place["type"])
             base = check_number(parameters.get("base"), node_place["base"])
             multiplier = check_number(parameters.get("multiplier"), node_place["multiplier"])
-            if filter_type not in (PERCENT, ABSOLUTE):
+            if filter_type not in (SPEED_PERCENT, SPEED_ABSOLUTE):
                 node_place["type"].refuse("1 (percent) or 2 (m/s)", parameters["type"])
             return FilterScale(int(filter_type), float(base), float(multiplier))
     place.fail("expected a node with type, base and multiplier")

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from navbake._version import __version__
 from navbake.errors import FormatError, printable
 from navbake.formats.allowance import (
-    MISSING,
+    ABSENT,
     Allowance,
     JsonPath,
     check_json,
@@ -49,7 +49,7 @@ from navbake.formats.source import (
 )
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
+from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE
 from navbake.navgrid.user_data import Shared, UserData
 from navbake.types import Json, JsonValue
 
@@ -70,7 +70,7 @@ SCENE_FIELDS = (
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
 # attributes of a grid that are parsed from tables of its metadata
 LINK_TABLES = ("step_array", "links")
-TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
+METADATA_TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
 SPLIT_BYTES = 1 << 20  # below, all is parsed at once and msgspec stays unloaded
 CELLS_AT_ONCE = 1 << 16  # whose user data are encoded at once, to limit memory
 
@@ -107,7 +107,7 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     text, num_bytes, top = read_navgrid_text(source)
     content = _parse_file(text, top)
     allowance = Allowance(num_bytes, "max_cells", max_cells)
-    kind = content.get("type", MISSING)
+    kind = content.get("type", ABSENT)
     if kind == "MultiLevelGrid":
         return warn_of_newer(read_multi_level_grid(content, top, allowance), top)
     if kind != "SceneGrid2D":
@@ -159,7 +159,7 @@ def read_multi_level_grid(
     Raises:
         FormatError: the file does not follow the format, or is too large.
     """
-    grids = content.get("grids", MISSING)
+    grids = content.get("grids", ABSENT)
     if not isinstance(grids, list) or not grids:
         top[key].refuse("a list of at least one level", grids)
     defaults: Json = {}  # of the levels
@@ -209,10 +209,10 @@ def read_level(
     metadata = read_metadata(content, place) or defaults.get("metadata", {})
     own_fields = {key: value for key, value in content.items() if value is not None}
     fields = {"unit": 1, **defaults, **own_fields}
-    size = float(check_number(fields.get("cellSize", MISSING), place["cellSize"], positive=True))
-    unit = float(check_number(fields.get("unit", MISSING), place["unit"], positive=True))
-    width = check_whole_number(content.get("width", MISSING), place["width"], 1)
-    height = check_whole_number(content.get("height", MISSING), place["height"], 1)
+    size = float(check_number(fields.get("cellSize", ABSENT), place["cellSize"], positive=True))
+    unit = float(check_number(fields.get("unit", ABSENT), place["unit"], positive=True))
+    width = check_whole_number(content.get("width", ABSENT), place["width"], 1)
+    height = check_whole_number(content.get("height", ABSENT), place["height"], 1)
     allowance.take_cells((width, height), place)
 
     def read_layer(
@@ -250,14 +250,14 @@ def read_level(
     if content.get("bbox") is not None:
         bbox_place = place["bbox"]
         corners = check_object(content["bbox"], bbox_place)
-        low = check_vector(corners.get("min", MISSING), bbox_place["min"])
-        high = check_vector(corners.get("max", MISSING), bbox_place["max"])
+        low = check_vector(corners.get("min", ABSENT), bbox_place["min"])
+        high = check_vector(corners.get("max", ABSENT), bbox_place["max"])
         bbox = (low, high)
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=size,
-        min_yup=check_vector(content.get("min", MISSING), place["min"]),
+        min_yup=check_vector(content.get("min", ABSENT), place["min"]),
         bbox_yup=bbox,
         unit=unit,
         weights=weights,
@@ -286,7 +286,7 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
     if not isinstance(entries, list | None):
         place.refuse("a list", entries)
     for i, entry in enumerate(entries or []):
-        name = check_object(entry, place[i]).get("name", MISSING)
+        name = check_object(entry, place[i]).get("name", ABSENT)
         if not isinstance(name, str):
             place[i]["name"].refuse("a string", name)
     return metadata
@@ -338,13 +338,13 @@ def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
         edge = level.lattice.cell_size
         if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
             place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
-        if not all(abs(value) <= FARTHEST for value in (*level.lattice.bounds, level.ground)):
+        if not all(abs(value) <= MAX_COORDINATE for value in (*level.lattice.bounds, level.ground)):
             place.fail(
-                f"expected a level within {FARTHEST:g} m of the origin, got {level.width} × "
+                f"expected a level within {MAX_COORDINATE:g} m of the origin, got {level.width} × "
                 f"{level.height} cells of {edge:g} m from {level.min_yup} on"
             )
     try:
-        check_tables(grid, TABLES)
+        check_tables(grid, METADATA_TABLES)
     except FormatError as error:
         raise FormatError(f"{error} in {top.file}", path=top.file) from None
     return grid
@@ -355,7 +355,7 @@ def check_tables(grid: NavGrid, attributes: Iterable[str]) -> None:
 
     Args:
         grid: the grid.
-        attributes: the attributes that hold the parsed tables, see `TABLES`.
+        attributes: the attributes that hold the parsed tables, see `METADATA_TABLES`.
 
     Raises:
         FormatError: a table is broken.

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.formats import navgrid
 from navbake.formats.allowance import (
-    MISSING,
+    ABSENT,
     Allowance,
     JsonPath,
     check_json,
@@ -46,9 +46,9 @@ Content: TypeAlias = str | PathLike[str] | bytes
 """A path, or a file's content."""
 
 VERSION = 1  # of both kinds of archives
-ZIP = b"PK"
-NPY = b"\x93NUMPY"
-GRID = "grid"  # the array that marks archives of grids
+ZIP_MAGIC = b"PK"
+NPY_MAGIC = b"\x93NUMPY"
+GRID_MARKER = "grid"  # the array that marks archives of grids
 # names of attributes that are names of arrays as well
 PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
@@ -156,7 +156,7 @@ def read_npy(source: Content) -> NDArray[Any]:
         FormatError: the file is no such array.
     """
     expected = "an array (.npy)"
-    data, name = read_bytes(source, begins=NPY, expected=expected)
+    data, name = read_bytes(source, begins=NPY_MAGIC, expected=expected)
     with _convert_errors(expected, name):
         array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     return array
@@ -180,7 +180,7 @@ def open_archive(
     Raises:
         FormatError: the file can't be read or is broken, also while the archive is open.
     """
-    data, name = read_bytes(source, begins=ZIP, expected=expected)
+    data, name = read_bytes(source, begins=ZIP_MAGIC, expected=expected)
     with _convert_errors(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
         yield Archive(packed, Allowance(len(data), keyword, limit), JsonPath(name))
 
@@ -232,7 +232,7 @@ def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
     """
     with open_archive(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
         top = archive.top
-        if GRID in archive and "values" not in archive:
+        if GRID_MARKER in archive and "values" not in archive:
             message = f"{top.file} holds a grid, no voxels: navbake.from_npz reads it"
             raise FormatError(message, path=top.file, hint="navbake.from_npz reads it")
         values = archive.read("values", top)
@@ -314,7 +314,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         text = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
     except orjson.JSONEncodeError as error:
         raise FormatError(f"cannot write the grid as JSON: {error}") from error
-    return {path: _pack_arrays({GRID: np.frombuffer(text, dtype=np.uint8), **arrays})}
+    return {path: _pack_arrays({GRID_MARKER: np.frombuffer(text, dtype=np.uint8), **arrays})}
 
 
 def _encode_fields(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
@@ -346,15 +346,15 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
     with open_archive(source, expected, "max_cells", max_cells) as archive:
         top = archive.top
         allowance = archive.allowance
-        if GRID not in archive:
+        if GRID_MARKER not in archive:
             hint = ": it holds voxels, navbake.load_voxels reads them"
             hint = hint if "values" in archive else ""
-            message = f"expected {expected}, {top.file} has no array `{GRID}`{hint}"
+            message = f"expected {expected}, {top.file} has no array `{GRID_MARKER}`{hint}"
             raise FormatError(message, path=top.file, expected=expected)
-        document = check_object(parse_json(archive.read_text(GRID, top), top), top)
-        version = check_whole_number(document.get("version", MISSING), top["version"], 1)
-        entries = document.get("levels", MISSING)
-        kind = document.get("type", MISSING)
+        document = check_object(parse_json(archive.read_text(GRID_MARKER, top), top), top)
+        version = check_whole_number(document.get("version", ABSENT), top["version"], 1)
+        entries = document.get("levels", ABSENT)
+        kind = document.get("type", ABSENT)
         if not isinstance(entries, list) or not entries:
             top["levels"].refuse("a list of levels", entries)
         levels = [_decode_level(archive, number, entry) for number, entry in enumerate(entries)]
@@ -374,7 +374,7 @@ def _decode_level(archive: Archive, number: int, value: object) -> Json:
     """Return a level as in a NavGrid file, with functions that read its layers."""
     place = archive.top["levels"][number]
     entry = check_object(value, place)
-    array_names = check_object(entry.get("attributes", MISSING), place["attributes"])
+    array_names = check_object(entry.get("attributes", ABSENT), place["attributes"])
     corners = entry.get("bbox")
     if corners is not None and not (isinstance(corners, list) and len(corners) == 2):
         place["bbox"].refuse("two corners", corners)

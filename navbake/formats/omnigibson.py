@@ -30,7 +30,7 @@ from navbake.formats.convert import select_levels
 from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, encode_image, open_image, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, Lattice
+from navbake.navgrid.lattice import MAX_COORDINATE, Lattice
 from navbake.types import Json
 
 MAX_ROOMS = 255  # numbers in a byte
@@ -239,9 +239,9 @@ def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
         lattice = Lattice(**cells)
         is_valid = lattice.cell_size >= PIXEL_SIZE - PIXEL_MARGIN
         is_valid &= min(lattice.width, lattice.height) >= 1
-        is_valid &= abs(ground) <= FARTHEST and lattice.width * lattice.height <= MAX_PIXELS
+        is_valid &= abs(ground) <= MAX_COORDINATE and lattice.width * lattice.height <= MAX_PIXELS
         is_valid &= type(lattice.width) is type(lattice.height) is int
-        if not is_valid or not all(abs(edge) <= FARTHEST for edge in lattice.bounds):
+        if not is_valid or not all(abs(edge) <= MAX_COORDINATE for edge in lattice.bounds):
             raise ValueError("out of range")
     except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
         expected = "the cells of a map"

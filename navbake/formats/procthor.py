@@ -26,7 +26,7 @@ from navbake.formats.convert import list_level_paths
 from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, encode_image, open_image
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
+from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice
 from navbake.types import Float, Json, JsonValue
 
 MAX_ROOMS = 255  # numbers in a byte
@@ -114,7 +114,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     free = layers[0] > 0
     room_index = layers[1].astype(np.uint16)
     ground = float(map_to_world[2, 2])
-    if not abs(ground) <= FARTHEST:
+    if not abs(ground) <= MAX_COORDINATE:
         raise _range_error(path)
     names = _parse_text(image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path)
     if not isinstance(names, dict | None):
@@ -163,13 +163,15 @@ def _straighten(
     x_min = -(col + 0.5) * cell_size
     y_max = (row + 0.5) * cell_size
     lattice = Lattice(x_min, y_max, cell_size, width, height)
-    if not cell_size >= LEAST_EDGE or not all(abs(edge) <= FARTHEST for edge in lattice.bounds):
+    if not cell_size >= LEAST_EDGE or not all(
+        abs(edge) <= MAX_COORDINATE for edge in lattice.bounds
+    ):
         raise _range_error(path)
     return np.ascontiguousarray(layers), lattice
 
 
 def _range_error(path: str | PathLike[str]) -> FormatError:
-    expected = f"a map within {FARTHEST:g} m of the origin"
+    expected = f"a map within {MAX_COORDINATE:g} m of the origin"
     return FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
 
 

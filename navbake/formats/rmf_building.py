@@ -44,10 +44,10 @@ WALL_THICKNESS = 0.1  # that simulators give walls [m]
 SHAFT_GAP = 0.1  # between a lift's car and the walls of its shaft [m]
 DECIMALS = 4  # of coordinates
 # types of values in the format
-TEXT = 1
-INTEGER = 2
-REAL = 3
-BOOLEAN = 4
+TEXT_TYPE = 1
+INTEGER_TYPE = 2
+REAL_TYPE = 3
+BOOLEAN_TYPE = 4
 MAX_HEIGHT_OFF = 1.0  # by which a floor may be off the elevation if it is laid flat [m]
 MAX_SLIDE_OFFSET = 0.25  # share of a door's width that a sliding leaf may stand off its line
 
@@ -267,12 +267,12 @@ def _make_door(
         if not is_double:
             axis = "start" if offset @ backward >= 0 else "end"
     values = {
-        "name": [TEXT, name],
-        "type": [TEXT, f"double_{motion}" if is_double else motion],
-        "motion_axis": [TEXT, axis],
-        "motion_degrees": [REAL, 90.0],
-        "motion_direction": [INTEGER, direction if axis == "start" else -direction],
-        "right_left_ratio": [REAL, 1.0],
+        "name": [TEXT_TYPE, name],
+        "type": [TEXT_TYPE, f"double_{motion}" if is_double else motion],
+        "motion_axis": [TEXT_TYPE, axis],
+        "motion_degrees": [REAL_TYPE, 90.0],
+        "motion_direction": [INTEGER_TYPE, direction if axis == "start" else -direction],
+        "right_left_ratio": [REAL_TYPE, 1.0],
     }
     return [level.add_vertex(*start), level.add_vertex(*end), values]
 
@@ -288,9 +288,9 @@ def _add_lanes(levels: list[_BuildingLevel], grid: NavGrid) -> None:
         level = levels[start.level]
         start_vertex = level.add_vertex(start.position[0], start.position[1], start.name)
         end_vertex = level.add_vertex(end.position[0], end.position[1], end.name)
-        values = {"bidirectional": [BOOLEAN, lane.two_way], "graph_idx": [INTEGER, 0]}
+        values = {"bidirectional": [BOOLEAN_TYPE, lane.two_way], "graph_idx": [INTEGER_TYPE, 0]}
         if lane.speed is not None:
-            values["speed_limit"] = [REAL, lane.speed]
+            values["speed_limit"] = [REAL_TYPE, lane.speed]
         level.lanes.append([start_vertex, end_vertex, values])
 
 

@@ -37,7 +37,7 @@ import orjson
 from navbake.errors import FormatError
 from navbake.formats import source
 from navbake.formats.allowance import (
-    MISSING,
+    ABSENT,
     JsonPath,
     check_number,
     check_object,
@@ -46,7 +46,7 @@ from navbake.formats.allowance import (
 from navbake.formats.convert import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
-from navbake.navgrid.links import SPEED
+from navbake.navgrid.links import DEFAULT_SPEED
 from navbake.navgrid.metadata import read_table
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph, directed, to_entry, undirected
 from navbake.types import Json
@@ -268,14 +268,14 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     if not isinstance(features, list):
         reader.top["features"].refuse("a list of features", features)
     about = check_optional_object(top, "navbake", reader.top)
-    agent_speed = check_number(about.get("speed", SPEED), reader.top["navbake"]["speed"])
+    agent_speed = check_number(about.get("speed", DEFAULT_SPEED), reader.top["navbake"]["speed"])
     for index, feature in enumerate(features):
         place = reader.top["features"][index]
         geometry = check_object(check_object(feature, place).get("geometry"), place["geometry"])
         properties = check_object(feature.get("properties"), place["properties"])
         metadata = check_optional_object(properties, "metadata", place["properties"])
         if geometry.get("type") == "Point":
-            key = properties.get("id", MISSING)
+            key = properties.get("id", ABSENT)
             reader.add_node(key, geometry.get("coordinates"), metadata, place)
         elif geometry.get("type") in ("LineString", "MultiLineString"):
             entry = {"name": str(properties.get("id", "")), **metadata}
@@ -287,8 +287,8 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
                 metadata_place = place["properties"]["metadata"]
                 percent = float(check_number(metadata["speed_limit"], metadata_place))
                 entry["speed"] = percent / 100.0 * float(agent_speed)
-            start = properties.get("startid", MISSING)
-            end = properties.get("endid", MISSING)
+            start = properties.get("startid", ABSENT)
+            end = properties.get("endid", ABSENT)
             reader.add_lane(start, end, entry, place)
     return reader.make_graph(about)
 
@@ -369,7 +369,7 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
             navbake_entry = check_optional_object(node, "navbake", place)
             node_name = node.get(name_key) or node.get("nodeId")
             reader.add_node(
-                node.get("nodeId", MISSING),
+                node.get("nodeId", ABSENT),
                 _add_height(position.get("x"), position.get("y"), navbake_entry),
                 {"name": node_name, "level": level, **navbake_entry},
                 place,
@@ -384,8 +384,8 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
                 vehicle_types = _check_objects(edge, "vehicleTypeEdgeProperties", place)
                 if vehicle_types and vehicle_types[0].get("maxSpeed"):
                     entry["speed"] = vehicle_types[0]["maxSpeed"]
-            start = edge.get("startNodeId", MISSING)
-            end = edge.get("endNodeId", MISSING)
+            start = edge.get("startNodeId", ABSENT)
+            end = edge.get("endNodeId", ABSENT)
             reader.add_lane(start, end, entry | navbake_entry, place)
     names = [
         str(layout.get("layoutName") or f"level {level}") for level, layout in enumerate(layouts)

@@ -29,8 +29,8 @@ MODEL_PATHS = (
     "GAZEBO_RESOURCE_PATH",
     "SDF_PATH",
 )
-URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
-MATERIAL = ".material"  # ending of a script of Ogre's, which changes the appearance alone
+URI_PATTERN = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
+MATERIAL_SUFFIX = ".material"  # ending of a script of Ogre's, which changes the appearance alone
 # in a folder of a model of Gazebo
 MODEL_CONFIG = "model.config"
 MODEL_SDF = "model.sdf"
@@ -49,9 +49,9 @@ ALL_FILE_ATTRIBUTES = (
 )  # fmt: skip
 # for files that MuJoCo's XML parser (TinyXML-2) accepts and Python's refuses (`--` in a comment,
 # bytes of any encoding)
-COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-ELEMENT = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
-ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+COMMENT_PATTERN = re.compile(rb"<!--.*?-->", re.DOTALL)
+ELEMENT_PATTERN = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
+ATTRIBUTE_PATTERN = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
 def scene_suffix(path: str | os.PathLike[str]) -> str:
@@ -173,7 +173,7 @@ def find_inputs(
             if file in read_files:
                 continue
             read_files.add(file)
-            content = COMMENT.sub(b"", read(file))
+            content = COMMENT_PATTERN.sub(b"", read(file))
             if suffix in USD_SUFFIXES:
                 candidate_lists = _list_usd_paths(file, with_textures) if content else []
             else:
@@ -204,11 +204,11 @@ def _list_sdf_inputs(
     """Return for each file that an SDF, or a model.config, names its possible paths."""
     if file.name == MODEL_CONFIG:
         return [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
-    uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
+    uris = [uri.decode(errors="replace") for uri in URI_PATTERN.findall(content)]
     return [
         _list_model_files(list_sdf_paths(uri, file, folders))
         for uri in uris
-        if with_textures or not uri.endswith(MATERIAL)
+        if with_textures or not uri.endswith(MATERIAL_SUFFIX)
     ]
 
 
@@ -267,7 +267,7 @@ def find_model_file(path: Path) -> Path:
     if not path.is_dir():
         return path
     config = path / MODEL_CONFIG
-    content = COMMENT.sub(b"", config.read_bytes()) if config.is_file() else b""
+    content = COMMENT_PATTERN.sub(b"", config.read_bytes()) if config.is_file() else b""
     entries: list[tuple[bytes, bytes]] = SDF_NAME.findall(content)
     if not entries:
         return path / MODEL_SDF
@@ -400,13 +400,15 @@ def _parse_elements(content: bytes) -> list[_Element]:
         return html.unescape(value.decode(errors="surrogateescape"))
 
     elements = []
-    for number, (tag, text) in enumerate(ELEMENT.findall(COMMENT.sub(b"", content))):
+    for number, (tag, text) in enumerate(
+        ELEMENT_PATTERN.findall(COMMENT_PATTERN.sub(b"", content))
+    ):
         # most elements name no file, and are left out before their attributes are parsed
         if number > 0 and b"file" not in text and b"dir" not in text:
             continue
         attributes = {
             decode(key): decode(double_quoted or single_quoted)
-            for key, double_quoted, single_quoted in ATTRIBUTE.findall(text)
+            for key, double_quoted, single_quoted in ATTRIBUTE_PATTERN.findall(text)
         }
         elements.append(_Element(decode(tag), attributes))
     return elements

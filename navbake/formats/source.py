@@ -54,15 +54,15 @@ Files: TypeAlias = dict[Path, bytes]
 LOG = logging.getLogger("navbake")
 FIRST_BYTES = 1 << 20  # read before more is read [bytes]
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
-GZIP = b"\x1f\x8b"
+GZIP_MAGIC = b"\x1f\x8b"
 # what opens packed files, by their first two bytes
 OPENERS: dict[bytes, tuple[str, Callable[[BinaryIO], IO[bytes]]]] = {
-    GZIP: ("gzip", cast("Callable[[BinaryIO], IO[bytes]]", gzip.open)),
+    GZIP_MAGIC: ("gzip", cast("Callable[[BinaryIO], IO[bytes]]", gzip.open)),
     b"BZ": ("bzip2", cast("Callable[[BinaryIO], IO[bytes]]", bz2.open)),
 }
 LUMA_SHARES = (306, 601, 117)  # of 1024: those of red, green and blue
 IMAGE_BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
-NAVGRID = "a NavGrid JSON object"
+NAVGRID_TEXT = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
 
@@ -202,7 +202,7 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
     Raises:
         FormatError: the file can't be read, or is no JSON object.
     """
-    begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
+    begins = (b"{", GZIP_MAGIC, BOM, b" ", b"\t", b"\r", b"\n")
     remedy = NAVGRID_REMEDY
     path = str(source) if isinstance(source, str | os.PathLike) else ""
     if path.lower().endswith((".yaml", ".yml")):
@@ -212,12 +212,12 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
             f"of settings, `navbake bake {shown_path}` makes one, of a map of nav2, "
             f"`navbake convert {shown_path} {grid_path}`"
         )
-    text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=remedy)
+    text, name = read_bytes(source, begins=begins, expected=NAVGRID_TEXT, remedy=remedy)
     num_bytes = len(text)
     top = JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)
     if _format_beginning(text)[1:2] != "{":
-        top.fail(f"expected {NAVGRID}, got {_format_beginning(text)}", remedy)
+        top.fail(f"expected {NAVGRID_TEXT}, got {_format_beginning(text)}", remedy)
     return text, num_bytes, top
 
 

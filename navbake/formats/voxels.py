@@ -30,7 +30,7 @@ from navbake.formats.convert import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.source import check_path, format_path, read_bytes, read_header, write_bytes
-from navbake.navgrid.lattice import FARTHEST
+from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.voxels.grid import VoxelGrid, check_three
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
@@ -405,9 +405,9 @@ def _read_binvox_header(data: bytes, source: str) -> _BinvoxHeader:
     if not scale > 0:
         message = f"expected `scale` > 0, got {scale:g} in {source}"
         raise FormatError(message, path=source, key="scale", value=scale, expected="a number > 0")
-    if max(*map(abs, translate), scale) > FARTHEST:
+    if max(*map(abs, translate), scale) > MAX_COORDINATE:
         got = f"({', '.join(f'{value:g}' for value in translate)}) and {scale:g}"
-        expected = f"`translate` and `scale` up to {FARTHEST:g} m"
+        expected = f"`translate` and `scale` up to {MAX_COORDINATE:g} m"
         message = f"expected {expected}, got {got} in {source}"
         raise FormatError(message, path=source, expected=expected)
     return _BinvoxHeader(version, dim, translate, scale, data_offset)

@@ -25,14 +25,14 @@ MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by
 OUTDOORS = "#e9ffc6"
 ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
 BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room's occupied cells
-DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
+ROOM_LEGEND = "#6b6f78"  # stands in the legend for all rooms' darker colours
 
-WALL = 0.6  # rooms with no more than this between them are neighbours [m]
+MAX_NEIGHBOR_GAP = 0.6  # rooms with no more than this between them are neighbours [m]
 
 # of links, visible on walls as well
-UP = "#3bcb11"
-DOWN = "#b870fd"
-ACROSS = "#889590"
+LINK_UP = "#3bcb11"
+LINK_DOWN = "#b870fd"
+LINK_ACROSS = "#889590"
 LINK = "#ff3d78"  # a lift, a drop, …
 KEEP_OUT = "#f05f7f"  # an area that bars every agent
 
@@ -69,7 +69,7 @@ def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
     count = int(index.max(initial=0))
     rooms = [room for room in grid.rooms if room.level == number and room.index <= count]
     index_of = {room.id: room.index for room in rooms}
-    pairs = find_neighbours(index, math.ceil(WALL / level.lattice.cell_size))
+    pairs = find_neighbours(index, math.ceil(MAX_NEIGHBOR_GAP / level.lattice.cell_size))
     for room in rooms:
         for neighbour in room.neighbours:
             neighbour_index = index_of.get(neighbour.room, room.index)

@@ -15,8 +15,8 @@ from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.navgrid.islands import add_layers, renew_islands
 from navbake.navgrid.links import LINK_STATES
 from navbake.navgrid.obstacle_state import BLOCKED, OCCUPIED
-from navbake.navgrid.rooms import STATES, Door
-from navbake.navgrid.user_data import NAMES, UserData, names_in
+from navbake.navgrid.rooms import DOOR_STATES, Door
+from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.types import Bool, Float, Json
 
 AnyGrid = TypeVar("AnyGrid", bound=GridBase)
@@ -100,8 +100,8 @@ def _check_door_states(
             raise QueryError(
                 f"no door {name!r} in {grid.scene_id!r}: {hint}", key=name, value=state, hint=hint
             )
-        if state not in STATES:
-            expected = f"one of {', '.join(STATES)}"
+        if state not in DOOR_STATES:
+            expected = f"one of {', '.join(DOOR_STATES)}"
             raise QueryError(
                 f"expected {expected} for {name!r}, got {state!r}",
                 key=name,
@@ -231,7 +231,9 @@ def _with_names(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> Json
         names["objects"] = objects
     entry = {**names, **{key: value for key, value in entry.items() if key not in names}}
     # blockers are listed only where they aren't all that stands in the cell
-    if blocking_ids and blocking_ids != {name for key in NAMES for name in names_in(entry, key)}:
+    if blocking_ids and blocking_ids != {
+        name for key in NAME_KEYS for name in names_in(entry, key)
+    }:
         entry["blockers"] = sorted(blocking_ids)
     return entry
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.navgrid.grid_methods import GridMethods
-from navbake.navgrid.lattice import FARTHEST, Lattice
+from navbake.navgrid.lattice import MAX_COORDINATE, Lattice
 from navbake.navgrid.links import (
     Agent,
     Area,
@@ -33,7 +33,7 @@ from navbake.navgrid.links import (
     parse_steps,
 )
 from navbake.navgrid.metadata import cut_metadata, describe_attributes
-from navbake.navgrid.obstacle_state import BLOCKED, CHANGING, OCCUPIED, ObstacleState
+from navbake.navgrid.obstacle_state import BLOCKED, CHANGING_ATTRIBUTES, OCCUPIED, ObstacleState
 from navbake.navgrid.rooms import Door, Room, measure_rooms, parse_doors, parse_rooms
 from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
@@ -169,7 +169,7 @@ class GridBase(GridMethods):
     def _length(self, key: str) -> float | None:
         """A length of the metadata [m]; None unless it is from 0 to 1e10 m."""
         length = self.metadata.get(key)
-        if not isinstance(length, int | float) or not 0 <= length * self.unit <= FARTHEST:
+        if not isinstance(length, int | float) or not 0 <= length * self.unit <= MAX_COORDINATE:
             return None
         return float(length) * self.unit
 
@@ -297,7 +297,7 @@ class DerivedWeights:
         level.__dict__["weights"] = None if weights is self else weights
 
 
-DERIVED = cast("NDArray[Any]", DerivedWeights())
+DERIVED_WEIGHTS = cast("NDArray[Any]", DerivedWeights())
 """Stands for the weights of a level: 1 where its occupancy is 0, inf elsewhere."""
 
 
@@ -322,7 +322,7 @@ class SceneGrid2D(GridBase):
     height: int
     min_yup: Vector3
     bbox_yup: tuple[Vector3, Vector3] | None = None
-    weights: NDArray[Any] = field(default=DERIVED, repr=False)
+    weights: NDArray[Any] = field(default=DERIVED_WEIGHTS, repr=False)
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     user_data: MutableMapping[int, Json] = field(default_factory=UserData, repr=False)
     obstacle_state: ObstacleState | None = field(default=None, init=False, repr=False)
@@ -381,7 +381,7 @@ class SceneGrid2D(GridBase):
         """
         layers = dict(self.attributes)
         if self.obstacle_state is not None:
-            for name in CHANGING & layers.keys():
+            for name in CHANGING_ATTRIBUTES & layers.keys():
                 layers[name] = layers[name].copy()
             weights = self.weights.copy() if weights is None else weights
         if weights is None:
@@ -391,7 +391,7 @@ class SceneGrid2D(GridBase):
             weights = self.weights if is_replaced else self.__dict__["weights"]
         return replace(
             self,
-            weights=DERIVED if weights is None else weights,
+            weights=DERIVED_WEIGHTS if weights is None else weights,
             attributes={**layers, **(attributes or {})},
             user_data=self.user_data if user_data is None else user_data,
             metadata=self.metadata if metadata is None else metadata,

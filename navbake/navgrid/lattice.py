@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from navbake.types import Bool, Float, Int
 
-FARTHEST = 1e10  # greatest distance from the origin, MuJoCo's mjMAXVAL [m]
+MAX_COORDINATE = 1e10  # greatest distance from the origin, MuJoCo's mjMAXVAL [m]
 LEAST_EDGE = 1e-9  # smallest edge of a cell [m]
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 MAX_CORNERS = 10_000  # corners of one outline
@@ -210,8 +210,8 @@ def find_outline_fault(points: ArrayLike) -> str | None:
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     if len(corners) > MAX_CORNERS:
         return f"{len(corners)} corners, more than {MAX_CORNERS}"
-    if not np.abs(corners).max(initial=0.0) <= FARTHEST:
-        return f"corners beyond {FARTHEST:g} m"
+    if not np.abs(corners).max(initial=0.0) <= MAX_COORDINATE:
+        return f"corners beyond {MAX_COORDINATE:g} m"
     if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])

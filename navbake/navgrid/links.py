@@ -31,7 +31,7 @@ AGENTS = "metadata.navbake.agents"
 AREAS = "metadata.navbake.areas"
 LINKS = "metadata.navbake.links"
 MAX_AREAS = 255
-SPEED = 1.0  # of an agent, where a file states none [m/s]
+DEFAULT_SPEED = 1.0  # of an agent, where a file states none [m/s]
 LinkState: TypeAlias = Literal["open", "closed"]
 LINK_STATES: tuple[str, ...] = get_args(LinkState)
 
@@ -60,7 +60,7 @@ class Agent:
     radius: NonNegative | None = None
     height: Positive | None = None
     step: NonNegative | None = None
-    speed: Positive = SPEED
+    speed: Positive = DEFAULT_SPEED
 
     def of_any_size(self) -> Agent:
         """Return the agent with the grid's sizes; it keeps its name and speed."""
@@ -290,7 +290,7 @@ def find_arcs(
         penalty: Extra cost [m] and duration [s] of passages that the agent may not use, and of
             those against the direction of a one-way link. None to leave such passages out.
     """
-    speed = SPEED if agent is None else agent.speed
+    speed = DEFAULT_SPEED if agent is None else agent.speed
     rows = []
     for number, link in enumerate(links):
         cells = [int(start[stop.level]) + stop.cell for stop in link.stops]

@@ -114,7 +114,7 @@ def cut_metadata(metadata: Json, level: int) -> Json:
     if not isinstance(tables, dict) or not tables:
         return metadata
     cut = dict(tables)
-    for name, cut_table in CUTTERS.items():
+    for name, cut_table in CUT_FUNCTIONS.items():
         with suppress(AttributeError, KeyError, TypeError, ValueError):
             cut[name] = cut_table(tables[name], level)
     return {**metadata, "navbake": cut}
@@ -187,7 +187,7 @@ def cut_doors(doors: list[Json], level: int) -> list[Json]:
     return cut
 
 
-CUTTERS: dict[str, Callable[[JsonValue, int], JsonValue]] = {
+CUT_FUNCTIONS: dict[str, Callable[[JsonValue, int], JsonValue]] = {
     "levels": cut_levels,
     "links": cut_links,
     "rooms": cut_rooms,

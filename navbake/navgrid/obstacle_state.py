@@ -27,7 +27,8 @@ Layers = list[Int]
 Window = tuple[int, int, int, int]
 """First and last row, first and last column, the last ones excluded."""
 
-CHANGING = {"occupancy", "solid", "clearance"}  # attributes that obstacles change in place
+# Attributes that obstacles change in place
+CHANGING_ATTRIBUTES = {"occupancy", "solid", "clearance"}
 OCCUPIED_LAYERS = ("occupancy", "solid")  # attributes that are 1 in the cells of an obstacle
 MAX_LOG = 1024  # windows in the log
 

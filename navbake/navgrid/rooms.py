@@ -21,7 +21,7 @@ from navbake.types import Float, Int, Json, Vector3
 ROOMS = "metadata.navbake.rooms"
 DOORS = "metadata.navbake.doors"
 State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
-STATES: tuple[str, ...] = get_args(State)
+DOOR_STATES: tuple[str, ...] = get_args(State)
 DOOR_REACH = 0.4  # a door is in an opening if they are at most this far apart [m]
 
 
@@ -196,7 +196,7 @@ class Door:
     @property
     def states(self) -> list[str]:
         """The states that it can have; the grid holds its cells in each."""
-        return [state for state in STATES if state in self.cells or state == "removed"]
+        return [state for state in DOOR_STATES if state in self.cells or state == "removed"]
 
     @property
     def like(self) -> str | None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from navbake.types import Int, Json, JsonValue
 
-NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list names
+NAME_KEYS = ("doors", "objects", "walls")  # keys of a cell's user data that list names
 
 
 @contextmanager

@@ -21,7 +21,7 @@ import numpy as np
 
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.links import SPEED, Agent, Link
+from navbake.navgrid.links import DEFAULT_SPEED, Agent, Link
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
 from navbake.runtime.blocking import find_agent, fit_grid
 from navbake.runtime.flat_grid import FlatGrid, find_leaf_cells, find_stairs
@@ -40,7 +40,7 @@ CORNER_SNAP = 0.4  # from a path's corner to a node that takes its place [m]
 MAX_REGION_HOPS = 3  # from one node's cells to another's, between which a route has to be short
 MAX_DETOUR = 1.05  # cost of a route over other lanes, as a multiple of the straight lane's
 MAX_LANE_LENGTH = 20.0  # [m]
-DIGITS = 6  # of positions and lengths, after the point: micrometres
+DECIMALS = 6  # of positions and lengths, after the point: micrometres
 
 
 def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
@@ -74,7 +74,7 @@ class _Builder:
     """The nodes and lanes of a graph while they are added."""
 
     def __init__(self, grid: NavGrid, agent: Agent | None) -> None:
-        self.speed = SPEED if agent is None else agent.speed
+        self.speed = DEFAULT_SPEED if agent is None else agent.speed
         fitted = fit_grid(grid, agent)
         self.radius = fitted.radius
         if fitted.inflated_radius < fitted.radius:
@@ -127,7 +127,7 @@ class _Builder:
             free_steps = steps[self.inside[steps].all(axis=1)]
             if not len(free_steps):
                 continue
-            clearance = np.round(self.clearance[free_steps].min(axis=1), DIGITS)
+            clearance = np.round(self.clearance[free_steps].min(axis=1), DECIMALS)
             middles = self.flat.positions(free_steps).mean(axis=1)
             from_center = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
             best = np.lexsort((from_center, -clearance))[0]
@@ -143,7 +143,7 @@ class _Builder:
 
         Links that stop on one cell have a node each, because a node names one link.
         """
-        position = np.round(self.flat.positions(cell), DIGITS) + 0.0
+        position = np.round(self.flat.positions(cell), DECIMALS) + 0.0
         x, y, z = position.tolist()
         node = Node(
             name,
@@ -180,7 +180,7 @@ class _Builder:
             cells = find_leaf_cells(door, self.flat)
             cells = cells[self.inside[cells]]
             if len(cells):
-                widest = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
+                widest = int(cells[np.argmax(np.round(self.clearance[cells], DECIMALS))])
                 self._add_node(widest, "door", door.id, door=door.id)
         rooms = self.search.rooms
         for number, room in enumerate(rooms.rooms, 1):
@@ -188,7 +188,7 @@ class _Builder:
             if len(cells):
                 # of several with the same clearance, the nearest to the room's centre
                 from_center = np.linalg.norm(self.flat.positions(cells) - room.centroid, axis=1)
-                clearance = np.round(self.clearance[cells], DIGITS)
+                clearance = np.round(self.clearance[cells], DECIMALS)
                 best = np.lexsort((from_center, -clearance))[0]
                 self._add_node(int(cells[best]), "room", room.name or room.id)
 
@@ -207,7 +207,7 @@ class _Builder:
             branching = np.flatnonzero(axis & (num_branches >= 3))
             cells_of_levels.append(level_cells.start + branching)
         cells = np.concatenate(cells_of_levels)
-        widest_first = np.argsort(-np.round(self.clearance[cells], DIGITS), kind="stable")
+        widest_first = np.argsort(-np.round(self.clearance[cells], DECIMALS), kind="stable")
         for cell in cells[widest_first].tolist():
             level_number = int(self.flat.level_of(cell))
             distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
@@ -240,7 +240,7 @@ class _Builder:
                     continue
                 near = np.array(tree.query_ball_point(positions[place], MAX_NODE_DISTANCE / 2))
                 near = near[islands[near] == islands[place]]
-                clearance = np.round(self.clearance[cells[near]], DIGITS)
+                clearance = np.round(self.clearance[cells[near]], DECIMALS)
                 widest = near[np.lexsort((near, -clearance))[0]]
                 # a wider place only where this one is seen from it
                 is_seen = self._sees(cells[widest], cells[place])
@@ -256,8 +256,8 @@ class _Builder:
 
         level = int(self.flat.level_of(cell))
         start, end = self.flat.positions(np.array([cell, target]))
-        start_xy = np.round(start[:2], DIGITS)
-        end_xy = np.round(end[:2], DIGITS)
+        start_xy = np.round(start[:2], DECIMALS)
+        end_xy = np.round(end[:2], DECIMALS)
         if self.search.can_pass(start_xy, end_xy, level):
             return True
         _, (row, target_row), (col, target_col) = self.flat.split(np.array([cell, target]))
@@ -407,7 +407,7 @@ class _Builder:
         """Pairs of nodes, shape (n, 2), with their distances [m]; the shortest first."""
         node, target = pairs.T
         offset = self.points[node] - self.points[target]
-        length = np.round(np.hypot(offset[:, 0], offset[:, 1]), DIGITS)
+        length = np.round(np.hypot(offset[:, 0], offset[:, 1]), DECIMALS)
         order = np.lexsort((target, node, length))
         return [(int(node[index]), int(target[index]), float(length[index])) for index in order]
 
@@ -568,9 +568,9 @@ class _Builder:
         lane = replace(
             lane,
             name=f"{start.name} - {end.name}",
-            length=round(float(lane.length), DIGITS),
-            cost=round(float(lane.cost), DIGITS),
-            seconds=None if lane.seconds is None else round(float(lane.seconds), DIGITS),
+            length=round(float(lane.length), DECIMALS),
+            cost=round(float(lane.cost), DECIMALS),
+            seconds=None if lane.seconds is None else round(float(lane.seconds), DECIMALS),
         )
         if lane.kind != FLOOR:
             return lane

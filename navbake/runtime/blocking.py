@@ -23,7 +23,7 @@ from navbake.navgrid.islands import clearance, renew_islands, step_limit
 from navbake.navgrid.links import Agent
 from navbake.navgrid.obstacle_state import (
     BLOCKED,
-    CHANGING,
+    CHANGING_ATTRIBUTES,
     NUM_LAYERS,
     OCCUPIED,
     OCCUPIED_LAYERS,
@@ -37,7 +37,7 @@ from navbake.types import Float, Int
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-SAME_SIZE = 1e-9  # [m] by which two sizes that are one may differ
+SIZE_TOLERANCE = 1e-9  # [m] by which two sizes that are one may differ
 FLOOR_ROUNDING = 1e-5  # [m] of floors in files, which are float32
 
 
@@ -104,7 +104,7 @@ def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
     # other grids may share the level's arrays, or they may be read-only
     level.weights = np.array(level.weights, order="C")
     level.attributes = dict(level.attributes)
-    for name in CHANGING & level.attributes.keys():
+    for name in CHANGING_ATTRIBUTES & level.attributes.keys():
         level.attributes[name] = np.array(level.attributes[name], order="C")
     occupied = {
         name: level.attributes[name].copy() for name in OCCUPIED_LAYERS if name in level.attributes
@@ -424,7 +424,7 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
         ("agents", "height", agent.height, grid.agent_height),
         ("steps", "traversable_floor_height", agent.step, grid.max_step),
     ):
-        if size is not None and size > limit + SAME_SIZE:
+        if size is not None and size > limit + SIZE_TOLERANCE:
             hint = f"bake it with agent.{key}={size:g}"
             raise QueryError(
                 f"{grid_name} is for {things} up to {limit:g} m, got {size:g} m{agent_name}: "
@@ -437,9 +437,9 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     clean: NavGrid = grid.without_blocks()
     fitted = clean
     radius = agent.radius
-    if agent.step is not None and agent.step < grid.max_step - SAME_SIZE:
+    if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
         fitted = _lower_steps(clean, agent.step)
-    if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME_SIZE):
+    if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SIZE_TOLERANCE):
         check_radius(radius)
         if radius < grid.inflated_radius:
             hint = "plan on the grid as it was baked"

@@ -18,7 +18,7 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
 from navbake.navgrid.islands import cells_of_areas, group_steps, label_islands, step_limit
-from navbake.navgrid.links import SPEED, Agent, Arcs, find_arcs
+from navbake.navgrid.links import DEFAULT_SPEED, Agent, Arcs, find_arcs
 from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32
 
@@ -394,7 +394,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     steps = make_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)), int(start[-1]))
 
-    speed = SPEED if agent is None else agent.speed
+    speed = DEFAULT_SPEED if agent is None else agent.speed
     area_factors = []
     area_paces = []
     for area in grid.areas:

@@ -32,7 +32,7 @@ spatial = lazy("scipy.spatial")  # saves scipy at start-up
 # weight of a cell that a door blocks: a route of 10 km costs as much as 1 m of it
 DOOR_WEIGHT = 10_000.0
 # what a link that isn't allowed costs more [m], and the factor of areas that bar the agent
-PENALTY = 10_000.0
+FORBIDDEN_PENALTY = 10_000.0
 MAX_NAMES = 4  # of obstacles, listed in a sentence
 RISE_MARGIN = 3  # cells along a route before and after its obstacle, for its rise
 ALL_MOVES = 255  # of a cell all of whose neighbours are free
@@ -336,7 +336,7 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     flat = search.flat
     if not (grid.links or grid.areas):
         return None
-    open_search = similar_search(grid, search, radius=0.0, penalty=PENALTY)
+    open_search = similar_search(grid, search, radius=0.0, penalty=FORBIDDEN_PENALTY)
     route = open_search.route(start_cell, goals)
     if route is None:
         return None

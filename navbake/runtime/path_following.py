@@ -22,14 +22,12 @@ DRIVING = "driving"
 WAITING = "waiting"
 RIDING = "riding"
 ARRIVED = "arrived"
-SPOT_TURN_BEARING = math.radians(
-    20.0
-)  # bearing of the point ahead over which a base turns on the spot
+# Bearing of the point ahead over which a base turns on the spot
+SPOT_TURN_BEARING = math.radians(20.0)
 TURN_GAIN = 4.0  # [1/s] how fast it turns there, by the bearing
 LOOKAHEAD_SHARES = (1.0, 0.5, 0.25)  # of the lookahead, that are tried one after the other
-LEAST_SHORTENING = (
-    0.1  # share of the rest of the path by which a new path must be shorter to be taken
-)
+# Share of the rest of the path by which a new path must be shorter to be taken
+LEAST_SHORTENING = 0.1
 STANDSTILL_DISTANCE = 0.01  # [m] of free path; less counts as blocked
 LEAST_LENGTH = 1e-9  # [m] that a leg's length is divided by at least
 EDGE_SHARE = 1e-3  # share of a line by which its ends are moved in, off the edges of cells

@@ -12,7 +12,7 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy, resolve
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.user_data import NAMES, UserData, names_in
+from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, doors_along
 from navbake.runtime.inflation import check_choice
 from navbake.runtime.search import Search
@@ -265,7 +265,7 @@ def cells_with_name(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     for start, level in zip(starts, grid.levels, strict=True):
         cells, entry_number, entries = UserData.of(level.user_data).shared()
         names_by_entry = [
-            {entry_name for key in NAMES for entry_name in names_in(entry, key)}
+            {entry_name for key in NAME_KEYS for entry_name in names_in(entry, key)}
             for entry in entries
         ]
         has_name = np.array([name in names for names in names_by_entry], dtype=np.bool_)

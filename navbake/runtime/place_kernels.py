@@ -21,8 +21,8 @@ MAX_DROP = 0.5  # [m] that a position may be above the floor of an agent that st
 # What `find_nearest_cell` measures: on the map to a cell's centre; in space to the centre, on the
 # floor; on the map to the cell's square, except of cells over or under which another level goes on
 # at the point's height.
-TO_CENTER = 0
-IN_SPACE = 1
+CENTER_ON_MAP = 0
+CENTER_IN_SPACE = 1
 TO_OBSTACLE = 2
 
 
@@ -161,7 +161,7 @@ def snap_positions(layout, floors, allowed, level, same_level, max_distance, pos
         on_one_level = same_level and home_level >= 0
         levels = range(home_level, home_level + 1) if on_one_level else range(len(layout.width))
         for candidate_level in levels:
-            measure = TO_CENTER if on_one_level else IN_SPACE
+            measure = CENTER_ON_MAP if on_one_level else CENTER_IN_SPACE
             ground = 0.0 if on_one_level else floors.ground[candidate_level]
             cell, distance = find_nearest_cell(
                 layout,
@@ -228,7 +228,7 @@ def find_nearest_cell(layout, mask, floor, measure, height, level, point, max_di
     The flat id is -1 if no cell is within `max_distance`. Of equally near cells, the one with the
     lowest flat id is returned. For
     `TO_OBSTACLE`, z is the floor's at the point, and floors less than `height` apart are at one
-    height; for `IN_SPACE`, cells without floor are taken to be at `height`.
+    height; for `CENTER_IN_SPACE`, cells without floor are taken to be at `height`.
     """
     rows = layout.height[level]
     cols = layout.width[level]
@@ -300,7 +300,7 @@ def _search_row(
             dx = max(0.0, dx - 0.5 * size)
             dy = max(0.0, dy - 0.5 * size)
         squared = dx * dx + dy * dy
-        if measure == IN_SPACE:
+        if measure == CENTER_IN_SPACE:
             z = height if math.isnan(floor[cell]) else floor[cell]
             squared += (z - point[2]) ** 2
         if squared < squared_best or (squared == squared_best and (nearest < 0 or cell < nearest)):

@@ -26,9 +26,8 @@ from navbake.runtime.grid_arrays import (
 from navbake.runtime.place_kernels import locate
 
 MAX_STEP_LENGTH = 1e6  # [m]: a longer step is cut, so that no cells beyond all grids are counted
-DETOUR_RATIO = (
-    1.09  # a walk over eight neighbours is at most so many times as long as a straight line
-)
+# A walk over eight neighbours is at most so many times as long as a straight line
+DETOUR_RATIO = 1.09
 LENGTH_SLACK = 1e-9  # share of a length, or of a cell, that is rounding
 
 

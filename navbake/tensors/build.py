@@ -16,7 +16,7 @@ from navbake.runtime.flat_grid import check_distance
 from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP
 from navbake.runtime.search import Search
-from navbake.tensors.grid_tensors import Array, GridTensors, Namespace, Shape, register_pytree
+from navbake.tensors.grid_tensors import Array, GridTensors, Namespace, PaddedShape, register_pytree
 from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
@@ -123,10 +123,10 @@ def _check_grids(
     return grid_list, goals_of_grids
 
 
-def _padded_shape(grids: list[Any]) -> Shape:
+def _padded_shape(grids: list[Any]) -> PaddedShape:
     """The largest numbers of levels, rows and columns of any grid."""
     levels = [level for grid in grids for level in grid.levels]
-    return Shape(
+    return PaddedShape(
         scenes=len(grids),
         levels=max(len(grid.levels) for grid in grids),
         rows=max(level.height for level in levels),
@@ -169,7 +169,7 @@ def _open_library(
     return namespace, make_array
 
 
-def _pad(search: Search, values: NDArray[Any], shape: Shape, outside: float) -> NDArray[Any]:
+def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, outside: float) -> NDArray[Any]:
     """Values by flat id as an array (levels, rows, cols), padded to `shape`."""
     padded = np.full(shape[1:], outside, dtype=values.dtype)
     for number, level in enumerate(search.grid.levels):
@@ -178,7 +178,7 @@ def _pad(search: Search, values: NDArray[Any], shape: Shape, outside: float) -> 
     return padded
 
 
-def _make_lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Arrays:
+def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) -> Arrays:
     """Edges of the columns and rows of each level."""
     num_levels = (shape.scenes, shape.levels)
     arrays: Arrays = {
@@ -216,7 +216,9 @@ def _make_lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Array
     return {name: array.ravel() for name, array in arrays.items()}
 
 
-def _make_layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: float) -> Arrays:
+def _make_layers(
+    searches: list[Search], shape: PaddedShape, dtype: Floating, max_drop: float
+) -> Arrays:
     """The layers of all scenes, by cell."""
     layers_of_scenes: dict[str, list[NDArray[Any]]] = {}
     ground = np.zeros((shape.scenes, shape.levels))
@@ -260,7 +262,7 @@ def _make_layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop
 
 
 def _make_goal_fields(
-    searches: list[Search], goals: list[Sequence[Goal]], shape: Shape, dtype: Floating
+    searches: list[Search], goals: list[Sequence[Goal]], shape: PaddedShape, dtype: Floating
 ) -> Arrays:
     """Cost and next cell of the cheapest path to each goal, by cell."""
     cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
@@ -282,7 +284,7 @@ def _make_goal_fields(
 
 
 def _sort_free_cells(
-    room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Shape
+    room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: PaddedShape
 ) -> Arrays:
     """The free cells sorted by island and room, and by scene and room."""
     free = np.flatnonzero(island)

@@ -23,12 +23,12 @@ DType: TypeAlias = Any
 Ids: TypeAlias = Any
 """An integer, or integers as an array; as `scene_id` None where there is one scene."""
 
-NUMPY = ("numpy", "array_api_compat.numpy")
-CHUNK = 16_384  # positions: their coordinates, ids and masks stay in the second cache
+NUMPY_NAMES = ("numpy", "array_api_compat.numpy")
+POSITIONS_PER_CHUNK = 16_384  # positions: their coordinates, ids and masks stay in the second cache
 MAX_Z = 1e30  # positions from here on are invalid [m]
 
 
-class Shape(NamedTuple):
+class PaddedShape(NamedTuple):
     """Padded numbers of scenes, levels, rows and columns."""
 
     scenes: int
@@ -49,7 +49,7 @@ class GridTensors:
     xp: Namespace  # the array library's
     dtype: DType  # of positions and of all values in metres: float32 or float64
     index: DType  # the integer dtype that ids are computed in
-    shape: Shape  # padded
+    shape: PaddedShape  # padded
     num_rooms: int  # the most rooms of a scene
     rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
     areas: tuple[tuple[str, ...], ...]  # likewise of `area`
@@ -91,7 +91,7 @@ class GridTensors:
         return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
 
 
-STATIC = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "areas", "goals")
+STATIC_FIELDS = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "areas", "goals")
 
 
 def register_pytree(xp: Namespace) -> None:
@@ -100,9 +100,11 @@ def register_pytree(xp: Namespace) -> None:
         return
     from jax import tree_util  # the caller's library
 
-    arrays = [field.name for field in fields(GridTensors) if field.name not in STATIC]
+    arrays = [field.name for field in fields(GridTensors) if field.name not in STATIC_FIELDS]
     with suppress(ValueError):  # registered before
-        tree_util.register_dataclass(GridTensors, data_fields=arrays, meta_fields=list(STATIC))
+        tree_util.register_dataclass(
+            GridTensors, data_fields=arrays, meta_fields=list(STATIC_FIELDS)
+        )
 
 
 def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
@@ -321,7 +323,7 @@ def apply_in_chunks(
     """
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)
-    if t.xp.__name__ not in NUMPY or count < 2 * CHUNK:
+    if t.xp.__name__ not in NUMPY_NAMES or count < 2 * POSITIONS_PER_CHUNK:
         return function(positions, *more)
     from navbake.threads import run_in_chunks  # saves numba for small batches
 
@@ -334,8 +336,8 @@ def apply_in_chunks(
     results: dict[int, Array] = {}  # by the first position of each chunk
 
     def fill(first: int, last: int) -> None:
-        for begin in range(first, last, CHUNK):
-            chunk = slice(begin, min(begin + CHUNK, last))
+        for begin in range(first, last, POSITIONS_PER_CHUNK):
+            chunk = slice(begin, min(begin + POSITIONS_PER_CHUNK, last))
             results[begin] = function(
                 *(
                     argument[chunk] if isinstance(argument, np.ndarray) else argument
@@ -343,6 +345,6 @@ def apply_in_chunks(
                 )
             )
 
-    run_in_chunks(fill, count, least=CHUNK)
+    run_in_chunks(fill, count, least=POSITIONS_PER_CHUNK)
     values = np.concatenate([results[begin] for begin in sorted(results)])
     return values.reshape(*shape, *values.shape[1:])

@@ -34,7 +34,7 @@ from navbake.tensors.grid_tensors import (
     split,
 )
 
-MODES = ("nearest", "bilinear")
+INTERPOLATIONS = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
@@ -152,8 +152,8 @@ def clearance(
     Returns:
         Distances, shape (...), NaN outside [m].
     """
-    if mode not in MODES:
-        raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
+    if mode not in INTERPOLATIONS:
+        raise QueryError(f"expected a mode of {', '.join(INTERPOLATIONS)}, got {mode!r}")
     if mode == "nearest":
         return _values_at(t, t.clearance, t.xp.nan, positions, scene_id)
     xp = t.xp

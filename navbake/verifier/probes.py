@@ -40,7 +40,7 @@ CIRCLE_DIRECTIONS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)
 
 # Contacts between a prism and an obstacle. While a depth or a gap is measured, DISPUTED counts as
 # a touch, as it is true.
-APART = 0
+NO_CONTACT = 0
 TOUCHES = 1
 DISPUTED = 2
 
@@ -92,7 +92,7 @@ class SurfaceCrossings(NamedTuple):
     num_entries: int
 
 
-class NearestObstacle(NamedTuple):
+class ObstacleGap(NamedTuple):
     """The id of the obstacle that is nearest to a prism, and its gap to the prism [m]."""
 
     gap: float
@@ -360,7 +360,7 @@ class ObstacleProbe:
                 it. A prism that vanishes by it is apart from everything.
 
         Returns:
-            `APART`, `TOUCHES`, or `DISPUTED` where MuJoCo alone finds a touch, and no plane is
+            `NO_CONTACT`, `TOUCHES`, or `DISPUTED` where MuJoCo alone finds a touch, and no plane is
             found that separates the two.
         """
         obstacles = self.obstacles
@@ -368,7 +368,7 @@ class ObstacleProbe:
         half_y = prism.half_y + margin
         half_z = prism.half_z + margin
         if min(half_x, half_y, half_z) <= 0:
-            return APART
+            return NO_CONTACT
         enlarged = UprightPrism(half_x, half_y, half_z, prism.is_round, prism.yaw)
         if enlarged != self._prism:
             self._resize(enlarged)
@@ -377,14 +377,14 @@ class ObstacleProbe:
         shape = obstacles.shapes[obstacle]
         touches_by_fcl = fcl.collide(self._object, shape.collision_object) > 0
         if not shape.is_same_in_mujoco:
-            return TOUCHES if touches_by_fcl else APART
+            return TOUCHES if touches_by_fcl else NO_CONTACT
         distance = mujoco.mj_geomDistance(
             obstacles.model, obstacles.data, self._geom, obstacle, MUJOCO_DISTANCE_LIMIT, None
         )
         if touches_by_fcl == (distance <= 0):
-            return TOUCHES if touches_by_fcl else APART
+            return TOUCHES if touches_by_fcl else NO_CONTACT
         if self._is_separated(obstacle):
-            return APART
+            return NO_CONTACT
         return TOUCHES if touches_by_fcl else DISPUTED
 
     def _resize(self, prism: UprightPrism) -> None:
@@ -464,7 +464,7 @@ class ObstacleProbe:
         largest_depth = min(prism.half_x, prism.half_y, prism.half_z)
         return -self._bisect_margin(prism, center, obstacle, low=-largest_depth, high=0.0)
 
-    def find_nearest(self, prism: UprightPrism, center: Float) -> NearestObstacle | None:
+    def find_nearest(self, prism: UprightPrism, center: Float) -> ObstacleGap | None:
         """Return the obstacle that a growing prism touches first, and its gap to the prism.
 
         Args:
@@ -480,7 +480,7 @@ class ObstacleProbe:
         for obstacle in self.obstacles.overlapping(center - reach, center + reach):
             if self.find_contact(obstacle, prism, center, gap):
                 gap = self._bisect_margin(prism, center, obstacle, low=0.0, high=gap)
-                nearest = NearestObstacle(gap, obstacle)
+                nearest = ObstacleGap(gap, obstacle)
         return nearest
 
     def _bisect_margin(

@@ -13,7 +13,7 @@ from navbake.navgrid.cells import check_positions, place_at
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands, group_steps
 from navbake.navgrid.links import Area, Link
-from navbake.navgrid.user_data import NAMES, names_in
+from navbake.navgrid.user_data import NAME_KEYS, names_in
 from navbake.types import Float, Int, Int32, Json
 from navbake.views.tables import Table, make_table
 
@@ -24,16 +24,16 @@ MADE_BY = {
     "sceneDigest": "scene_digest",
     "settingsDigest": "settings_digest",
 }
-AGENT = {
+AGENT_KEYS = {
     "agentHeight": "height",
     "agentRadius": "radius",
     "traversableFloorHeight": "traversable_floor_height",
     "maxSlope": "max_slope",
 }
-INFLATION = ("radius", "clearance", "mode")
-STAIR = "stair"
-STEEP = "steep"
-BULGE = 0.15  # how far an arc is from the straight line, by that line's length
+INFLATION_KEYS = ("radius", "clearance", "mode")
+STAIR_STEP = "stair"
+STEEP_STEP = "steep"
+ARC_BULGE = 0.15  # how far an arc is from the straight line, by that line's length
 NUM_ARC_POINTS = 17
 
 
@@ -62,7 +62,7 @@ def describe(grid: NavGrid) -> Json:
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
         "cell_size": grid.levels[0].lattice.cell_size,
-        "agent": {name: metadata[key] for key, name in AGENT.items() if key in metadata},
+        "agent": {name: metadata[key] for key, name in AGENT_KEYS.items() if key in metadata},
         "made_by": {name: metadata[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": levels,
         "num_islands": max(int(island.max(initial=0)) for island in islands),
@@ -115,9 +115,9 @@ def _list_inflations(grid: NavGrid) -> list[Json]:
     if not isinstance(entries, list):
         return []
     return [
-        {key: entry[key] for key in INFLATION}
+        {key: entry[key] for key in INFLATION_KEYS}
         for entry in entries
-        if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
+        if isinstance(entry, dict) and entry.keys() >= set(INFLATION_KEYS)
     ]
 
 
@@ -159,7 +159,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
     level_grid = grid.levels[number]
     cell = row * level_grid.width + col
     user_data = level_grid.user_data.get(cell, {})
-    occupants = {kind: sorted(names_in(user_data, kind)) for kind in NAMES}
+    occupants = {kind: sorted(names_in(user_data, kind)) for kind in NAME_KEYS}
     blockers = []
     if not place.free:
         # a file lists blockers only where they differ from all occupants of the cell
@@ -245,7 +245,7 @@ class Connection(NamedTuple):
 
     Attributes:
         name: the link's name; of steps, a name such as ``stair 1``.
-        kind: the link's kind; of steps, `STAIR` or `STEEP`.
+        kind: the link's kind; of steps, `STAIR_STEP` or `STEEP_STEP`.
         stops: the link's stops; of steps, the mean positions of their two ends.
         link: the link, None for steps.
         num_steps: the number of steps side by side, 0 for a link.
@@ -284,13 +284,13 @@ def _find_stairs(grid: NavGrid) -> Iterator[Connection]:
 
     Steps within one level are a steep ramp.
     """
-    num_of_kind = {STAIR: 0, STEEP: 0}
+    num_of_kind = {STAIR_STEP: 0, STEEP_STEP: 0}
     # rows of steps: level and cell of one end, level and cell of the other end
     groups = group_steps(grid, grid.step_array)
     for steps in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
         first_level = int(steps[0, 0])
         second_level = int(steps[0, 2])
-        kind = STEEP if first_level == second_level else STAIR
+        kind = STEEP_STEP if first_level == second_level else STAIR_STEP
         num_of_kind[kind] += 1
         stops = (
             _middle_of_cells(grid, first_level, steps[:, 1]),
@@ -329,7 +329,7 @@ def arc_between(start: Float, end: Float) -> Float:
             bulge = np.array([0.0, -1.0, 0.0])
     t = np.linspace(0.0, 1.0, NUM_ARC_POINTS)[:, None]
     # 4 t (1 - t) is a parabola: 0 at both ends, 1 in the middle
-    arc: Float = start + t * along + 4 * t * (1 - t) * BULGE * np.linalg.norm(along) * bulge
+    arc: Float = start + t * along + 4 * t * (1 - t) * ARC_BULGE * np.linalg.norm(along) * bulge
     return arc
 
 

@@ -19,7 +19,7 @@ from navbake.views.notebook import encode_png
 from navbake.views.page import pack, show_table
 from navbake.views.tables import make_table
 
-MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
+MAX_PAGE_CELLS = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
 MAX_GROUND_GAP = 1.5  # between two levels that are taken for the same level [m]
 # cells that a lattice over two levels may have: by the cells of both, and in any case
 MAX_COVER_FACTOR = 4
@@ -27,7 +27,7 @@ MIN_COVER_LIMIT = 4_000_000
 SAME_FLOOR = 1e-3  # floors that differ by no more are the same [m]
 
 # kinds of changes of a cell, most important first; colours differ by hue and by lightness
-COLORS = {
+CHANGE_COLORS = {
     "became free": "#009e73",
     "became blocked": "#d55e00",
     "floor moved": "#0072b2",
@@ -39,9 +39,9 @@ COLORS = {
     "blocked in both": "#9aa2b1",
     "no floor in both": "#d9dde3",
 }
-CHANGES = tuple(COLORS)[:7]  # without what is alike in both
-ONLY_IN_FIRST = CHANGES[5]
-ONLY_IN_SECOND = CHANGES[6]
+CHANGE_KINDS = tuple(CHANGE_COLORS)[:7]  # without what is alike in both
+ONLY_IN_FIRST = CHANGE_KINDS[5]
+ONLY_IN_SECOND = CHANGE_KINDS[6]
 
 Row: TypeAlias = tuple[str, str, str]
 """What differs, and how the first and the second grid have it."""
@@ -63,7 +63,7 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         compare_levels(first.levels[i], second.levels[j], level_numbers=(i, j)) for i, j in pairs
     ]
     level_names = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
-    num_changes = len(CHANGES)
+    num_changes = len(CHANGE_KINDS)
     counts = [
         np.bincount(level.change.ravel(), minlength=num_changes)[:num_changes] for level in levels
     ]
@@ -88,7 +88,9 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     settings = list_differences(settings_of(first), settings_of(second))
     columns = ("what", *names)
     tables = {
-        "Cells that changed": make_table((*names, *CHANGES), changed_cells, numbers=CHANGES),
+        "Cells that changed": make_table(
+            (*names, *CHANGE_KINDS), changed_cells, numbers=CHANGE_KINDS
+        ),
         "Levels that only one has": make_table(columns, unmatched_levels),
         "Rooms that changed": make_table(columns, list_changed_rooms(first, second, levels)),
         "Doors that changed": make_table(columns, doors),
@@ -141,8 +143,10 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     extent = describe_extent(" / ".join(dict.fromkeys(names)), level.lattice)
     stride = extent["every"]
     change = level.change[::stride, ::stride]
-    palette = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
-    legend = [entry for number, entry in enumerate(COLORS.items()) if (change == number).any()]
+    palette = np.array([rgb_of(color) for color in CHANGE_COLORS.values()], dtype=np.uint8)
+    legend = [
+        entry for number, entry in enumerate(CHANGE_COLORS.items()) if (change == number).any()
+    ]
     layer = {
         "name": "changes",
         "title": "",
@@ -157,7 +161,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
         **extent,
         "of": [[0, level.first], [1, level.second]],
         "cells": pack({"change": change.ravel()}),
-        "kinds": list(COLORS),
+        "kinds": list(CHANGE_COLORS),
         "layers": [layer],
         "marks": [],
     }
@@ -172,10 +176,10 @@ def describe_extent(name: str, lattice: Lattice) -> Json:
 
     Returns:
         JSON. Pages show each ``every``-th row and column, so that they show at most
-        `MAX_SHOWN` cells.
+        `MAX_PAGE_CELLS` cells.
     """
     every = 1
-    while -(-lattice.height // every) * -(-lattice.width // every) > MAX_SHOWN:
+    while -(-lattice.height // every) * -(-lattice.width // every) > MAX_PAGE_CELLS:
         every += 1
     return {
         "name": name,
@@ -208,7 +212,7 @@ class LevelDifference(NamedTuple):
         first: number of the first grid's level.
         second: number of the second grid's level.
         lattice: of the first level, extended to cover both.
-        change: for each cell of `lattice`, the index of its kind of change in `COLORS`.
+        change: for each cell of `lattice`, the index of its kind of change in `CHANGE_COLORS`.
         rooms: the rooms that are in both levels.
     """
 
@@ -272,7 +276,7 @@ def compare_levels(
     no_floor_before = np.isnan(before.floor)
     no_floor_after = np.isnan(after.floor)
     same_floor = np.isclose(before.floor, after.floor, rtol=0, atol=SAME_FLOOR, equal_nan=True)
-    # in the order of `COLORS`: the first that holds counts
+    # in the order of `CHANGE_COLORS`: the first that holds counts
     conditions = [
         after.free & ~before.free & before.inside,
         before.free & ~after.free & after.inside,
@@ -289,7 +293,7 @@ def compare_levels(
     return LevelDifference(first_number, second_number, lattice, change.astype(np.uint8), rooms)
 
 
-class LevelSample(NamedTuple):
+class ResampledLevel(NamedTuple):
     """The values of a level at the centres of a lattice's cells; arrays of the lattice's shape."""
 
     inside: Bool  # the level has a cell there; elsewhere the cell is blocked, without a floor
@@ -299,7 +303,7 @@ class LevelSample(NamedTuple):
     weight: Float
 
 
-def _sample(level: SceneGrid2D, lattice: Lattice) -> LevelSample:
+def _sample(level: SceneGrid2D, lattice: Lattice) -> ResampledLevel:
     """Read the cells of a level that hold the centres of a lattice's cells."""
     source = level.lattice
     rows = np.floor((source.y_max - lattice.center_y()) / source.cell_size).astype(np.int64)
@@ -308,7 +312,7 @@ def _sample(level: SceneGrid2D, lattice: Lattice) -> LevelSample:
     has_col = (cols >= 0) & (cols < source.width)
     inside = has_row[:, None] & has_col
     cells = np.ix_(np.clip(rows, 0, source.height - 1), np.clip(cols, 0, source.width - 1))
-    return LevelSample(
+    return ResampledLevel(
         inside=inside,
         free=level.free[cells] & inside,
         floor=np.where(inside, level.floor[cells], np.nan),

@@ -32,7 +32,7 @@ RELIEF_SLOPE = 0.3
 MAX_LIGHT = 0.3
 MAX_SHADE = 0.35
 MAX_SAMPLES = 400  # cells along the longer side of a room, of which a name's place is found
-OCCUPANCY = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
+OCCUPANCY_COLORS = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 # From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
@@ -289,9 +289,11 @@ def height_scale(heights: Reals, label: str) -> ColorScale:
 def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
     """Colours of cells, shape (height, width, 3), and a legend, which always begins with free."""
     kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(np.uint8)
-    occurs = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
-    legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or occurs[n]]
-    palette = np.array([colors.rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
+    occurs = np.bincount(kind.ravel(), minlength=len(OCCUPANCY_COLORS)) > 0
+    legend = [entry for n, entry in enumerate(OCCUPANCY_COLORS.items()) if n == 0 or occurs[n]]
+    palette = np.array(
+        [colors.rgb_of(color) for color in OCCUPANCY_COLORS.values()], dtype=np.uint8
+    )
     return palette[kind], tuple(legend)
 
 
@@ -336,7 +338,7 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     islands = islands_of(grid)
     level = grid.levels[number]
     num_islands = max(int(labels.max(initial=0)) for labels in islands)
-    reach = math.ceil(colors.WALL / level.lattice.cell_size)
+    reach = math.ceil(colors.MAX_NEIGHBOR_GAP / level.lattice.cell_size)
     # an island may span several levels, and has one colour on all of them
     neighbours = set().union(*(colors.find_neighbours(labels, reach) for labels in islands))
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
@@ -386,7 +388,7 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
         ("occupied, no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
         ("no floor", colors.NO_FLOOR): no_floor,
         ("free, no room", colors.FREE): (index == 0) & free,
-        ("greyer: occupied in a room", colors.DARKER): (index > 0) & ~free,
+        ("greyer: occupied in a room", colors.ROOM_LEGEND): (index > 0) & ~free,
         ("door", colors.DOOR): doors,
         ("doorway", colors.DOORWAY): doorways & ~doors,
     }
@@ -479,9 +481,9 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
     ends = ends[ends[:, 0] == number]
     direction = np.sign(ends[:, 2] - number)
     step_colors = (
-        ("leads up", colors.UP, 1),
-        ("leads down", colors.DOWN, -1),
-        ("steep, same level", colors.ACROSS, 0),
+        ("leads up", colors.LINK_UP, 1),
+        ("leads down", colors.LINK_DOWN, -1),
+        ("steep, same level", colors.LINK_ACROSS, 0),
     )
     for _, color, sign in step_colors:
         cells = ends[direction == sign, 1]

@@ -46,15 +46,15 @@ MAX_ASPECT = 40.0  # a longer map shows some of the world beside it
 
 # Lengths in inches. A picture is 8.3 inches wide at most, 830 pixels of a README at 100 an inch:
 # letters of 8 points are 11 pixels high there.
-WIDTH = 8.3
+MAX_WIDTH = 8.3
 MAX_HEIGHT = 290.0
 MIN_WIDTH = 4.6
 MAX_MAP_HEIGHT = 5.6
 # of a map, for ticks, title and colour bar
 MARGIN_X = 1.1
 MARGIN_Y = 0.65
-LINE = 0.2  # a line of the heading or the legend
-LETTERS = 13  # of a title or a legend, per inch
+LINE_HEIGHT = 0.2  # a line of the heading or the legend
+LETTERS_PER_INCH = 13  # of a title or a legend, per inch
 
 HEADING_POINTS = 10.5
 TITLE_POINTS = 9.0
@@ -67,15 +67,15 @@ POINT_HALF_SIDE = 12  # half a side of the square round a point, which stays fre
 MAX_LETTERS = 40  # of a name on a map
 MAX_KEY_ENTRIES = 40  # of the key to numbers on a map
 FONT = "DejaVu Sans"  # comes with matplotlib
-INK = "#222222"
-FAINT = "#9aa0a8"
-STROKES = {  # colours and widths [points] of the strokes of a line, the lowest first
+TEXT_COLOR = "#222222"
+FAINT_COLOR = "#9aa0a8"
+LINE_STROKES = {  # colours and widths [points] of the strokes of a line, the lowest first
     "door, closed": (("#ffffff", 4.2), (DOOR, 2.6)),
     "door, open": ((DOOR, 3.8), ("#ffffff", 1.6)),
     "path, from o to x": (("#ffffff", 3.4), (ROUTE, 1.8)),
     "link": (("#ffffff", 3.2), (LINK, 1.6)),
-    "link, closed": (("#ffffff", 3.2), (FAINT, 1.6)),
-    "stairs": (("#ffffff", 2.8), (INK, 1.0)),
+    "link, closed": (("#ffffff", 3.2), (FAINT_COLOR, 1.6)),
+    "stairs": (("#ffffff", 2.8), (TEXT_COLOR, 1.0)),
 }
 
 
@@ -173,7 +173,7 @@ def render_picture(
         "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
         "text.parse_math": False,  # no name is markup
         "font.family": families,
-        "text.color": INK,
+        "text.color": TEXT_COLOR,
     }
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
@@ -206,7 +206,7 @@ def render_picture(
         _draw_connections(figure, axes_of_levels, panels)
         content = io.BytesIO()
         # the lines of the key hang below the figure, which is extended by them
-        bottom = min(0.0, legend.get_window_extent().y0 / DPI - LINE / 2)
+        bottom = min(0.0, legend.get_window_extent().y0 / DPI - LINE_HEIGHT / 2)
         figure.savefig(
             content,
             format=form,
@@ -278,7 +278,7 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
 
 def wrap(text: str, width: float, lines: int = 3) -> str:
     """Break a text into at most `lines` lines of a width [inches]; cut off what doesn't fit."""
-    letters = max(int(width * LETTERS), 8)
+    letters = max(int(width * LETTERS_PER_INCH), 8)
     return textwrap.fill(printable(text), letters, max_lines=lines, placeholder="…")
 
 
@@ -310,10 +310,10 @@ def add_axes(
     columns = 1 if width > WIDE_ASPECT * height else min(per_group, MAX_COLUMNS)
     rows_of_group = math.ceil(per_group / columns)
     rows = rows_of_group * (len(panels) // per_group)
-    max_map_width = WIDTH / columns - MARGIN_X
+    max_map_width = MAX_WIDTH / columns - MARGIN_X
     max_map_height = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / rows - MARGIN_Y)
     map_width, map_height = extent * min(max_map_width / width, max_map_height / height)  # [inch]
-    figure_width = min(max(columns * (map_width + MARGIN_X), MIN_WIDTH), WIDTH)
+    figure_width = min(max(columns * (map_width + MARGIN_X), MIN_WIDTH), MAX_WIDTH)
     figure.set_size_inches(figure_width, rows * (map_height + MARGIN_Y) + 1.0)
     figure.set_layout_engine("compressed", w_pad=0.05, h_pad=0.05)
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -338,8 +338,15 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
     from matplotlib.colors import ListedColormap
 
     ax.set_title(wrap(panel.title, ax.title_width), loc="left", fontsize=TITLE_POINTS, pad=5)
-    ax.tick_params(labelsize=TICK_POINTS, length=2.5, width=0.6, color=FAINT, labelcolor=INK, pad=2)
-    ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
+    ax.tick_params(
+        labelsize=TICK_POINTS,
+        length=2.5,
+        width=0.6,
+        color=FAINT_COLOR,
+        labelcolor=TEXT_COLOR,
+        pad=2,
+    )
+    ax.spines[:].set(edgecolor=FAINT_COLOR, linewidth=0.6)
     x_min, y_min, x_max, y_max = bounds
     x_limits = ax.get_xlim()
     y_limits = ax.get_ylim()
@@ -356,7 +363,7 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
         bar = figure.colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
         numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in panel.scale.ticks]
         bar.set_ticks([tick.position for tick in panel.scale.ticks], labels=numbers)
-        bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
+        bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT_COLOR, pad=2)
         bar.outline.set_visible(False)
     for door in panel.doors:
         x = (door.start[0], door.end[0])
@@ -365,11 +372,11 @@ def _draw_panel(ax: PanelAxes, panel: Panel, bounds: tuple[float, float, float, 
 
 
 def _line_style(name: str) -> dict[str, Any]:
-    """The style of a line of several strokes over each other, by its name in `STROKES`."""
+    """The style of a line of several strokes over each other, by its name in `LINE_STROKES`."""
     from matplotlib.patheffects import Stroke
 
-    strokes = [Stroke(linewidth=width, foreground=color) for color, width in STROKES[name]]
-    return {"path_effects": strokes, "linewidth": max(width for _, width in STROKES[name])}
+    strokes = [Stroke(linewidth=width, foreground=color) for color, width in LINE_STROKES[name]]
+    return {"path_effects": strokes, "linewidth": max(width for _, width in LINE_STROKES[name])}
 
 
 def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequence[Panel]) -> None:
@@ -380,7 +387,7 @@ def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequen
     connections = next((panel.connections for panel in panels if panel.connections), ())
     for connection in connections:
         name = _connection_line(connection)
-        color = STROKES[name][1][0]
+        color = LINE_STROKES[name][1][0]
         marked_stops = connection.stops[:1] if connection.one_way else connection.stops
         for stop in marked_stops:
             if stop.level in axes and connection.link is not None:
@@ -409,14 +416,14 @@ def _draw_connections(figure: Figure, axes: dict[int, PanelAxes], panels: Sequen
 
 
 def _connection_line(connection: Connection) -> str:
-    """The name of the line of a link or stair in `STROKES`."""
+    """The name of the line of a link or stair in `LINE_STROKES`."""
     if connection.link is None:
         return "stairs"
     return "link, closed" if connection.is_closed else "link"
 
 
 def _door_line(state: str) -> str:
-    """The name of the line of a door in `STROKES`."""
+    """The name of the line of a door in `LINE_STROKES`."""
     return "door, closed" if state == "closed" else "door, open"
 
 
@@ -522,13 +529,13 @@ def _draw_legend(
         for meaning, color in (color_of_meaning | color_of_kind).items()
     ]
     entries += [
-        Line2D([], [], label=name, **_line_style(name)) for name in STROKES if name in lines
+        Line2D([], [], label=name, **_line_style(name)) for name in LINE_STROKES if name in lines
     ]
     entry_letters = max((len(str(entry.get_label())) for entry in entries), default=1) + 6
-    max_columns = max(int(figure.get_figwidth() * LETTERS / entry_letters), 1)
+    max_columns = max(int(figure.get_figwidth() * LETTERS_PER_INCH / entry_letters), 1)
     columns = min(max_columns, max(len(entries), 1))
     rows = -(-len(entries) // columns)
-    figure.set_figheight(figure.get_figheight() + LINE * rows)
+    figure.set_figheight(figure.get_figheight() + LINE_HEIGHT * rows)
     return figure.legend(
         handles=entries,
         ncols=columns,

@@ -17,7 +17,7 @@ from navbake.formats.source import read_json, write_bytes
 from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.navgrid.user_data import NAMES, UserData, names_in
+from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables
 from navbake.views.describe import describe, stair_table
@@ -29,12 +29,12 @@ from navbake.views.tables import Table, make_table, summarize
 if TYPE_CHECKING:
     from navbake.auditor.facts import AuditReport
 
-PRINTED = "what `navbake verify --json` prints"
+VERIFY_REPORT_TEXT = "what `navbake verify --json` prints"
 Position: TypeAlias = tuple[float, float, float]
-KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
-DIGITS = 3  # floors and clearances are rounded to millimetres
+NAME_KINDS = (*NAME_KEYS, "blockers")  # keys of a cell's user data that list names
+DECIMALS = 3  # floors and clearances are rounded to millimetres
 NO_NAMES = -1  # number of cells without names
-FOLDED = ("Timings", "Made by")  # tables that are closed at first
+FOLDED_TABLES = ("Timings", "Made by")  # tables that are closed at first
 NUM_BAR_COLORS = 64  # of the bar beside a layer
 
 
@@ -146,16 +146,16 @@ def read_verification(path: str | PathLike[str]) -> Json:
     Raises:
         FormatError: the file can't be read, or isn't a verification.
     """
-    report, name = read_json(path, expected=PRINTED)
+    report, name = read_json(path, expected=VERIFY_REPORT_TEXT)
     try:
         msgspec.convert(report, Verification)
     except msgspec.ValidationError as error:
-        raise FormatError(f"expected {PRINTED} in {name}: {error}") from error
+        raise FormatError(f"expected {VERIFY_REPORT_TEXT} in {name}: {error}") from error
     verification: Json = report
     return verification
 
 
-class Remark(NamedTuple):
+class ListedFinding(NamedTuple):
     """A finding of an audit or a verification, as a page shows it."""
 
     kind: str
@@ -174,7 +174,7 @@ def _describe_grid(
     remark_tables: dict[str, Table] = {}
     if audit is not None:
         remarks = [
-            Remark(remark.check, remark.level, remark.place, remark.severity, remark.text)
+            ListedFinding(remark.check, remark.level, remark.place, remark.severity, remark.text)
             for remark in audit.remarks
         ]
         nothing = f"{len(audit.checks)} checks, nothing to say"
@@ -183,7 +183,7 @@ def _describe_grid(
     if verification is not None:
         _check_verification(grid, verification)
         remarks = [
-            Remark(
+            ListedFinding(
                 finding["kind"],
                 finding["level"],
                 finding["position"],
@@ -236,14 +236,14 @@ def _describe_grid(
         "warnings": facts["warnings"],
         "levels": levels,
         "tables": [
-            show_table(title, table, folded=title in FOLDED)
+            show_table(title, table, folded=title in FOLDED_TABLES)
             for title, table in named_tables.items()
             if table.rows
         ],
     }
 
 
-def _mark_remarks(source: str, remarks: Sequence[Remark]) -> list[Json]:
+def _mark_remarks(source: str, remarks: Sequence[ListedFinding]) -> list[Json]:
     """Marks on the map for remarks that have a position."""
     return [
         {
@@ -258,7 +258,7 @@ def _mark_remarks(source: str, remarks: Sequence[Remark]) -> list[Json]:
     ]
 
 
-def _list_remarks(detail_heading: str, remarks: Sequence[Remark], nothing: str) -> Table:
+def _list_remarks(detail_heading: str, remarks: Sequence[ListedFinding], nothing: str) -> Table:
     """A table of remarks; without any, it has one row that says `nothing`."""
     rows = []
     for remark in remarks:
@@ -297,14 +297,14 @@ def describe_map(grid: NavGrid, number: int) -> Json:
         JSON. ``cells`` is packed by `pack`: for each property the list of its values by cell, row
         by row, null where there is no floor or the cell is blocked. ``names`` are indices into
         ``nameLists``, -1 for none; a list has the names of a cell's occupants and blockers, by
-        `KINDS`.
+        `NAME_KINDS`.
     """
     level = grid.levels[number]
     place = describe_extent(grid.level_names[number], level.lattice)
     names, name_lists = _number_names(level)
     layers: dict[str, NDArray[np.generic]] = {
-        "floor": np.round(level.floor, DIGITS),
-        "clearance": np.round(np.where(level.free, clearance(level), np.nan), DIGITS),
+        "floor": np.round(level.floor, DECIMALS),
+        "clearance": np.round(np.where(level.free, clearance(level), np.nan), DECIMALS),
         "weight": np.where(level.free, level.weights, np.nan),
         "room": level.room_index,
         "island": islands_of(grid)[number],
@@ -329,7 +329,7 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     def number_of(entry: Json) -> int:
         key = orjson.dumps(entry, default=str)
         if key not in numbers_by_entry:
-            names = {kind: sorted(names_in(entry, kind)) for kind in KINDS}
+            names = {kind: sorted(names_in(entry, kind)) for kind in NAME_KINDS}
             names = {kind: names_of_kind for kind, names_of_kind in names.items() if names_of_kind}
             numbers_by_entry[key] = len(name_lists) if names else NO_NAMES
             if names:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.lazy import resolve
-from navbake.navgrid.lattice import CELL_SLACK, FARTHEST, LEAST_EDGE, num_cells
+from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, num_cells
 from navbake.types import Bool, Float, Int, Vector3
 
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
@@ -74,9 +74,11 @@ class VoxelGrid:
         if not (np.isfinite(self.res) and self.res > 0):
             raise _wrong_field("res", self.res, "a voxel's edge > 0 m", f"{self.res:g}")
         with np.errstate(over="ignore"):
-            is_near = np.abs(self.bounds).max() <= FARTHEST
+            is_near = np.abs(self.bounds).max() <= MAX_COORDINATE
         if not is_near or self.res < LEAST_EDGE:
-            expected = f"voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin"
+            expected = (
+                f"voxels of {LEAST_EDGE:g} m or more within {MAX_COORDINATE:g} m of the origin"
+            )
             text = f"{self.res:g} m from {self.origin} on"
             raise _wrong_field("res", self.res, expected, text)
 

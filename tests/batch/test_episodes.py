@@ -12,7 +12,7 @@ import navbake
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import draw_room
 from navbake.batch import run as run_module
-from navbake.batch.index import NAME
+from navbake.batch.index import INDEX_NAME
 from navbake.batch.page import describe_batch
 from navbake.batch.workers import DONE, Ended
 from navbake.episodes import digest_of, make_episodes, read_episodes
@@ -93,7 +93,7 @@ def test_scenes_that_make_no_set_are_one_error(scenes, monkeypatch):
     sizes = "no set, as agents differ in size (0.1 x 1.14 m in 'a' and 0.2 x 1.14 m in 'b'): "
     assert sizes + "`--set agent.radius=… --set agent.height=…`" in result.stopped
     assert result.count("ok") == 2
-    assert Path("out", NAME).exists() and Path("out/a", SET).exists()
+    assert Path("out", INDEX_NAME).exists() and Path("out/a", SET).exists()
     for name in ("one", "two"):
         Path(f"{name}.yaml").write_text(f"scene: {{path: {name[0]}.xml, id: same}}\n")
     for name in ("o", "t"):

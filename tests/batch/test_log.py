@@ -13,7 +13,7 @@ import pytest
 from navbake.batch.index import LineFile
 from navbake.batch.job import stamp
 from navbake.batch.run import line_of_event
-from navbake.batch.workers import AGAIN, BEGUN, CRASHED
+from navbake.batch.workers import CRASHED, RETRIED, SCENE_BEGUN
 from navbake.errors import NavbakeError
 
 
@@ -22,8 +22,8 @@ def test_lines_say_when_how_serious_and_what():
     retry = {"id": "b", "worker": 22, "seconds": 0.5, "how": CRASHED, "error": "by SIGSEGV"}
     events = [
         ("begin", {"scenes": 3, "skipped": 1}),
-        (BEGUN, {"id": "a"}),
-        (AGAIN, retry),
+        (SCENE_BEGUN, {"id": "a"}),
+        (RETRIED, retry),
         ("scene", {**row, "seconds": 1.5, "ended": stamp(), "worker": 23}),
         ("scene", {**row, "id": "b", "warnings": ["low"]}),
         ("scene", {"id": "c", "status": "failed", "how": "error", "error": "none"}),

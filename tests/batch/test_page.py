@@ -17,7 +17,7 @@ from batch_in_process import Told, stay_in_process
 from batch_scenes import draw_room
 from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of, wait_until
 from grid_maps import level_from
-from navbake.batch.index import NAME as INDEX
+from navbake.batch.index import INDEX_NAME as INDEX
 from navbake.batch.job import Plan
 from navbake.batch.page import (
     LivePage,
@@ -27,7 +27,7 @@ from navbake.batch.page import (
     measure_work,
     write_page,
 )
-from navbake.batch.products import GRID, THUMBNAIL
+from navbake.batch.products import GRID_NAME, THUMBNAIL_NAME
 from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.store import read_file, remove_files, sizes_below
@@ -190,9 +190,9 @@ def rows():
             warnings = [f"door 'd{number}' is shut"] if number % 50 == 0 else []
             made = {"free_area": float(number), "cells": 10 * number, "levels": 1, "doors": 0}
             made |= {"rooms": number % 4, "seconds": 0.5, "warnings": warnings, "audit": []}
-            made |= {"files": {GRID: {}, "report.html": {}}, "stages": {"scene": 0.1}}
+            made |= {"files": {GRID_NAME: {}, "report.html": {}}, "stages": {"scene": 0.1}}
             yield {**row, "status": "ok", **made, "ended": f"2026-01-01T00:00:{number % 60:02}Z"}
-    yield {"id": HOSTILE_ID, "status": "ok", "free_area": 5.5, "files": {GRID: {}}}
+    yield {"id": HOSTILE_ID, "status": "ok", "free_area": 5.5, "files": {GRID_NAME: {}}}
     yield {"id": "a", "status": "failed", "how": HOSTILE, "error": HOSTILE, "source": HOSTILE}
 
 
@@ -204,7 +204,7 @@ def folder(tmp_path_factory):
     (folder / INDEX).write_text("".join(json.dumps(row) + "\n" for row in rows()) + "null\n")
     for name in ("scene-000", "scene-001", HOSTILE_ID):
         (folder / name).mkdir()
-        level_from("..#\n...").save(folder / name / GRID)
+        level_from("..#\n...").save(folder / name / GRID_NAME)
     assert draw_thumbnails(folder, lambda share: None) == 271 - 3  # of those that are ok
     write_page(folder)
     return folder
@@ -238,7 +238,7 @@ def test_the_policy_allows_the_pages_own_script_and_style_and_pictures_beside_it
 
 
 def test_thumbnails_are_drawn_where_grids_are(folder):
-    drawn = {path.parent.name for path in folder.rglob(THUMBNAIL)}
+    drawn = {path.parent.name for path in folder.rglob(THUMBNAIL_NAME)}
     assert drawn == {"scene-000", "scene-001", HOSTILE_ID}
     made = content_of_batch(folder / "index.html")["scenes"]
     assert {scene["id"] for scene in made if scene["thumbnail"]} == drawn
@@ -263,7 +263,7 @@ def test_links_lead_to_a_folder_whose_name_is_no_utf_8(driver, tmp_path):
         (folder / "a").mkdir(parents=True)
     except OSError:
         pytest.skip("this file system takes UTF-8 only")
-    level_from("..").save(folder / "a" / GRID)
+    level_from("..").save(folder / "a" / GRID_NAME)
     (folder / INDEX).write_text('{"id": "a", "status": "ok", "files": {"grid.json.gz": {}}}\n')
     draw_thumbnails(folder, lambda share: None)
     (tmp_path / "pages").mkdir()
@@ -273,7 +273,7 @@ def test_links_lead_to_a_folder_whose_name_is_no_utf_8(driver, tmp_path):
     picture = driver.find_element("css selector", "#scene img")
     wait_until(partial(driver.execute_script, LOADED, picture), "its picture")
     link = driver.find_element("css selector", "#scene a").get_attribute("href")
-    assert link == f"{folder.as_uri()}/a/{GRID}"
+    assert link == f"{folder.as_uri()}/a/{GRID_NAME}"
 
 
 @needs_browser
@@ -327,7 +327,7 @@ def test_a_reader_filters_sorts_and_opens_scenes(driver, folder):
     box.send_keys(Keys.ARROW_LEFT)
     assert name() == "scene-031"
     links = [each.get_attribute("href") for each in box.find_elements("css selector", "a")]
-    assert links == [f"{folder.as_uri()}/scene-031/{name}" for name in ("report.html", GRID)]
+    assert links == [f"{folder.as_uri()}/scene-031/{name}" for name in ("report.html", GRID_NAME)]
     press(driver, "scene", "✕")
     assert not box.is_displayed()
     assert errors_of(driver) == [] and strangers_of(requests_of(driver)) == []

@@ -23,8 +23,8 @@ from navbake.baker.bake.pipeline import run_bake
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
 from navbake.batch import products, store
-from navbake.batch.index import NAME, only_batch, read_index
-from navbake.batch.products import RECORD
+from navbake.batch.index import INDEX_NAME, only_batch, read_index
+from navbake.batch.products import RECORD_NAME
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import JobLimits
 from navbake.config.settings import load_config
@@ -75,7 +75,7 @@ def digests(folder):
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in Path(folder).rglob("*")
-        if path.is_file() and path.name not in (NAME, RECORD)
+        if path.is_file() and path.name not in (INDEX_NAME, RECORD_NAME)
     }
 
 
@@ -171,10 +171,10 @@ def test_an_id_may_have_folders(scenes, here):
 
 def test_a_resume_may_run_in_another_folder(scenes, here, monkeypatch):
     run(*ALL)
-    index = Path("out", NAME).read_bytes()
+    index = Path("out", INDEX_NAME).read_bytes()
     monkeypatch.chdir(scenes)
     assert run(*(Path(name).name for name in ALL), out="../out")[0] == []
-    assert Path("../out", NAME).read_bytes() == index
+    assert Path("../out", INDEX_NAME).read_bytes() == index
     shutil.move(scenes.parent, scenes.parent.with_name("moved"))  # with their folder
     monkeypatch.chdir(scenes.parent.with_name("moved"))
     assert run(*ALL)[0] == []
@@ -196,7 +196,7 @@ def test_products_are_made_missed_and_removed(scenes, here):
         *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
     run("scenes/first.xml", products=make)
-    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs() | {RECORD}
+    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs() | {RECORD_NAME}
     inflated = navbake.load("out/first/grid.json.gz").inflate(0.3)
     inflated.save("inflated.json.gz")
     assert (
@@ -212,7 +212,7 @@ def test_products_are_made_missed_and_removed(scenes, here):
     Path("out/first/notes.txt").write_text("mine")
     assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
     left = {path.name for path in Path("out/first").iterdir()}
-    assert left == {"grid.json.gz", "report.html", "notes.txt", RECORD}
+    assert left == {"grid.json.gz", "report.html", "notes.txt", RECORD_NAME}
 
 
 def test_files_of_the_user_in_a_scene_s_folder_stay(tmp_path, monkeypatch, here):
@@ -232,13 +232,13 @@ def test_files_of_the_user_in_a_scene_s_folder_stay(tmp_path, monkeypatch, here)
         assert before.items() <= now.items()
         return now.keys() - before.keys()
 
-    grid = {"grid.json.gz", RECORD}
+    grid = {"grid.json.gz", RECORD_NAME}
     again = ["agent.radius=0.1"]
     assert run("list.csv", out=".")[1].count("ok") == 1 and made() == grid
     assert run("list.csv", out=".", overrides=again)[1].count("ok") == 1 and made() == grid
     run("list.csv", out=".", products=["inflated:0.3"])
     assert made() == {*grid, "inflated-0.3.json.gz"}
-    Path(NAME).unlink()
+    Path(INDEX_NAME).unlink()
     assert run("list.csv", out=".")[0] == ["houses/0001"] and made() == grid
     for name in ("nav2.pgm", "thumbnail.png"):  # which are asked for now
         before.pop(name)
@@ -268,7 +268,7 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
     real = store.write_file
 
     def write(place, name, content):
-        if name == products.GRID:
+        if name == products.GRID_NAME:
             raise KeyboardInterrupt
         real(place, name, content)
 
@@ -276,9 +276,9 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
         patch.setattr(store, "write_file", write)
         with pytest.raises(KeyboardInterrupt):
             run(ALL[0], products=["nav2", "report"], thumbnail=True)
-    made = {"nav2.pgm", "nav2.yaml", "report.html", "thumbnail.png", RECORD}
+    made = {"nav2.pgm", "nav2.yaml", "report.html", "thumbnail.png", RECORD_NAME}
     assert {*os.listdir("out/first")} == made | {"picture.png"}
-    Path("out", NAME).unlink()
+    Path("out", INDEX_NAME).unlink()
     if then == "is lost":  # with its worker: the batch's own process clears up
         job = list_jobs([ALL[0]])[0]
         row = job_module.fail(job_module.Plan(Path("out"), SETTINGS), job, "too long", "60 s", 60)
@@ -287,7 +287,7 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
         Path(ALL[0]).write_text("<mujoco>")
     if then != "is lost":
         run(ALL[0])
-    grid = {"grid.json.gz", RECORD} if then == "made anew" else set()
+    grid = {"grid.json.gz", RECORD_NAME} if then == "made anew" else set()
     assert {*os.listdir("out/first")} == {"picture.png"} | grid
 
 
@@ -302,7 +302,9 @@ def test_names_of_products_are_known_as_ours(tmp_path, num_levels):
         folder = tmp_path / str(product).replace(":", "-")
         folder.mkdir()
         products.make_product(product, grid, config, folder)
-        assert os.listdir(folder) and all(map(products.OWN.fullmatch, os.listdir(folder)))
+        assert os.listdir(folder) and all(
+            map(products.PRODUCT_FILE_PATTERN.fullmatch, os.listdir(folder))
+        )
 
 
 def test_the_order_of_products_changes_nothing(scenes, here):
@@ -424,14 +426,14 @@ def test_a_batch_ends_after_too_many_failures(scenes, here):
 
 def test_the_index_is_a_report_and_the_records_say_what_is_done(scenes, here):
     run(*ALL)
-    index = Path("out", NAME)
+    index = Path("out", INDEX_NAME)
     whole = index.read_bytes()
     lines = whole.splitlines(keepends=True)
     index.write_bytes(lines[0] + lines[1][:100] + b"\n[1]\nnull\n" + lines[2][:50])
     assert run(*ALL)[0] == [] and index.read_bytes() == whole
     index.unlink()
     assert run(*ALL)[0] == [] and index.read_bytes() == whole
-    record = Path("out/first", RECORD)
+    record = Path("out/first", RECORD_NAME)
     row = json.loads(record.read_text())
     for text in ("", "[]", '{"files": {}}', json.dumps({**row, "key": 3}), json.dumps(row)[:-9]):
         record.write_text(text)
@@ -466,7 +468,7 @@ def test_an_interrupted_batch_leaves_a_true_index(scenes, monkeypatch):
 def test_an_interrupted_run_forgets_nothing_that_still_holds(scenes, monkeypatch):
     stay_in_process(monkeypatch)
     run(*ALL, products=["nav2"])
-    index, made = Path("out", NAME).read_bytes(), digests("out")
+    index, made = Path("out", INDEX_NAME).read_bytes(), digests("out")
     with monkeypatch.context() as patch:
         patch.setattr(job_module, "run_bake", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
@@ -475,7 +477,7 @@ def test_an_interrupted_run_forgets_nothing_that_still_holds(scenes, monkeypatch
     assert [row["status"] for row in rows] == ["left"] * 3
     names, result = run(*ALL, products=["nav2"])
     assert names == [] and result.skipped == 3 and digests("out") == made
-    assert Path("out", NAME).read_bytes() == index
+    assert Path("out", INDEX_NAME).read_bytes() == index
 
 
 def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatch):
@@ -486,7 +488,7 @@ def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatc
 
     def write(place, name, content):
         """Interrupt the second scene before its grid is there."""
-        if (place.name, name) == ("second", products.GRID):
+        if (place.name, name) == ("second", products.GRID_NAME):
             raise KeyboardInterrupt
         real(place, name, content)
 
@@ -510,7 +512,7 @@ def test_a_scene_that_failed_since_is_not_done(scenes, here):
 
 
 def test_an_index_that_somebody_removes_is_written_whole_at_the_end(scenes, monkeypatch):
-    stay_in_process(monkeypatch, after=lambda: Path("out", NAME).unlink(missing_ok=True))
+    stay_in_process(monkeypatch, after=lambda: Path("out", INDEX_NAME).unlink(missing_ok=True))
     result = run(*ALL)[1]
     assert result.count("ok") == 3 and [*read_index(Path("out")).values()] == result.rows
     assert run(*ALL)[0] == []
@@ -572,7 +574,7 @@ def test_the_index_has_what_was_made_where_it_can_not_be_put_in_order(scenes, he
         patch.setattr(
             store,
             "write_whole",
-            lambda data, path: refuse() if Path(path).name == NAME else real(data, path),
+            lambda data, path: refuse() if Path(path).name == INDEX_NAME else real(data, path),
         )
         result = run(*ALL[:2])[1]
         assert result.stopped == (

@@ -22,9 +22,9 @@ from command_line import run_command
 from navbake import samples
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
-from navbake.batch.index import NAME, Slice, only_batch, read_index
-from navbake.batch.job import CACHE, prepare
-from navbake.batch.products import RECORD
+from navbake.batch.index import INDEX_NAME, Slice, only_batch, read_index
+from navbake.batch.job import MESH_CACHE_SIZE, prepare
+from navbake.batch.products import RECORD_NAME
 from navbake.batch.run import measure_cost
 from navbake.batch.scenes import list_jobs
 from navbake.errors import ConfigError, NavbakeError
@@ -64,7 +64,7 @@ def count_bakes(monkeypatch):
 
 def made(folder):
     """The content of all files of scenes and of shards and sets, by name."""
-    kept = [path for path in Path(folder).rglob("*") if path.is_file() and path.name != RECORD]
+    kept = [path for path in Path(folder).rglob("*") if path.is_file() and path.name != RECORD_NAME]
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in kept
@@ -81,7 +81,7 @@ def test_slices_merge_into_the_bytes_of_one_run():
     found = [run(out="parts", part=part, products=make)[0] for part in slices[1:] + slices[:1]]
     assert sorted(chain.from_iterable(found)) == ["a", "b.v2", "bad", "c", "d", "e", "f"]
     assert {len(ids) for ids in found} == {2, 3}
-    assert not Path("parts", NAME).exists() and not [*Path("parts").glob("episodes*")]
+    assert not Path("parts", INDEX_NAME).exists() and not [*Path("parts").glob("episodes*")]
     _, merged = run(out="parts", only_merge=True, products=make, shards=2)
     assert (merged.skipped, merged.count("failed"), merged.count("left")) == (6, 1, 0)
     assert {path.name for path in Path("parts").glob("*index-*")} == set()
@@ -90,13 +90,13 @@ def test_slices_merge_into_the_bytes_of_one_run():
     assert made("parts") == made("one") and len(made("one")) == 6 * 2 + 1 + 2
     assert timeless(merged.rows) == timeless(one.rows)
     # a run of the whole writes the same index, and so does a run that merges what slices left
-    before = Path("parts", NAME).read_bytes()
+    before = Path("parts", INDEX_NAME).read_bytes()
     Path("scenes/bad.xml").unlink()
     run(out="parts", products=make)
     lines = before.splitlines(keepends=True)
     good = [line for line in lines if json.loads(line)["status"] == "ok"]
     bad = [line for line in lines if line not in good]
-    assert Path("parts", NAME).read_bytes() == b"".join(good + bad)  # of other batches follow
+    assert Path("parts", INDEX_NAME).read_bytes() == b"".join(good + bad)  # of other batches follow
 
 
 def test_what_slices_leave_is_done_by_the_next_run():
@@ -156,7 +156,7 @@ def test_slices_write_into_a_store():
     assert (merged.count("ok"), merged.count("failed"), merged.count("left")) == (6, 1, 0)
     names = {Path(name).name for name in store.ls("/sliced", detail=False)}
     own = {"a", "b.v2", "c", "d", "e", "f", "index.jsonl", "shard-000000.tar"}
-    assert names == own | {RECORD}
+    assert names == own | {RECORD_NAME}
     _, one = run(out="one", shards=1)
     for row in one.rows:
         if row["status"] == "ok":
@@ -165,7 +165,7 @@ def test_slices_write_into_a_store():
 
 
 def test_slices_run_beside_each_other_and_not_beside_the_whole(monkeypatch):
-    monkeypatch.setattr(index_module, "PATIENCE", 0.1)
+    monkeypatch.setattr(index_module, "LOCK_TIMEOUT", 0.1)
     with (
         only_batch(Path("out")),
         pytest.raises(NavbakeError, match="another batch writes into out"),
@@ -246,9 +246,9 @@ def test_a_plan_says_what_would_be_baked_and_why_and_writes_nothing(capsys, scen
     (scenes / "c.xml").unlink()
     (scenes / "c.xml").symlink_to("no.xml")
     Path("out/d/grid.json.gz").write_bytes(b"")
-    record = json.loads(Path("out/e", RECORD).read_bytes())
+    record = json.loads(Path("out/e", RECORD_NAME).read_bytes())
     record |= {"version": "0.0.1", "key": ""}
-    Path("out/e", RECORD).write_text(json.dumps(record))
+    Path("out/e", RECORD_NAME).write_text(json.dumps(record))
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*")}
     why = plan_of(capsys)
     assert why.pop("c").startswith("broken: no scene file")
@@ -345,7 +345,7 @@ def test_shards_as_webdataset_reads_them(capsys):
     assert {path.name for path in Path("out").glob("*.tar")} == {*names[:2], "shard-000007.tar"}
     run_command(capsys, *words[:-2])  # not asked for any more
     assert [path.name for path in Path("out").glob("*.tar")] == ["shard-000007.tar"]
-    assert not Path("out", RECORD).exists()
+    assert not Path("out", RECORD_NAME).exists()
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "a/4", "1/0"])
@@ -396,6 +396,6 @@ def test_a_worker_keeps_few_meshes():
     before = mujoco.mj_getCacheCapacity(cache)
     try:
         prepare((), thumbnail=False)
-        assert mujoco.mj_getCacheCapacity(cache) == CACHE
+        assert mujoco.mj_getCacheCapacity(cache) == MESH_CACHE_SIZE
     finally:
         mujoco.mj_setCacheCapacity(cache, before)

@@ -15,8 +15,8 @@ import pytest
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room
 from navbake.batch import store
-from navbake.batch.index import NAME
-from navbake.batch.products import RECORD
+from navbake.batch.index import INDEX_NAME
+from navbake.batch.products import RECORD_NAME
 from navbake.batch.scenes import list_jobs, read_shared
 from navbake.batch.store import (
     Mirror,
@@ -130,7 +130,7 @@ def grids(folder):
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in Path(folder).glob("*/*")
-        if path.name != RECORD
+        if path.name != RECORD_NAME
     }
 
 
@@ -139,7 +139,7 @@ def grids_at(url):
 
 
 def is_product(name):
-    return "/" in name and not name.endswith(RECORD)
+    return "/" in name and not name.endswith(RECORD_NAME)
 
 
 # ---------------------------------------------------------------- the same bytes
@@ -166,7 +166,7 @@ def test_scenes_on_a_store_give_the_bytes_of_local_ones(rooms):
     assert row["source"] == "memory://s/rooms/mjcf/room.xml"
     shared = {"shared/chest.obj", "shared/sub/lid.obj", "mjcf/floor.part", "mjcf/room.xml"}
     assert set(row["inputs"]) == {f"memory://s/rooms/{name}" for name in shared}
-    assert {name for name in sizes_below("memory://b/c") if "/" not in name} == {NAME}
+    assert {name for name in sizes_below("memory://b/c") if "/" not in name} == {INDEX_NAME}
 
 
 def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
@@ -323,7 +323,7 @@ def test_what_a_killed_upload_left_on_a_store_is_removed(memory, monkeypatch, la
             run("a.xml", out="memory://out", products=["nav2"])
     assert len([name for name in sizes_below("memory://out") if "nav2" in name]) == 2
     assert run("a.xml", out="memory://out")[0] == ["a"]
-    assert {*sizes_below("memory://out")} == {NAME, f"a/{RECORD}", "a/grid.json.gz"}
+    assert {*sizes_below("memory://out")} == {INDEX_NAME, f"a/{RECORD_NAME}", "a/grid.json.gz"}
 
 
 def test_a_new_file_here_is_noticed_where_the_grids_are_on_a_store(rooms):
@@ -387,7 +387,14 @@ def test_the_grid_is_the_last_product_of_a_scene_and_the_record_after_it(memory,
     monkeypatch.setattr(store, "write_file", write)
     memory.pipe_file("/a/b.xml", draw_room(1).encode())
     assert run("memory://a/b.xml", out="memory://out", products=["nav2"])[1].count("ok") == 1
-    assert written == [RECORD, "nav2.pgm", "nav2.yaml", "grid.json.gz", RECORD, NAME]
+    assert written == [
+        RECORD_NAME,
+        "nav2.pgm",
+        "nav2.yaml",
+        "grid.json.gz",
+        RECORD_NAME,
+        INDEX_NAME,
+    ]
 
 
 def test_what_is_missing_is_one_line(memory, monkeypatch):
@@ -436,7 +443,7 @@ def test_passwords_and_queries_are_shown_nowhere(memory, monkeypatch):
         read_file(url)
     assert "secret" not in str(caught.value) and "sftp://me@host/a.xml" in str(caught.value)
     _, result = run(url)
-    assert "secret" not in Path("out", NAME).read_text() and result.count("failed") == 1
+    assert "secret" not in Path("out", INDEX_NAME).read_text() and result.count("failed") == 1
     assert caught.value.__cause__ is None  # which --verbose would print
     job = list_jobs(["https://host/a/b.xml?sig=secret"])[0]
     assert job.id == "b" and "secret" not in job.place
@@ -461,7 +468,7 @@ def test_elsewhere_a_file_is_written_beside_and_moved(memory, monkeypatch):
     assert list(sizes_below("memory://a")) == ["b/c.txt"]
     Path("one.xml").write_text(draw_room(1))
     assert run("one.xml", out="memory://out")[1].count("ok") == 1
-    assert {*sizes_below("memory://out")} == {NAME, f"one/{RECORD}", "one/grid.json.gz"}
+    assert {*sizes_below("memory://out")} == {INDEX_NAME, f"one/{RECORD_NAME}", "one/grid.json.gz"}
     assert run("one.xml", out="memory://out")[0] == []
 
 

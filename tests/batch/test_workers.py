@@ -13,10 +13,10 @@ import pytest
 import crew_jobs
 from navbake.batch import workers
 from navbake.batch.workers import (
-    AGAIN,
-    BEGUN,
     CRASHED,
     DONE,
+    RETRIED,
+    SCENE_BEGUN,
     TOO_LARGE,
     TOO_LONG,
     JobLimits,
@@ -86,8 +86,8 @@ def test_what_ends_a_worker_costs_its_job_alone(capfd):
     assert [how for how, _ in ended[8:]] == [DONE, DONE]
     out, err = capfd.readouterr()
     assert out == "" and "qh6154" not in err  # a worker that is ended while it starts may say so
-    assert {end.number for event, end in events if event == BEGUN} == {*range(len(jobs))}
-    again = {end.number: (end.how, end.value) for event, end in events if event == AGAIN}
+    assert {end.number for event, end in events if event == SCENE_BEGUN} == {*range(len(jobs))}
+    again = {end.number: (end.how, end.value) for event, end in events if event == RETRIED}
     assert {2, 4, 5, 6} <= again.keys() <= {2, 4, 5, 6, 9} and again[4] == ended[4]
 
 
@@ -98,7 +98,7 @@ def test_a_job_is_tried_again_as_often_as_asked(tmp_path):
     limits = JobLimits(seconds=0.3, retries=2)
     note = lambda event, end: events.append(event)  # noqa: E731
     assert run([("sleep", 60)], limits=limits, on_event=note)[0][0] == TOO_LONG
-    assert events == [BEGUN, AGAIN, BEGUN, AGAIN, BEGUN]
+    assert events == [SCENE_BEGUN, RETRIED, SCENE_BEGUN, RETRIED, SCENE_BEGUN]
 
 
 def test_time_in_which_all_is_stopped_does_not_count(monkeypatch):
@@ -107,11 +107,15 @@ def test_time_in_which_all_is_stopped_does_not_count(monkeypatch):
     def note(event, end):
         """Take each wait for one in which this process was stopped, until the second try."""
         events.append(event)
-        monkeypatch.setattr(workers, "LATE", -1.0 if len(events) < 2 else 60.0)
+        monkeypatch.setattr(workers, "MAX_OVERSLEEP", -1.0 if len(events) < 2 else 60.0)
 
     limits = JobLimits(seconds=1.5)
     ended = run([("sleep", 60)], limits=limits, on_event=note)
-    assert ended[0][0] == TOO_LONG and events[:2] == [BEGUN, BEGUN] and AGAIN not in events
+    assert (
+        ended[0][0] == TOO_LONG
+        and events[:2] == [SCENE_BEGUN, SCENE_BEGUN]
+        and RETRIED not in events
+    )
 
 
 @pytest.mark.parametrize("seconds", [1e7, float("inf")])

@@ -23,7 +23,7 @@ from batch_scenes import write_scenes
 from navbake import files
 from navbake.batch import index, store
 from navbake.errors import NavbakeError
-from navbake.files import TEMPORARY
+from navbake.files import TEMPORARY_NAME
 from navbake.formats.navgrid import read_navgrid
 from report_pages import content_of_batch
 
@@ -148,8 +148,8 @@ def test_a_page_is_written_while_the_batch_goes_on(folder, run, monkeypatch):
         seen.append((made["progress"], [s["id"] for s in made["scenes"]]))
 
     stay_in_process(monkeypatch, after=look)
-    monkeypatch.setattr("navbake.batch.page.EVERY", 0.0)
-    monkeypatch.setattr("navbake.batch.page.SHARE", 1e9)
+    monkeypatch.setattr("navbake.batch.page.MIN_WRITE_INTERVAL", 0.0)
+    monkeypatch.setattr("navbake.batch.page.MAX_WRITE_SHARE", 1e9)
     run("batch", "room.xml", "second.xml", "-o", "out", "--page", *COARSE)
     assert seen == [([1, 2], ["room"]), ([2, 2], ["room", "second"])]
     assert content_of_batch("out/index.html")["progress"] is None
@@ -232,7 +232,7 @@ def test_a_signal_ends_workers_and_leaves_a_true_index(
         assert process.returncode in (0, status)
         assert b"Traceback" not in err
     wait_until_gone(process.pid)  # what cleans up after multiprocessing hears late
-    assert not [path for path in tmp_path.rglob("*") if TEMPORARY.fullmatch(path.name)]
+    assert not [path for path in tmp_path.rglob("*") if TEMPORARY_NAME.fullmatch(path.name)]
     rows = [json.loads(line) for line in (tmp_path / "index.jsonl").read_text().splitlines()]
     listed = (folder / "scenes" / "list.jsonl").read_text().splitlines()
     assert [f"{row['id']}.xml" for row in rows] == [json.loads(line)["scene"] for line in listed]

@@ -38,7 +38,7 @@ def test_a_bake_has_a_time(lines):
 
 
 def test_a_slow_machine_is_named(lines, monkeypatch):
-    monkeypatch.setattr(check, "USUAL", 0.0)
+    monkeypatch.setattr(check, "USUAL_BAKE_SECONDS", 0.0)
     assert "SLOW: usually below 0.0 s" in lines("-q")["bake"]
 
 
@@ -51,7 +51,7 @@ def test_a_missing_extra_names_its_command(lines, monkeypatch):
 
 def test_no_folder_that_can_be_written(lines, monkeypatch):
     monkeypatch.setattr(check.compiled, "cache_folder", lambda: None)
-    assert lines()["compiled"].endswith(compiled.REMEDY)
+    assert lines()["compiled"].endswith(compiled.CACHE_REMEDY)
     assert "NO FOLDER CAN BE WRITTEN" in lines()["compiled"]
 
 

@@ -18,7 +18,7 @@ import navbake
 from navbake import compiled
 from navbake.cli.main import COMMANDS, app, main
 from navbake.cli.options import check_output, prepared
-from navbake.cli.printing import VOLUME
+from navbake.cli.printing import VERBOSITY
 from navbake.errors import ConfigError
 from project_paths import GOLDEN
 
@@ -167,7 +167,7 @@ def test_a_prepared_command_takes_quiet_and_verbose_too(capsys):
         fast: Annotated[bool, typer.Option("--fast")] = False,
     ) -> None:
         """Draw."""
-        got.append((name, width, fast, VOLUME.quiet))
+        got.append((name, width, fast, VERBOSITY.quiet))
 
     app(["box", "--width", "4", "--fast"], standalone_mode=False)
     app(["box", "-q"], standalone_mode=False)

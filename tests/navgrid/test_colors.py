@@ -65,7 +65,7 @@ def test_marks_stay_apart(vision):
     for one in colors.MARKS:
         for name in ("FREE", "OCCUPIED", "NO_FLOOR"):
             assert difference(rgb_of(one), rgb_of(KINDS[name]), vision) > AT_A_GLANCE, (one, name)
-    ways = (colors.UP, colors.DOWN, colors.ACROSS, colors.ROUTE)
+    ways = (colors.LINK_UP, colors.LINK_DOWN, colors.LINK_ACROSS, colors.ROUTE)
     for one, other in combinations((*ways, colors.FREE), 2):
         assert difference(rgb_of(one), rgb_of(other), vision) > 10, (one, other)
     assert difference(rgb_of(colors.FREE), rgb_of(colors.OUTDOORS), vision) > 10
@@ -73,7 +73,7 @@ def test_marks_stay_apart(vision):
 
 def test_links_stand_out_from_walls():
     """A contrast of 3 to 1, as WCAG 2.2 asks of graphics."""
-    for color in (colors.UP, colors.DOWN, colors.ACROSS):
+    for color in (colors.LINK_UP, colors.LINK_DOWN, colors.LINK_ACROSS):
         assert contrast(rgb_of(color), rgb_of(colors.OCCUPIED)) >= 3, color
 
 

@@ -9,7 +9,7 @@ import pytest
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.verifier.obstacles import CAVITY, OPEN_SURFACE, SOLID, Obstacles, split_mesh_parts
-from navbake.verifier.probes import APART, DISPUTED, TOUCHES, ObstacleProbe, UprightPrism
+from navbake.verifier.probes import DISPUTED, NO_CONTACT, TOUCHES, ObstacleProbe, UprightPrism
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
 
@@ -51,9 +51,9 @@ def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
             answer = probes.find_contact(number, column, center)
             seen.add(answer)
             assert answer != DISPUTED
-            assert state != FREE or answer == APART
+            assert state != FREE or answer == NO_CONTACT
             assert state != OCCUPIED or answer == TOUCHES
-    assert seen == {APART, TOUCHES}
+    assert seen == {NO_CONTACT, TOUCHES}
 
 
 def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, monkeypatch):
@@ -61,9 +61,9 @@ def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, mon
     thing = Thing("capsule", (0.1, 0.4), (0.0, 0.0, 1.0))
     probes = ObstacleProbe(obstacles := obstacles_of(tmp_path, scene_xml([thing])))
     column, near = UprightPrism(0.1, 0.1, 0.4, False), np.array([0.3, 0.0, 1.0])
-    assert probes.find_contact(0, column, near) == APART
+    assert probes.find_contact(0, column, near) == NO_CONTACT
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: -0.01)
-    assert probes.find_contact(0, column, near) == APART  # proved
+    assert probes.find_contact(0, column, near) == NO_CONTACT  # proved
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: 0.01)
     # nothing separates them
     assert probes.find_contact(0, column, np.array([0.1, 0.0, 1.0])) == TOUCHES
@@ -106,7 +106,7 @@ def test_transparent_geoms_planes_and_hulls_count_as_in_the_bake(tmp_path):
     assert heights == pytest.approx([1.0, 1.6], abs=1e-5)
     line = probes.cast_line(6.2, 0.2)
     assert line.is_inside(1.3) and not line.is_inside(1.7)
-    for z, expected in ((0.39, TOUCHES), (0.41, APART)):
+    for z, expected in ((0.39, TOUCHES), (0.41, NO_CONTACT)):
         column, at = UprightPrism(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z])
         assert probes.find_contact(0, column, at) == expected
 

@@ -13,7 +13,7 @@ from door_scenes import LEAF, ROOMS, world
 from grid_maps import house_from, level_from, random_house
 from navbake import bake
 from navbake.views.difference import (
-    COLORS,
+    CHANGE_COLORS,
     SAME_FLOOR,
     compare_levels,
     list_changed_rooms,
@@ -22,7 +22,7 @@ from navbake.views.difference import (
     settings_of,
 )
 
-NAMES = tuple(COLORS)
+NAMES = tuple(CHANGE_COLORS)
 
 
 def with_rooms(level, text):

@@ -7,12 +7,12 @@ from navbake.errors import QueryError
 from navbake.navgrid.colors import (
     DOOR,
     DOORWAY,
-    DOWN,
     FREE,
+    LINK_DOWN,
+    LINK_UP,
     NO_FLOOR,
     OCCUPIED,
     OUTDOORS,
-    UP,
     rgb_of,
 )
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -188,9 +188,9 @@ def test_links_lead_up_and_down():
     metadata = {"navbake": {"links": [[0, 12, 1, 13]]}}
     grid = MultiLevelGrid(grids=levels, cell_size=0.5, metadata=metadata)
     below, above = (make_panel(grid, "links", number) for number in range(2))
-    assert tuple(below.rgb[1, 1]) == rgb_of(UP)
-    assert tuple(above.rgb[1, 2]) == rgb_of(DOWN)
-    assert (below.rgb == rgb_of(UP)).all(axis=2).sum() == 1
+    assert tuple(below.rgb[1, 1]) == rgb_of(LINK_UP)
+    assert tuple(above.rgb[1, 2]) == rgb_of(LINK_DOWN)
+    assert (below.rgb == rgb_of(LINK_UP)).all(axis=2).sum() == 1
 
 
 def test_disagreements_are_where_they_were_found():

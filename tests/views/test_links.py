@@ -113,7 +113,14 @@ def test_the_viewer_bends_links_between_shown_storeys(tower):
 
 
 def test_links_and_keep_out_areas_stand_out():
-    others = (colors.UP, colors.DOWN, colors.ACROSS, colors.ROUTE, colors.FREE, colors.OCCUPIED)
+    others = (
+        colors.LINK_UP,
+        colors.LINK_DOWN,
+        colors.LINK_ACROSS,
+        colors.ROUTE,
+        colors.FREE,
+        colors.OCCUPIED,
+    )
     for kind in VISIONS:
         assert all(difference(rgb_of(colors.LINK), rgb_of(c), kind) > 10 for c in others)
         areas = (*colors.ROOMS, colors.FREE, colors.OCCUPIED, colors.NO_FLOOR)

@@ -315,7 +315,7 @@ def test_maps_are_apart_and_in_the_picture(width, levels, layers):
 
     figure, panel = Figure(), make_panel(make_level(), "floor", 0)
     axes = plot.add_axes(figure, (0, 0, width, 10), [panel] * (levels * layers), layers)
-    assert figure.get_figwidth() <= plot.WIDTH and figure.get_figheight() <= plot.MAX_HEIGHT + 1
+    assert figure.get_figwidth() <= plot.MAX_WIDTH and figure.get_figheight() <= plot.MAX_HEIGHT + 1
     boxes = [ax.get_position() for ax in axes]
     assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
     assert all((box.p0 >= 0).all() and (box.p1 <= 1).all() for box in boxes)
@@ -325,7 +325,7 @@ def test_long_titles_wrap_and_end_somewhere():
     text = plot.wrap("the storey between the ground and the gallery " * 9, 3.0)
     lines = text.split("\n")
     assert len(lines) == 3 and text.endswith("…")
-    assert all(len(line) <= 3 * plot.LETTERS for line in lines)
+    assert all(len(line) <= 3 * plot.LETTERS_PER_INCH for line in lines)
     long, short = (
         pixels(render_picture(MultiLevelGrid(grids=[make_level()] * 2, cell_size=0.1, metadata=m)))
         for m in ({"navbake": {"levels": [{"name": "a storey " * 9}] * 2}}, {})

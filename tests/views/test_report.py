@@ -40,7 +40,7 @@ def test_cells_are_told_as_the_grid_has_them(house):
         weights = np.nan_to_num(arrays["weight"], nan=np.inf)
         np.testing.assert_array_equal(weights, level.weights)
         for cell, entry in level.user_data.items():
-            kept = {key: sorted(entry[key]) for key in report.KINDS if entry.get(key)}
+            kept = {key: sorted(entry[key]) for key in report.NAME_KINDS if entry.get(key)}
             which = int(arrays["names"].flat[cell])
             assert (lists[which] if which >= 0 else {}) == kept
         assert np.count_nonzero(arrays["names"] >= 0) == len(level.user_data)
@@ -132,7 +132,7 @@ def test_the_policy_allows_the_pages_own_script_and_style_only(house):
 
 
 def test_large_levels_show_every_nth_cell(monkeypatch):
-    monkeypatch.setattr(difference, "MAX_SHOWN", 6)
+    monkeypatch.setattr(difference, "MAX_PAGE_CELLS", 6)
     level = level_from("..#..\n#...#\n.....")
     [sheet] = content_of(render_report(level))["sheets"]
     [shown] = sheet["levels"]

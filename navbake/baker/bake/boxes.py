@@ -25,10 +25,10 @@ Box = tuple[Vector3, Vector3]
 """Lower and upper corner, file frame (y up) [m]."""
 
 # A box begins this far below its lowest floor, beyond the rounding of float32 and of units [m]
-MARGIN = 0.001
-GAP = 1e-6  # between a box and the one above it [m]
-GAP_DIGITS = 6  # decimals of heights that are multiples of `MARGIN` and `GAP`
-DIGITS = 9  # decimals of all other lengths: what is smaller is rounding
+BOX_MARGIN = 0.001
+BOX_GAP = 1e-6  # between a box and the one above it [m]
+BOX_DECIMALS = 6  # decimals of heights that are multiples of `BOX_MARGIN` and `BOX_GAP`
+LENGTH_DECIMALS = 9  # decimals of all other lengths: what is smaller is rounding
 
 
 class LevelBoxes(NamedTuple):
@@ -59,9 +59,9 @@ def find_level_boxes(
 
     A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
     outside. Several levels are each cropped to the cells that have a floor. A level's box spans its
-    rectangle, up to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below the next
-    box above it, or to the scene's top. An agent on the highest floor is inside of the highest
-    level's box. Doors change neither rectangles nor boxes.
+    rectangle, up to the scene's sides, from `BOX_MARGIN` below its lowest floor to `BOX_GAP` below
+    the next box above it, or to the scene's top. An agent on the highest floor is inside of the
+    highest level's box. Doors change neither rectangles nor boxes.
 
     Args:
         levels: lowest first.
@@ -82,18 +82,18 @@ def find_level_boxes(
         full_window = (slice(0, lattice.height), slice(0, lattice.width))
         box = _single_level_box(sides[0], lowest[0], highest[0], scene_box, agent_height)
         return LevelBoxes([full_window], [box], 0, [])
-    bottoms = [round(z - MARGIN, GAP_DIGITS) for z in lowest]
-    bottoms[0] = min(bottoms[0], round(levels[0].ground - MARGIN, GAP_DIGITS))
+    bottoms = [round(z - BOX_MARGIN, BOX_DECIMALS) for z in lowest]
+    bottoms[0] = min(bottoms[0], round(levels[0].ground - BOX_MARGIN, BOX_DECIMALS))
     top = max(highest) + agent_height
     if scene_box is not None:
         top = max(top, float(scene_box[1, 2]))
     # The floors of single cells matter only where a level reaches up to a box above it.
     free_floors = [np.empty((0, 0)) for _ in levels]
-    if any(z > min(bottoms[k:], default=np.inf) - 2 * GAP for k, z in enumerate(highest, 1)):
+    if any(z > min(bottoms[k:], default=np.inf) - 2 * BOX_GAP for k, z in enumerate(highest, 1)):
         free_floors = [floor.astype(np.float64) for floor in floors]
         for floor, is_occupied in zip(free_floors, occupied, strict=True):
             floor[is_occupied] = np.nan
-    tops, num_misplaced = _find_tops(free_floors, windows, bottoms, round(top, DIGITS))
+    tops, num_misplaced = _find_tops(free_floors, windows, bottoms, round(top, LENGTH_DECIMALS))
     boxes = [_to_file_frame(*box) for box in zip(sides, bottoms, tops, strict=True)]
     return LevelBoxes(
         windows=windows,
@@ -105,7 +105,7 @@ def find_level_boxes(
 
 def rounded_ground(level: LevelFloor) -> float:
     """Return a level's ground height, rounded to a nanometre [m]."""
-    return round(level.ground, DIGITS) + 0.0  # + 0.0 turns -0.0 into 0.0
+    return round(level.ground, LENGTH_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
 def _find_tops(
@@ -138,9 +138,9 @@ def _find_tops(
             if bottoms[j] > last and _are_adjacent(window, windows[j])
         ]
         next_floor = float(heights_above[heights_above > last].min(initial=np.inf))
-        limit = min([*limits, next_floor - MARGIN])
+        limit = min([*limits, next_floor - BOX_MARGIN])
         # The next float below, so that the top stays below the limit however large both are.
-        below = min(round(limit - GAP, GAP_DIGITS), np.nextafter(limit, -np.inf))
+        below = min(round(limit - BOX_GAP, BOX_DECIMALS), np.nextafter(limit, -np.inf))
         tops.append(max(highest if limit > highest else float(below), last, bottom))
         for j, z in zip([k, *levels_above], [floor, *floors_above], strict=True):
             is_misplaced = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
@@ -177,11 +177,11 @@ def _last_floor(floors: Float, heights_above: Float) -> float:
 def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
     """x_min, y_min, x_max, y_max of a level; the scene's side where it crosses the outer cells."""
     x_min, y_min, x_max, y_max = lattice.bounds
-    sides = np.round([x_min, y_min, x_max, y_max], DIGITS) + 0.0
+    sides = np.round([x_min, y_min, x_max, y_max], LENGTH_DECIMALS) + 0.0
     if scene_box is None:
         return sides
     half = lattice.cell_size / 2
-    scene_sides = np.round(scene_box[:, :2].ravel(), DIGITS) + 0.0
+    scene_sides = np.round(scene_box[:, :2].ravel(), LENGTH_DECIMALS) + 0.0
     # Only a side between the rectangle's and the outermost centres is taken from the scene.
     centers = np.array([x_min + half, y_min + half, x_max - half, y_max - half])
     is_between = np.minimum(sides, centers) <= scene_sides
@@ -194,16 +194,16 @@ def _single_level_box(
 ) -> Box:
     """The box of the only level: the scene's, enlarged by the grid's parts outside of it."""
     if scene_box is None:
-        bottom = round(lowest - MARGIN, DIGITS)
-        top = round(highest + agent_height, DIGITS)
+        bottom = round(lowest - BOX_MARGIN, LENGTH_DECIMALS)
+        top = round(highest + agent_height, LENGTH_DECIMALS)
         return _to_file_frame(sides, bottom, top)
-    corners = np.round(scene_box, DIGITS) + 0.0
+    corners = np.round(scene_box, LENGTH_DECIMALS) + 0.0
     sides[:2] = np.minimum(sides[:2], corners[0, :2])
     sides[2:] = np.maximum(sides[2:], corners[1, :2])
     bottom = float(corners[0, 2])
     top = float(corners[1, 2])
     if bottom > lowest:
-        bottom = round(lowest - MARGIN, GAP_DIGITS)
+        bottom = round(lowest - BOX_MARGIN, BOX_DECIMALS)
     return _to_file_frame(sides, bottom, max(top, highest))
 
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns.hit_kernels import DROPPED, RIM
-from navbake.baker.columns.ray_kernels import GROUP, Geometry, Lines, cast_lines
+from navbake.baker.columns.hit_kernels import DROPPED, RIM_WIDTH
+from navbake.baker.columns.ray_kernels import LINES_PER_CALL, Geometry, Lines, cast_lines
 from navbake.baker.core.arrays import ColumnHits, Facets, HeightRange, ShapeIndex
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.tiles import TILE, list_boxes_by_tile
@@ -101,8 +101,12 @@ class TiledShapes:
     @cached_property
     def tile_row_index(self) -> ShapeIndex:
         """Return, for each row of tiles, the solids and facets that cover a cell's centre in it."""
-        solid_start, solid_item = list_by_tile_row(self.shapes.solids.bounds, RIM, self.lattice)
-        triangle_start, triangle_item = list_by_tile_row(self.facets.bounds, RIM, self.lattice)
+        solid_start, solid_item = list_by_tile_row(
+            self.shapes.solids.bounds, RIM_WIDTH, self.lattice
+        )
+        triangle_start, triangle_item = list_by_tile_row(
+            self.facets.bounds, RIM_WIDTH, self.lattice
+        )
         return ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
 
     @cached_property
@@ -334,10 +338,10 @@ def cast_points(
         tiled,
         lines=Lines(np.ascontiguousarray(points), tiles, axes),
         shape_index=tiled.tile_index,
-        groups=range(-(-len(points) // GROUP)),
+        groups=range(-(-len(points) // LINES_PER_CALL)),
         start=np.zeros(len(points) + 1, dtype=np.int64),
         lines_of_groups=slice(None),
-        least=MIN_POINTS_PER_CALL // GROUP,
+        least=MIN_POINTS_PER_CALL // LINES_PER_CALL,
     )
 
 
@@ -390,7 +394,7 @@ def _cast_groups(
     if len(hits.z):
         cast(hits)
     if num_dropped.any():
-        lines_per_group = GROUP if len(lines.points) else TILE * tiled.lattice.width
+        lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled.lattice.width
         hits = _remove_dropped(hits, groups, lines_per_group, num_dropped)
     return hits
 

@@ -55,7 +55,7 @@ class TiledGeometry(NamedTuple):
     tile_index: ShapeIndex
 
 
-class Scratch(NamedTuple):
+class CrackScratch(NamedTuple):
     """Scratch arrays for `_list_in_tile`.
 
     Attributes:
@@ -78,7 +78,7 @@ class Scratch(NamedTuple):
 @subkernel
 def _make_scratch(num_candidates):
     """Allocate scratch arrays, with room for some candidates."""
-    return Scratch(
+    return CrackScratch(
         np.empty((num_candidates, NUM_COLUMNS)),
         np.empty((4, 3)),
         np.empty((1, 6)),

@@ -21,7 +21,7 @@ from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
-RIM = 1e-7
+RIM_WIDTH = 1e-7
 # `LineHits.facet` of hits of other shapes than triangles
 OF_SOLID = np.int32(-1)
 OF_PLANE = np.int32(-2)

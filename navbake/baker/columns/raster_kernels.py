@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from navbake.baker.columns.hit_kernels import AT_EDGE, INSIDE, RIM
+from navbake.baker.columns.hit_kernels import AT_EDGE, INSIDE, RIM_WIDTH
 from navbake.baker.core.tiles import cell_center, centers_between
 from navbake.baker.geometry.triangle_kernels import unit_normal
 from navbake.compiled import NO_REFCOUNT, subkernel
@@ -37,10 +37,10 @@ def is_beside(boxes, i, x, y):
         x, y: the line [m].
     """
     return (
-        x < boxes[i, 0] - RIM
-        or x > boxes[i, 3] + RIM
-        or y < boxes[i, 1] - RIM
-        or y > boxes[i, 4] + RIM
+        x < boxes[i, 0] - RIM_WIDTH
+        or x > boxes[i, 3] + RIM_WIDTH
+        or y < boxes[i, 1] - RIM_WIDTH
+        or y > boxes[i, 4] + RIM_WIDTH
     )
 
 
@@ -50,7 +50,7 @@ def _edge_limit(corners, t, i, j):
     dx = corners[t, j, 0] - corners[t, i, 0]
     dy = corners[t, j, 1] - corners[t, i, 1]
     length = math.sqrt(dx * dx + dy * dy)
-    return 2.0 * RIM * length if length > SHORT_EDGE else np.inf
+    return 2.0 * RIM_WIDTH * length if length > SHORT_EDGE else np.inf
 
 
 @subkernel(inline="always")
@@ -83,9 +83,9 @@ def _cross_triangle(corners, t, x, y, limits):
         dv = v / math.hypot(ax - cx, ay - cy)
         dw = w / math.hypot(bx - ax, by - ay)
         nearest = min(du, dv, dw)
-        if nearest < -RIM:
+        if nearest < -RIM_WIDTH:
             return 0, 0.0
-        if nearest <= RIM:
+        if nearest <= RIM_WIDTH:
             crossing = 2
     z0 = corners[t, 0, 2]
     z1 = corners[t, 1, 2]
@@ -187,11 +187,11 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, end, wr
         if (writing and not is_crossed[i]) or (not writing and facets.facing[t] == 0):
             is_crossed[i] = False
             continue
-        y_high = bounds[t, 4] + RIM
-        y_low = bounds[t, 1] - RIM
+        y_high = bounds[t, 4] + RIM_WIDTH
+        y_low = bounds[t, 1] - RIM_WIDTH
         first_row, last_row = centers_between(y_max - y_high, y_max - y_low, cell_size, height)
-        x_low = bounds[t, 0] - RIM
-        x_high = bounds[t, 3] + RIM
+        x_low = bounds[t, 0] - RIM_WIDTH
+        x_high = bounds[t, 3] + RIM_WIDTH
         first_col, last_col = centers_between(x_low - x_min, x_high - x_min, cell_size, width)
         needs_spans = last_col - first_col >= MIN_COLUMNS_FOR_SPANS
         limits = (

@@ -26,7 +26,7 @@ from navbake.baker.columns.hit_kernels import (
     INSIDE,
     OF_PLANE,
     OF_SOLID,
-    RIM,
+    RIM_WIDTH,
     copy_hit,
     finish_line,
     make_hits,
@@ -54,7 +54,7 @@ PLANE_KIND = np.int32(PLANE)
 RIM_CLEARANCE = 1e-5
 # Solids with a half-size below this are crossed by MuJoCo's ray on each line [m]
 MIN_HALF_SIZE = 1e-3
-GROUP = 64  # lines through points that one call takes together
+LINES_PER_CALL = 64  # lines through points that one call takes together
 # Axes; for plain ints, numba would compile functions once for each
 X = np.int64(0)
 Y = np.int64(1)
@@ -158,13 +158,13 @@ def _cast_at_rim(solids, s, ray):
     if distance >= 0.0:
         return distance
     for i in range(3):
-        ray.enlarged_size[i] = size[i] + 2.0 * RIM
+        ray.enlarged_size[i] = size[i] + 2.0 * RIM_WIDTH
     if _cast(pos, mat, ray.enlarged_size, kind, ray.point, ray) < 0.0:
         return -1.0
     ray.nudged[2] = ray.point[2]
     for k in range(8):  # at a square corner, one of eight directions leads inside
-        ray.nudged[0] = ray.point[0] + RIM * math.cos(k * EIGHTH_TURN)
-        ray.nudged[1] = ray.point[1] + RIM * math.sin(k * EIGHTH_TURN)
+        ray.nudged[0] = ray.point[0] + RIM_WIDTH * math.cos(k * EIGHTH_TURN)
+        ray.nudged[1] = ray.point[1] + RIM_WIDTH * math.sin(k * EIGHTH_TURN)
         distance = _cast(pos, mat, size, kind, ray.nudged, ray)
         if distance >= 0.0:
             return distance
@@ -285,12 +285,12 @@ def _cast_solid(solids, s, lattice, rows, ray, middle_hits, hits, end, writing):
     x_min = lattice.x_min
     y_max = lattice.y_max
     first_row, last_row = centers_between(
-        y_max - box[4] - RIM, y_max - box[1] + RIM, cell_size, lattice.height
+        y_max - box[4] - RIM_WIDTH, y_max - box[1] + RIM_WIDTH, cell_size, lattice.height
     )
     first_row = max(first_row, rows[0])
     last_row = min(last_row, rows[1] - 1)
     first_col, last_col = centers_between(
-        box[0] - RIM - x_min, box[3] + RIM - x_min, cell_size, lattice.width
+        box[0] - RIM_WIDTH - x_min, box[3] + RIM_WIDTH - x_min, cell_size, lattice.width
     )
     has_simple_rim = _has_simple_rim(solids, s)
     copies_middle = False
@@ -393,10 +393,12 @@ def _may_cross(corners, t, x, y, axes, local_corners):
     If so, `local_corners`, (1, 3, 3), receives its corners in the line's frame.
     """
     x0, x1, x2 = _project(axes, X, corners, t)
-    if x < min(x0, x1, x2) - RIM or x > max(x0, x1, x2) + RIM:  # true for most triangles
+    if (
+        x < min(x0, x1, x2) - RIM_WIDTH or x > max(x0, x1, x2) + RIM_WIDTH
+    ):  # true for most triangles
         return False
     y0, y1, y2 = _project(axes, Y, corners, t)
-    if y < min(y0, y1, y2) - RIM or y > max(y0, y1, y2) + RIM:
+    if y < min(y0, y1, y2) - RIM_WIDTH or y > max(y0, y1, y2) + RIM_WIDTH:
         return False
     z0, z1, z2 = _project(axes, Z, corners, t)
     local_corners[0, 0, X] = x0
@@ -470,8 +472,8 @@ def cast_lines(
 
     Args:
         lattice: the cells.
-        lines: lines through points, in groups of GROUP; or none, for lines through the centres of
-            the lattice's cells, in groups of a row of tiles each.
+        lines: lines through points, in groups of LINES_PER_CALL; or none, for lines through the
+            centres of the lattice's cells, in groups of a row of tiles each.
         geometry: the shapes, as `Geometry`.
         shape_index: the shapes by tile for lines through points, else by row of tiles.
         is_crossed: by entry of `shape_index.triangle_item`, bool: whether any line of the row of
@@ -489,7 +491,7 @@ def cast_lines(
     middle_hits = make_hits(2)
     local_corners = np.empty((1, 3, 3))
     num_lines = lines.points.shape[0]
-    group_size = GROUP
+    group_size = LINES_PER_CALL
     at_points = lines.points.shape[0] > 0
     if not at_points:
         num_lines = lattice.height * lattice.width

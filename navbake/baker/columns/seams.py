@@ -22,7 +22,7 @@ from navbake.baker.columns.crack_kernels import (
     SAME_PIECE,
     list_sides,
 )
-from navbake.baker.columns.hit_kernels import RIM
+from navbake.baker.columns.hit_kernels import RIM_WIDTH
 from navbake.baker.core.arrays import ColumnHits
 from navbake.baker.core.blocks import splice
 from navbake.baker.core.components import expand_ranges
@@ -103,7 +103,7 @@ def _aligned_boxes(tiled: TiledShapes, tiles: Int) -> Float:
     is_over = _are_over(index.solid_start, index.solid_item, tiles, len(solids.geom))
     boxes = np.flatnonzero(is_over & (solids.kind == BOX))
     mat = abs(solids.mat[boxes])
-    is_aligned = np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM
+    is_aligned = np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM_WIDTH
     bounds: Float = solids.bounds[boxes[is_aligned]]
     return bounds
 
@@ -117,7 +117,7 @@ def _upright_triangles(tiled: TiledShapes, tiles: Int) -> Float:
     def drop_thick(first: int, end: int) -> None:
         size_x = bounds[first:end, 3 + 0] - bounds[first:end, 0]
         size_y = bounds[first:end, 3 + 1] - bounds[first:end, 1]
-        is_candidate[first:end] &= (size_x <= RIM) | (size_y <= RIM)
+        is_candidate[first:end] &= (size_x <= RIM_WIDTH) | (size_y <= RIM_WIDTH)
 
     run_in_chunks(drop_thick, len(bounds), least=4096)
     return tiled.facets.corners[is_candidate]
@@ -151,7 +151,7 @@ def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corn
     v = corners[:, 2] - corners[:, 0]
     # the normal's coordinate along the axis, whose sign says which way the face looks
     normal = (u[:, other_axis] * v[:, 2] - u[:, 2] * v[:, other_axis]) * (1 - 2 * axis)
-    is_across = high[:, axis] - low[:, axis] <= RIM
+    is_across = high[:, axis] - low[:, axis] <= RIM_WIDTH
     marks = []
     for is_upper_face in (False, True):
         is_face = is_across & (normal > 0 if is_upper_face else normal < 0)
@@ -180,14 +180,14 @@ def _mark_lines(
     along_axis = centers[axis]
     along_face = centers[1 - axis]
     marked = np.zeros((len(along_axis), len(along_face)), dtype=np.bool_)
-    index = np.searchsorted(along_axis, face - 2 * RIM)
+    index = np.searchsorted(along_axis, face - 2 * RIM_WIDTH)
     holds_centers = index < len(along_axis)
     candidates = index[holds_centers]
-    holds_centers[holds_centers] = along_axis[candidates] <= face[holds_centers] + 2 * RIM
+    holds_centers[holds_centers] = along_axis[candidates] <= face[holds_centers] + 2 * RIM_WIDTH
     if not holds_centers.any():
         return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
-    first = np.searchsorted(along_face, begin[holds_centers] - 2 * RIM)
-    last = np.searchsorted(along_face, end[holds_centers] + 2 * RIM, side="right")
+    first = np.searchsorted(along_face, begin[holds_centers] - 2 * RIM_WIDTH)
+    last = np.searchsorted(along_face, end[holds_centers] + 2 * RIM_WIDTH, side="right")
     face_number, place = expand_ranges(first, last)
     marked[index[holds_centers][face_number], place] = True
     return np.asarray((marked.T if axis == 0 else marked)[::-1])

@@ -27,7 +27,7 @@ from navbake.baker.scene.leaves import DoorCandidate, find_largest_side, mark_ca
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.rooms import STATES
+from navbake.navgrid.rooms import DOOR_STATES
 from navbake.threads import limit_threads
 from navbake.types import Float, Int
 
@@ -114,7 +114,7 @@ def pose_shapes(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Sha
     Args:
         scene: the scene of the candidates.
         doors: the candidates.
-        state: one of `STATES` except ``removed``.
+        state: one of `DOOR_STATES` except ``removed``.
     """
     is_door_geom = mark_candidate_geoms(scene.model.ngeom, doors)
     joint_positions: dict[int, float] = {}
@@ -153,7 +153,7 @@ def pose_leaves(
     if not candidates:
         return []
     shapes_by_state = {
-        state: pose_shapes(scene, candidates, state) for state in STATES if state != "removed"
+        state: pose_shapes(scene, candidates, state) for state in DOOR_STATES if state != "removed"
     }
     extents_by_state = {
         state: measure_extents(shapes, scene.model.ngeom)

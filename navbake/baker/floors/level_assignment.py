@@ -91,7 +91,7 @@ def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightR
     return height_ranges
 
 
-class LevelCounts(NamedTuple):
+class RegionLevelCounts(NamedTuple):
     """How many surfaces of a region are on a level; arrays of shape (n,), pairs may repeat.
 
     Attributes:
@@ -123,7 +123,7 @@ class LevelAssignment(NamedTuple):
     names: list[str]
     level: Int32
     final_level: Int
-    counts: LevelCounts
+    counts: RegionLevelCounts
     without_level: list[Patch]
 
 
@@ -676,7 +676,7 @@ def _drop_empty_levels(
         names=_name_levels([names.get(ground) for ground in grounds]),
         level=surface_levels.level,
         final_level=final_level,
-        counts=LevelCounts(
+        counts=RegionLevelCounts(
             region=regions.of_component[components.component[has_level]],
             level=final_level[level],
             num_surfaces=components.num_surfaces[has_level],

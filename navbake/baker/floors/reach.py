@@ -9,7 +9,7 @@ import numpy as np
 
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
-from navbake.baker.floors.level_assignment import LevelAssignment, LevelCounts
+from navbake.baker.floors.level_assignment import LevelAssignment, RegionLevelCounts
 from navbake.baker.floors.outline import (
     DROP,
     RegionContext,
@@ -141,7 +141,7 @@ def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) 
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
 
-def mark_largest_on_lowest_level(counts: LevelCounts, num_regions: int) -> Bool:
+def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) -> Bool:
     """Mark the region with the largest floor on the lowest level.
 
     Args:
@@ -199,7 +199,7 @@ class ReachedRegions(NamedTuple):
 
 
 def find_voids(
-    context: RegionContext, counts: LevelCounts, is_reached: Bool, has_starts: bool
+    context: RegionContext, counts: RegionLevelCounts, is_reached: Bool, has_starts: bool
 ) -> ReachedRegions:
     """Find the voids: levels that no path leads to and in which nobody can stand upright.
 
@@ -223,7 +223,7 @@ def find_voids(
             low_levels.append(level)
     on_low_level = np.isin(counts.level, low_levels)
     if not has_starts and len(low_levels) < len(levels):
-        on_high_level = LevelCounts._make(column[~on_low_level] for column in counts)
+        on_high_level = RegionLevelCounts._make(column[~on_low_level] for column in counts)
         is_reached = mark_largest_on_lowest_level(on_high_level, len(is_reached))
     on_reached_level = np.isin(counts.level, counts.level[is_reached[counts.region]])
     on_void_level = on_low_level & ~on_reached_level

@@ -48,7 +48,7 @@ OVER_SHARE = 0.5
 # floor, the least share that is over a floor or a wall or near one, and how near that is [m]
 MIN_OVER_SHARE = 0.1
 WALLED_SHARE = 2 / 3
-EAVES = 1.5
+EAVES_DEPTH = 1.5
 # A region is no roof, but a storey without its ceiling, if more than this share of its outline has
 # walls; they are higher than the agent, and than parapets, which are at most 1.2 m high [m]
 WALL_SHARE = 0.5
@@ -325,13 +325,13 @@ def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
 
 
 def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
-    """Mark the regions that lie over others, over walls, or near these (`EAVES`), as roofs do."""
+    """Mark the regions that lie over others, over walls, or within `EAVES_DEPTH` of walls."""
     is_over_walls = np.zeros_like(candidates)
     if not candidates.any():
         return is_over_walls
     regions = context.regions
     lattice = regions.lattice
-    reach = int(EAVES / lattice.cell_size + LIMIT_SLACK)
+    reach = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
     labelled = regions.label_surfaces(np.ones_like(candidates))
     for region in np.flatnonzero(candidates).tolist():

@@ -35,7 +35,7 @@ MAX_STEPS = 128
 # How much a distance may grow from step to step by rounding alone, as a share of itself
 ROUNDING = 1e-3
 # The two meet if they are proved to be this near to each other, which is less than TOUCH_DEPTH [m]
-NEAR = 1e-7
+CONTACT_DISTANCE = 1e-7
 
 
 class Simplex(NamedTuple):
@@ -260,7 +260,7 @@ def _origin_outside(a, b, c, d):
 
 
 # The corners of a tetrahedron's faces, each followed by the opposite corner
-FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
+TETRAHEDRON_FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 
 @subkernel(inline="always")
@@ -273,10 +273,10 @@ def _nearest_on_faces(simplex, num):
     best = math.inf
     outside = False
     for f in range(4 if num == 4 else 1):  # a triangle is the first face
-        i = FACES[f, 0]
-        j = FACES[f, 1]
-        k = FACES[f, 2]
-        m = FACES[f, 3]
+        i = TETRAHEDRON_FACES[f, 0]
+        j = TETRAHEDRON_FACES[f, 1]
+        k = TETRAHEDRON_FACES[f, 2]
+        m = TETRAHEDRON_FACES[f, 3]
         if num == 4 and not _origin_outside(points[i], points[j], points[k], points[m]):
             continue
         outside = True
@@ -370,7 +370,7 @@ def gjk_meets_prism(solids, s, prism, simplex):
         if num == 4:
             return MEETS
         distance = _dot(v, v)
-        if distance < NEAR * NEAR:
+        if distance < CONTACT_DISTANCE * CONTACT_DISTANCE:
             return MEETS  # v is a point of the difference
         if distance > last_distance * (1.0 + ROUNDING):
             return UNDECIDED

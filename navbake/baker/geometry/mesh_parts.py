@@ -7,7 +7,7 @@ import numpy as np
 from navbake.baker.core.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.geometry.mesh_part_kernels import DUPLICATE, find_parts
 from navbake.baker.geometry.shapes import (
-    MIN_SHARE,
+    MIN_ITEMS_PER_SHARE,
     GeomTriangles,
     choose_num_shares,
     triangle_areas,
@@ -69,7 +69,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
         lowest_of_part = part[first:end]
         part[first:end] = np.where(lowest_of_part < 0, 0, number[lowest_of_part])
 
-    run_in_chunks(number_parts, len(part), least=MIN_SHARE)
+    run_in_chunks(number_parts, len(part), least=MIN_ITEMS_PER_SHARE)
     if not is_unique.all():
         triangles = triangles[is_unique]
         part = part[is_unique]
@@ -83,7 +83,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
         np.take(code_of_part, part[first:end], out=closed[first:end], mode="clip")
         np.take(new_number, part[first:end], out=part[first:end], mode="clip")
 
-    run_in_chunks(renumber_parts, len(triangles), least=MIN_SHARE)
+    run_in_chunks(renumber_parts, len(triangles), least=MIN_ITEMS_PER_SHARE)
     is_flipped &= part > 0
     if is_flipped.any():
         triangles = np.where(is_flipped[:, None], triangles[:, ::-1], triangles)
@@ -115,7 +115,9 @@ def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
         if is_proper.all():
             break
         faces = faces[is_proper]
-    run_in_chunks(pair_half_edges, len(bits), point.reshape(-1), last, mate, least=MIN_SHARE)
+    run_in_chunks(
+        pair_half_edges, len(bits), point.reshape(-1), last, mate, least=MIN_ITEMS_PER_SHARE
+    )
     shell = np.empty(len(faces), dtype=np.int32)
     label_shells(mate, shell)
     return faces, point, shell

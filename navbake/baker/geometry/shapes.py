@@ -25,7 +25,7 @@ spatial = lazy("scipy.spatial")
 # tilted one are off by about 1e-16 ENDLESS_HALF_SIZE^2 [m]
 ENDLESS_HALF_SIZE = 1e4
 # A share of the points or triangles of a mesh has at least this many
-MIN_SHARE = 4096
+MIN_ITEMS_PER_SHARE = 4096
 # A mesh is divided into at most this many shares: each has arrays of its own
 MAX_SHARES = 8
 NUM_SIDES = 32  # of round solids that are made of triangles
@@ -124,7 +124,7 @@ class Meshes:
                 first = last
                 n = n + 1
 
-        run_in_chunks(expand_range, num_triangles, least=MIN_SHARE)
+        run_in_chunks(expand_range, num_triangles, least=MIN_ITEMS_PER_SHARE)
         arrays: list[list[NDArray[Any]]] = [[mesh.part, mesh.closed] for mesh in self.triangles]
         if not arrays:
             arrays.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
@@ -377,7 +377,7 @@ def hull_faces(vertices: Float) -> Int32 | None:
 
 def choose_num_shares(count: int) -> int:
     """Return into how many shares `count` points or triangles are divided, each for a thread."""
-    return max(1, min(num_threads(), MAX_SHARES, count // MIN_SHARE))
+    return max(1, min(num_threads(), MAX_SHARES, count // MIN_ITEMS_PER_SHARE))
 
 
 def triangle_areas(vertices: Float, faces: Int32) -> Float:
@@ -391,7 +391,7 @@ def triangle_areas(vertices: Float, faces: Int32) -> Float:
         shape (m,) [m²].
     """
     area = np.empty(len(faces))
-    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_SHARE)
+    run_in_chunks(measure_areas, len(faces), vertices, faces, area, least=MIN_ITEMS_PER_SHARE)
     return area
 
 
@@ -411,7 +411,7 @@ def bounding_box(points: Float) -> Float:
             box[k] = points[:, k].min()
             box[3 + k] = points[:, k].max()
 
-    run_in_chunks(measure, 3, least=1 if len(points) > MIN_SHARE else 3)
+    run_in_chunks(measure, 3, least=1 if len(points) > MIN_ITEMS_PER_SHARE else 3)
     return box
 
 

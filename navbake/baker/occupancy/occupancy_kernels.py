@@ -58,8 +58,8 @@ from navbake.baker.occupancy.volume_kernels import (
     TRIANGLE_KIND,
     OccupantLists,
     Queries,
-    Scratch,
     ShapeArrays,
+    VolumeScratch,
     describe_floor,
     find_flags_on_line,
     make_envelope,
@@ -75,7 +75,7 @@ if TYPE_CHECKING:  # kernels depend on kernels alone
 
 BLOCKED_BY_LINE = 64  # of a query: its line alone proves that it is occupied
 NO_GEOM = np.int32(2**31 - 1)  # above all geom ids
-FIRST_ROOM = 1024  # entries that arrays have room for at first
+FIRST_CAPACITY = 1024  # entries that arrays have room for at first
 
 
 class TileEntries(NamedTuple):
@@ -119,7 +119,7 @@ class TileState(NamedTuple):
     pending_heights: Float
     geom_box: Float
     plane: Int32
-    scratch: Scratch
+    scratch: VolumeScratch
 
 
 class TileTask(NamedTuple):
@@ -179,15 +179,15 @@ def check_tiles(lattice, hits, shape_arrays, tiles, footprint, queries, lists, f
         pending_heights=np.empty((4, 2)),
         geom_box=np.empty((1, 6)),
         plane=np.empty(1, np.int32),
-        scratch=Scratch(make_simplex(), make_polygons()),
+        scratch=VolumeScratch(make_simplex(), make_polygons()),
     )
-    list_geom = np.empty(FIRST_ROOM, np.int32)
-    list_flags = np.empty(FIRST_ROOM, np.uint8)
+    list_geom = np.empty(FIRST_CAPACITY, np.int32)
+    list_flags = np.empty(FIRST_CAPACITY, np.uint8)
     list_geom[0] = -1
     list_flags[0] = 0
     # a plain 1 has a type of its own, and the functions that take it would be compiled twice
     list_end = np.int64(1)
-    entries = _make_entries(FIRST_ROOM)
+    entries = _make_entries(FIRST_CAPACITY)
     tiles_x = (lattice.width + TILE - 1) // TILE
     for tile in range(first * tiles_x, end * tiles_x):
         window = tile_window(lattice, tile)

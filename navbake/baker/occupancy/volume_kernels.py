@@ -116,7 +116,7 @@ class Volumes(NamedTuple):
     blocking_square: Prism
 
 
-class Scratch(NamedTuple):
+class VolumeScratch(NamedTuple):
     """Room in which shapes are tested against prisms."""
 
     simplex: Simplex

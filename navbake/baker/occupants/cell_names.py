@@ -19,7 +19,7 @@ CellNames = dict[str, list[str]]
 OBJECTS = 1
 WALLS = 2
 BLOCKERS = 4
-KEYS = {"objects": OBJECTS, "walls": WALLS}
+USER_DATA_KEYS = {"objects": OBJECTS, "walls": WALLS}
 OBJECTS_OR_WALLS = OBJECTS | WALLS
 NUM_BITS_VALUES = 8  # bits are below this
 
@@ -114,7 +114,7 @@ def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[Ce
     bits = bits[order]
     differs = ((bits & BLOCKERS) > 0) != ((bits & OBJECTS_OR_WALLS) > 0)
     has_blockers = np.bincount(entry, differs, num_entries) > 0
-    is_under_key = {key: (bits & bit) > 0 for key, bit in KEYS.items()}
+    is_under_key = {key: (bits & bit) > 0 for key, bit in USER_DATA_KEYS.items()}
     is_under_key["blockers"] = ((bits & BLOCKERS) > 0) & has_blockers[entry]
     user_data: list[CellNames] = [{} for _ in range(num_entries)]
     for key, is_listed in is_under_key.items():

@@ -7,10 +7,10 @@ from navbake.compiled import kernel
 
 EMPTY = 1  # nothing is in the column
 HOLE = 2  # no floor, and nothing at the heights of an agent's body
-BANK = 4  # no floor, and ground too steep to stand on under the sky
+STEEP_GROUND = 4  # no floor, and ground too steep to stand on under the sky
 SKY = 8  # a floor under the sky
 TALL = 16  # a floor on which something stands that reaches above heads
-COLUMN_FLAGS = (EMPTY, HOLE, BANK, SKY, TALL)
+COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 
 @kernel(nogil=True)
@@ -53,7 +53,7 @@ def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
                 cell_flags |= TALL
         else:
             if top_up > 0.0 and top_up < min_up:
-                cell_flags |= BANK
+                cell_flags |= STEEP_GROUND
             if not faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
                 cell_flags |= HOLE
         flags[cell] = cell_flags

@@ -51,7 +51,7 @@ class WallLimits(NamedTuple):
 WALL_NAME = re.compile("wall|partition")  # in the names of walls, whatever the case
 
 # A wall begins at most this far over a floor (a window over its sill), and is this high [m]
-NEAR_FLOOR = 0.6
+MAX_WALL_BOTTOM = 0.6
 MIN_WALL_HEIGHT = 1.5
 # A thin wall, and one that is thicker but long
 THIN_WALLS = (WallLimits(0.25, 0.5, 3.0), WallLimits(0.5, 3.0, 6.0))
@@ -287,7 +287,7 @@ def mark_wall_geoms(
     has_wall_name = np.array([bool(WALL_NAME.search(name)) for name in names], dtype=np.bool_)
     is_static = (scene.roles == STATIC_STRUCTURE) & ~excluded
     is_slender = _is_slender(extents, *THIN_WALLS)
-    is_near_floor = is_static & (sizes.base <= NEAR_FLOOR)
+    is_near_floor = is_static & (sizes.base <= MAX_WALL_BOTTOM)
 
     walls_by_name = is_near_floor & has_wall_name
     walls_by_name &= (sizes.rise >= MIN_NAMED_HEIGHT) | (
@@ -319,7 +319,7 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
     """
     is_pane = _is_slender(extents, THIN_WALLS[0])
     is_pane &= extents.top - extents.bottom >= MIN_WALL_HEIGHT
-    is_pane &= (sizes.base <= NEAR_FLOOR) & ~is_wall
+    is_pane &= (sizes.base <= MAX_WALL_BOTTOM) & ~is_wall
     # without a pane that ends nowhere, its neighbor may end nowhere, too
     while is_pane.any():
         panes = np.flatnonzero(is_pane)

@@ -27,8 +27,9 @@ NUM_COUNTS = 5
 IS_STANDABLE = 5  # 1 if an agent can stand on it anywhere, else 0
 GEOM = 6  # its id
 # Their columns of heights, float64 [m]
-BASE = 0  # the least height of its lower end over a floor
-RISE = 1  # the greatest height of its upper end over its lower end, or over the floor if higher
+LOWER_END = 0  # the least height of its lower end over a floor
+# The greatest height of its upper end over its lower end, or over the floor if higher
+EXTENT_UP = 1
 
 
 class LevelOccupants(NamedTuple):
@@ -103,8 +104,8 @@ def _get_row(rows, row_of_geom, first_row, num_rows, geom):
         row_of_geom[geom] = num_rows
         counts[row, :GEOM] = 0
         counts[row, GEOM] = geom
-        heights[row, BASE] = math.inf
-        heights[row, RISE] = -math.inf
+        heights[row, LOWER_END] = math.inf
+        heights[row, EXTENT_UP] = -math.inf
     return row
 
 
@@ -122,7 +123,7 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, 
         blocks: ids of the blocks to measure.
         num_in_block: receives the number of rows of each block.
         rows: two arrays that receive the rows: ``NUM_CELLS`` to ``GEOM``, (capacity, 7) int64; and
-            ``BASE`` and ``RISE`` [m], (capacity, 2) float64.
+            ``LOWER_END`` and ``EXTENT_UP`` [m], (capacity, 2) float64.
         begin: index into `blocks` of the first block that this call measures.
         end: index after the last of them.
 
@@ -155,10 +156,10 @@ def measure_blocks(occupants, floors, geoms, blocks, num_in_block, rows, begin, 
                     low = geoms.low[geom]
                     high = geoms.high[geom]
                     # no comparison holds for an endless plane, whose heights are NaN
-                    if low - floor < heights[row, BASE]:
-                        heights[row, BASE] = low - floor
-                    if high - max(low, floor) > heights[row, RISE]:
-                        heights[row, RISE] = high - max(low, floor)
+                    if low - floor < heights[row, LOWER_END]:
+                        heights[row, LOWER_END] = low - floor
+                    if high - max(low, floor) > heights[row, EXTENT_UP]:
+                        heights[row, EXTENT_UP] = high - max(low, floor)
                 floor_geom = occupants.floor_geom[cell]
                 gap = occupants.gap_below[cell]
                 if floor_geom >= 0:

@@ -45,7 +45,7 @@ from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Int, Int32
 
 # Arrays that are too small get so many times the room that all cells are expected to need
-SPARE_ROOM = 1.1
+SPARE_FACTOR = 1.1
 # How far above its floors the last level ends, whatever moves at the scene's top [m]
 OPEN_ABOVE = 100.0
 # Rows of `measure_blocks` for no block
@@ -269,7 +269,7 @@ class OccupantsBuilder:
         begin = self._num_entries
         end = begin + len(checked.occupancy.geom)
         if end > len(self.occupants.geom):
-            room = int(end * SPARE_ROOM / share) if share < 1.0 else end
+            room = int(end * SPARE_FACTOR / share) if share < 1.0 else end
             geom = np.empty(room, dtype=np.int32)
             flags = np.empty(room, dtype=np.uint8)
             geom[:begin] = self.occupants.geom[:begin]
@@ -355,8 +355,8 @@ def _measure_levels(
         geom = block_counts[:, kernels.GEOM]
         np.add.at(counts[k].T, geom, block_counts[:, : kernels.NUM_COUNTS])
         stood_on[geom[block_counts[:, kernels.IS_STANDABLE] > 0]] = True
-        np.minimum.at(base, geom, block_heights[:, kernels.BASE])
-        np.maximum.at(rise, geom, block_heights[:, kernels.RISE])
+        np.minimum.at(base, geom, block_heights[:, kernels.LOWER_END])
+        np.maximum.at(rise, geom, block_heights[:, kernels.EXTENT_UP])
     cell_area = lattice.cell_size**2
     sizes = OccupantSizes(
         base=base,

@@ -64,7 +64,7 @@ class PlanTransform(NamedTuple):
     shift: complex
 
 
-class Leaf(NamedTuple):
+class LeafHalf(NamedTuple):
     """A leaf of a door.
 
     Attributes:
@@ -367,15 +367,18 @@ class _BuildingReader:
             )
 
 
-def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[Leaf]:
+def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[LeafHalf]:
     """The leaves of a door: one, or one on each side."""
     if not kind.startswith("double"):
-        return [Leaf(name, 1, length)]
+        return [LeafHalf(name, 1, length)]
     ratio = float(properties.get("right_left_ratio", 1.0))
     right_width = length * ratio / (1 + ratio)
     if right_width >= length:
-        return [Leaf(name, 1, right_width)]
-    return [Leaf(f"{name}_right", 1, right_width), Leaf(f"{name}_left", -1, length - right_width)]
+        return [LeafHalf(name, 1, right_width)]
+    return [
+        LeafHalf(f"{name}_right", 1, right_width),
+        LeafHalf(f"{name}_left", -1, length - right_width),
+    ]
 
 
 def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[CarWall]:

@@ -41,8 +41,8 @@ else:
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 # The unit vectors of the axes by their names: x, y, z, -x, -y and -z
-AXES: dict[str, list[float]] = dict(zip("xyz", np.eye(3).tolist(), strict=True))
-AXES |= dict(zip(("-x", "-y", "-z"), (np.eye(3) * -1.0).tolist(), strict=True))
+AXIS_VECTORS: dict[str, list[float]] = dict(zip("xyz", np.eye(3).tolist(), strict=True))
+AXIS_VECTORS |= dict(zip(("-x", "-y", "-z"), (np.eye(3) * -1.0).tolist(), strict=True))
 MIN_TRIANGLE_AREA = 5e-15  # triangles that are no larger are dropped [m²]
 MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
 # trimesh's options for a format
@@ -58,7 +58,7 @@ TRIMESH_OPTIONS: dict[str, dict[str, object]] = {
 }
 
 Direction: TypeAlias = str | Sequence[float] | Float
-"""One of `AXES` by its name, or a vector of any length, in the frame of a file."""
+"""One of `AXIS_VECTORS` by its name, or a vector of any length, in the frame of a file."""
 
 
 class NamedMesh(NamedTuple):
@@ -283,7 +283,7 @@ def rotation_to_z_up(up: Direction) -> Float:
 
     Source: Rodrigues' formula for the rotation between two unit vectors.
     """
-    vector = AXES[up] if isinstance(up, str) else up
+    vector = AXIS_VECTORS[up] if isinstance(up, str) else up
     x, y, z = np.divide(vector, np.linalg.norm(vector)).tolist()
     if z < -0.5:
         # Near -z no axis is the best, and the formula loses digits: first half a turn about x.
@@ -298,7 +298,7 @@ class DaeAsset(NamedTuple):
 
     Attributes:
         meters_per_unit: the length of one unit [m]; 1 if the file states none.
-        up_axis: a name of `AXES`; None if the file states none.
+        up_axis: a name of `AXIS_VECTORS`; None if the file states none.
     """
 
     meters_per_unit: float
@@ -319,7 +319,7 @@ def _read_dae_asset(path: Path) -> DaeAsset:
                 raise SceneError(f"expected a number > 0 as <unit meter> in {path}, got {meter!r}")
         if event == "end" and tag == "up_axis":
             axis = (element.text or "").strip()[:1].lower()
-            up_axis = axis if axis in AXES else None
+            up_axis = axis if axis in AXIS_VECTORS else None
         if event == "end" and tag == "asset":
             break
     return DaeAsset(meters_per_unit, up_axis)
@@ -554,12 +554,12 @@ def _write_float64(coordinates: Sequence[NDArray[np.floating]], out: Float) -> N
 
 JSON_CHUNK = 0x4E4F534A
 TRIANGLE_FAN = 6
-MESHOPT = "`gltfpack -i FILE -o unpacked.glb -noq` unpacks it (npm has gltfpack)"
+MESHOPT_HINT = "`gltfpack -i FILE -o unpacked.glb -noq` unpacks it (npm has gltfpack)"
 # Extensions of glTF that trimesh does not read, and what to do
 UNREAD_EXTENSIONS = {
     "EXT_mesh_gpu_instancing": "export its copies as nodes",
-    "EXT_meshopt_compression": MESHOPT,
-    "KHR_meshopt_compression": MESHOPT,
+    "EXT_meshopt_compression": MESHOPT_HINT,
+    "KHR_meshopt_compression": MESHOPT_HINT,
 }
 DRACO = "KHR_draco_mesh_compression"  # which trimesh reads by DracoPy
 

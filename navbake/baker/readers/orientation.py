@@ -11,7 +11,7 @@ import numpy as np
 from navbake.baker.geometry.shapes import drop_unused_vertices, triangle_areas
 from navbake.baker.geometry.triangle_kernels import describe_triangles, find_nearest_axes
 from navbake.baker.readers.mesh import (
-    AXES,
+    AXIS_VECTORS,
     Direction,
     NamedMesh,
     bounds_of_meshes,
@@ -26,15 +26,15 @@ MIN_PIECE_AREA = 0.1  # smaller pieces of a scan are left out [m²]
 MAX_TRIANGLES = 30_000  # that are sampled; of more, each second one, or third, …
 # A mesh that lies on its side has this many times as much area of floors and ceilings as of walls
 # of one direction.
-LYING_RATIO = 1.5
+ON_SIDE_RATIO = 1.5
 CEILING_WARNING = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
 NUM_AXES = 400  # directions of a hemisphere by which triangles are counted, 7° apart
 # How far a direction is from the nearest of these axes, at most; both of unit length
 AXIS_DISTANCE = 0.12
 # Cosines of the angles between a triangle's normal and its plane's (scans are noisy), and between
 # two axes that are searched for planes
-FACING = np.cos(np.radians(30.0))
-APART = np.cos(np.radians(40.0))
+MIN_FACING_COSINE = np.cos(np.radians(30.0))
+MAX_DISTINCT_COSINE = np.cos(np.radians(40.0))
 MAX_SEARCHED_AXES = 4
 MAX_PLANES = 4  # flat surfaces that are searched along an axis
 NUM_FITS = 4  # how many times an axis or a plane is fitted again
@@ -43,8 +43,8 @@ PLANE_THICKNESS = 0.08  # of one flat surface, on both sides of its plane [m]
 # says little of its normal [m²]
 MIN_PLANE_VARIANCE = 0.04
 # Heights over a floor at which most furniture is [m]
-FURNITURE_LOW = 0.12
-FURNITURE_HIGH = 1.1
+MIN_FURNITURE_HEIGHT = 0.12
+MAX_FURNITURE_HEIGHT = 1.1
 # Shares of the largest flat surface: floors are at least as large, and what is larger than the
 # second is no furniture
 FLOOR_SHARE = 0.5
@@ -65,7 +65,7 @@ class Orientation(NamedTuple):
         direction: of unit length, in the frame of the mesh.
         floor_area: area of the largest flat surface that faces in this direction [m²].
         furniture_area: area of furniture on such surfaces [m²]: of surfaces that belong to no wall,
-            at heights from `FURNITURE_LOW` to `FURNITURE_HIGH` above.
+            at heights from `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above.
     """
 
     direction: Float
@@ -122,14 +122,14 @@ def orient_meshes(
     to_file_frame = rotation_to_z_up(up).T
     best_in_file = to_file_frame @ best.direction
     is_lying = settings.up == "auto" and lies_on_side(meshes, sample)
-    if is_clear and is_lying and file_axis is None and abs(best.direction[1]) > FACING:
+    if is_clear and is_lying and file_axis is None and abs(best.direction[1]) > MIN_FACING_COSINE:
         axis = _name_direction(best_in_file)
         warnings.append(
             f"the mesh lies on its side, and is taken with {axis} up, as things stand on what "
             f"faces that way: `scene.up: {axis}` silences this, `z` leaves it as it is"
         )
-        return _turn_up(meshes, AXES[axis])
-    if is_clear and best.direction[2] < -FACING:
+        return _turn_up(meshes, AXIS_VECTORS[axis])
+    if is_clear and best.direction[2] < -MIN_FACING_COSINE:
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "
             f"{best.furniture_area:.1f} m² hang from a surface like it above: "
@@ -198,7 +198,7 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     """Return whether a mesh in the world frame looks as if its y axis were vertical.
 
     This is so if its bounding box is smallest along y, and the area that faces within 45° of y is
-    at least `LYING_RATIO` times the area that faces within 45° of z.
+    at least `ON_SIDE_RATIO` times the area that faces within 45° of z.
 
     Args:
         meshes: meshes in the world frame [m].
@@ -208,7 +208,7 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     faces_along_z = np.abs(sample.normal[:, 2]) >= np.sqrt(0.5)
     y_area = sample.area[faces_along_y].sum()
     z_area = sample.area[faces_along_z].sum()
-    if y_area <= LYING_RATIO * z_area:
+    if y_area <= ON_SIDE_RATIO * z_area:
         return False
     low, high = bounds_of_meshes(meshes)
     width, depth, height = np.subtract(high, low)
@@ -217,7 +217,7 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
 
 def _name_direction(direction: Float) -> str:
     """A direction as `scene.up` takes it: the axis that it is near to, or its numbers."""
-    name, axis = max(AXES.items(), key=lambda item: float(np.dot(item[1], direction)))
+    name, axis = max(AXIS_VECTORS.items(), key=lambda item: float(np.dot(item[1], direction)))
     if np.dot(axis, direction) >= np.cos(np.radians(10.0)):
         return name
     return "[" + ", ".join(f"{value:.4g}" for value in direction) + "]"
@@ -260,7 +260,9 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
             stands_on_floor = np.zeros(len(furniture_area), dtype=np.bool_)
             for plane in floors:
                 height = (furniture_center - plane.center) @ up
-                stands_on_floor |= (height >= FURNITURE_LOW) & (height <= FURNITURE_HIGH)
+                stands_on_floor |= (height >= MIN_FURNITURE_HEIGHT) & (
+                    height <= MAX_FURNITURE_HEIGHT
+                )
             orientations.append(
                 Orientation(
                     direction=up,
@@ -311,20 +313,20 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
         find_nearest_axes, len(normal), normal, axes, AXIS_DISTANCE, nearest_axis, least=1024
     )
     area_of_axis = np.bincount(nearest_axis, area, NUM_AXES)
-    facing_area = (np.abs(axes @ axes.T) >= FACING) @ area_of_axis
+    facing_area = (np.abs(axes @ axes.T) >= MIN_FACING_COSINE) @ area_of_axis
     directions: list[Float] = []
     for _ in range(MAX_SEARCHED_AXES):
         start = axes[facing_area.argmax()]
         direction = start
         for _ in range(NUM_FITS):
             # to the mean direction of the triangles that face this way: the first principal axis
-            faces_along = np.abs(normal @ direction) >= FACING
+            faces_along = np.abs(normal @ direction) >= MIN_FACING_COSINE
             weighted_normals = normal[faces_along] * area[faces_along, None]
             direction = np.linalg.eigh(weighted_normals.T @ normal[faces_along])[1][:, 2]
-        if all(abs(direction @ accepted) < FACING for accepted in directions):
+        if all(abs(direction @ accepted) < MIN_FACING_COSINE for accepted in directions):
             directions.append(direction)
-        is_near = np.abs(axes @ direction) >= APART
-        is_near |= np.abs(axes @ start) >= APART
+        is_near = np.abs(axes @ direction) >= MAX_DISTINCT_COSINE
+        is_near |= np.abs(axes @ start) >= MAX_DISTINCT_COSINE
         facing_area[is_near] = 0.0
         if not facing_area.any():
             break
@@ -355,7 +357,7 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
     The slot of the axis with the most area gives a plane, which is fitted to the triangles near it.
     These are removed, and the next plane is searched among the others.
     """
-    remaining = np.flatnonzero(np.abs(sample.normal @ axis) >= FACING)
+    remaining = np.flatnonzero(np.abs(sample.normal @ axis) >= MIN_FACING_COSINE)
     planes = list[_Plane]()
     slots, slot_of_triangle = np.unique(
         np.floor(sample.center[remaining] @ axis / PLANE_THICKNESS), return_inverse=True

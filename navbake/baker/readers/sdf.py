@@ -49,14 +49,14 @@ from navbake.types import Float
 HEIGHT_FIELD_BASE = 0.1  # of a height field, below its lowest point [m]
 MIN_HEIGHT_RANGE = 1e-6  # of a height field [m]
 # A joint's limit from here on is none; SDF states it as 1e16 [m or rad].
-UNLIMITED = 1e10
+MAX_JOINT_LIMIT = 1e10
 HINGE_TYPES = ("revolute", "continuous")
 MAX_NESTING = 50  # models in models
 # The last version of SDF whose axes are in the frame of the model
 LAST_VERSION_WITH_MODEL_AXES = (1, 4)
 # Models that come with Gazebo itself, where they aren't found
-SUN = "sun"
-GROUND = "ground_plane"
+SUN_MODEL = "sun"
+GROUND_MODEL = "ground_plane"
 
 
 class SolidSize(NamedTuple):
@@ -203,7 +203,7 @@ class _WorldReader:
             candidate = find_model_file(place)
             if candidate.is_file():
                 return candidate
-        if _model_name(uri) not in (SUN, GROUND):
+        if _model_name(uri) not in (SUN_MODEL, GROUND_MODEL):
             raise _not_found_error(f"{uri!r} of {file}", places)
         return None
 
@@ -215,10 +215,10 @@ class _WorldReader:
                 self._warn(f"population {name!r} of {scope.file} is left out: name its models")
             elif element.tag == "include":
                 uri = text_of(element, "uri")
-                if _model_name(uri) == GROUND and self._find_model(uri, scope.file) is None:
+                if _model_name(uri) == GROUND_MODEL and self._find_model(uri, scope.file) is None:
                     text = "taken as Gazebo's own, endless ground"
                     self._warn(f"{uri} of {scope.file} not found: {text}")
-                    name = text_of(element, "name") or GROUND
+                    name = text_of(element, "name") or GROUND_MODEL
                     pose = scope.pose_of_element(element)
                     self._add_geom(ParsedGeom(name, name, "plane", (0.0, 0.0), pose, drawn=False))
         for model in scope.models:
@@ -413,7 +413,7 @@ class _WorldReader:
             upper_text = text_of(axis, "limit/upper") or "1e16"
             low = numbers_of(lower_text, 1, f"<lower> of {where}")[0]
             high = numbers_of(upper_text, 1, f"<upper> of {where}")[0]
-            is_limited = low < high and max(-low, high) < UNLIMITED and kind != "continuous"
+            is_limited = low < high and max(-low, high) < MAX_JOINT_LIMIT and kind != "continuous"
             return ParsedJoint(
                 name=name,
                 kind="hinge" if kind in HINGE_TYPES else "slide",

@@ -24,7 +24,7 @@ from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.geometry.shapes import Shapes, solid_bounds
-from navbake.baker.occupants.column_flag_kernels import BANK, EMPTY, HOLE, SKY, TALL
+from navbake.baker.occupants.column_flag_kernels import EMPTY, HOLE, SKY, STEEP_GROUND, TALL
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
 from navbake.baker.rooms.walls import find_windows
@@ -167,7 +167,7 @@ def gather_flags(
             wall_cells, low_cells = standing_occupants.mark_walls(number)
         flags = column_flags[number].reshape(lattice.shape)
         is_empty = (flags & EMPTY) > 0  # the same on all levels
-        is_bank = (flags & BANK) > 0
+        is_bank = (flags & STEEP_GROUND) > 0
         under_sky = (flags & SKY) > 0
         is_window = find_windows(low_cells, wall_cells, lattice.cell_size)
         is_open = ~np.isnan(level.floor) & ~wall_cells & ~is_window

@@ -308,7 +308,7 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     return is_steep
 
 
-class Passage(NamedTuple):
+class SpaceContact(NamedTuple):
     """Where two spaces touch.
 
     Attributes:
@@ -352,12 +352,12 @@ class _SpaceGraph:
         distances = np.zeros(len(keys))
         np.maximum.at(distances, key_of_edge, np.sqrt(widest))
         # by space and neighbour
-        self._passages: list[dict[int, Passage]] = [{} for _ in num_cells]
+        self._passages: list[dict[int, SpaceContact]] = [{} for _ in num_cells]
         for key, distance, length in zip(
             keys.tolist(), distances.tolist(), lengths.tolist(), strict=True
         ):
             first, second = divmod(key, count)
-            passage = Passage(distance, length)
+            passage = SpaceContact(distance, length)
             self._passages[first][second] = passage
             self._passages[second][first] = passage
 
@@ -440,8 +440,8 @@ class _SpaceGraph:
             del self._passages[neighbor][removed]
             if neighbor == joined:
                 continue
-            former = self._passages[joined].get(neighbor, Passage(0.0, 0))
-            combined = Passage(
+            former = self._passages[joined].get(neighbor, SpaceContact(0.0, 0))
+            combined = SpaceContact(
                 max(former.distance, passage.distance), former.length + passage.length
             )
             self._passages[joined][neighbor] = combined

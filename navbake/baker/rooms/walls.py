@@ -19,7 +19,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-T = TypeVar("T", bound=np.generic)
+ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 MIN_CHUNK_COLUMNS = 64  # columns that are worth a call on another thread
 NO_ROWS = np.empty((0, 0), dtype=np.int32)  # of `sweep_distances` within columns
@@ -387,7 +387,7 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> WallDirection:
     )
 
 
-def to_scan_order(array: NDArray[T], direction: WallDirection) -> NDArray[T]:
+def to_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
     """Arrange an array as kernels scan it in a direction: its columns lie together in memory.
 
     Args:
@@ -400,7 +400,7 @@ def to_scan_order(array: NDArray[T], direction: WallDirection) -> NDArray[T]:
     return np.asfortranarray(array.T if direction.swapped else array)
 
 
-def from_scan_order(array: NDArray[T], direction: WallDirection) -> NDArray[T]:
+def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
     """View an array in a direction's scan order by rows and columns of the lattice.
 
     Args:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import mujoco
 
 MAX_LENGTH = 1e100  # of positions and sizes, whose squares have to be finite, too [m]
-SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
+SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
 NUM_DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
 # MuJoCo's default of `rgba`
@@ -358,7 +358,7 @@ def collect_shapes(
         if not has_finite_numbers:
             what = f"a pose or size that is no number, or beyond {MAX_LENGTH:g} m"
             raise SceneError(f"geom {name!r} has {what}")
-        if geom_type in SOLIDS:
+        if geom_type in SOLID_TYPES:
             solids.append(geom)
             kinds[geom] = "solid"
             continue

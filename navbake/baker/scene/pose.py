@@ -22,7 +22,7 @@ JOINT_VALUES = {
     SLIDE: "1 number [m]",
     HINGE: "1 number [rad]",
 }
-UNITS = {SLIDE: "m", HINGE: "rad"}
+JOINT_UNITS = {SLIDE: "m", HINGE: "rad"}
 
 
 def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
@@ -117,9 +117,9 @@ def warn_out_of_range(model: mujoco.MjModel, settings: SceneSettings) -> list[st
         position = float(np.ravel(value)[0])
         is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
         kind = int(model.jnt_type[joint])
-        if kind in UNITS and model.jnt_limited[joint] and not is_within:
+        if kind in JOINT_UNITS and model.jnt_limited[joint] and not is_within:
             warnings.append(
-                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {UNITS[kind]}, got "
+                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {JOINT_UNITS[kind]}, got "
                 f"{position:.6g} at `scene.joints.{name}`: it is posed there anyway"
             )
     return warnings

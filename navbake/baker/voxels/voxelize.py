@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # mujoco and trimesh are slow to load
 Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[str]
 """What the IDs of voxels stand for, see `label_geoms`."""
 
-KINDS = ("geom", "body", "top")
+ID_KINDS = ("geom", "body", "top")
 MAX_ID = 2**32 - 1  # that of unmatched geoms; those of patterns are below
 UNMATCHED = "other"
 
@@ -373,7 +373,7 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
     Raises:
         ConfigError: `segments` is none of these, or an ID is out of range.
     """
-    if isinstance(segments, str) and segments in KINDS:
+    if isinstance(segments, str) and segments in ID_KINDS:
         return _label_by_kind(scene, segments)
     patterns = _check_patterns(segments)
     unmatched_id = max(patterns.values()) + 1
@@ -413,7 +413,7 @@ def _first_match(patterns: Iterable[str], names: Sequence[str]) -> str | None:
 
 
 def _label_by_kind(scene: Scene, kind: str) -> Labels:
-    """Label geoms by themselves, their body or their top-most body: one of `KINDS`."""
+    """Label geoms by themselves, their body or their top-most body: one of `ID_KINDS`."""
     model = scene.model
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
     id_of_segment: dict[tuple[str, int], int] = {}
@@ -439,8 +439,8 @@ def _check_patterns(segments: object) -> dict[str, int]:
     if isinstance(segments, Mapping):
         patterns = dict(segments)
     elif isinstance(segments, str) and (
-        # a name that is nearly one of KINDS is a typing error
-        set(segments) & set("*?[") or not find_near(segments, KINDS)
+        # a name that is nearly one of ID_KINDS is a typing error
+        set(segments) & set("*?[") or not find_near(segments, ID_KINDS)
     ):
         patterns = {segments: 1}
     elif isinstance(segments, Sequence) and not isinstance(segments, str):
@@ -449,7 +449,7 @@ def _check_patterns(segments: object) -> dict[str, int]:
         patterns = {}
     if not patterns or not all(isinstance(p, str) and p for p in patterns):
         raise ConfigError(
-            f"expected `segments` to be {', '.join(KINDS)}, or name patterns with their IDs, "
+            f"expected `segments` to be {', '.join(ID_KINDS)}, or name patterns with their IDs, "
             f"got {segments!r}"
         )
     for pattern, number in patterns.items():

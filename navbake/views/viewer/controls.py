@@ -16,10 +16,10 @@ from navbake.runtime.paths import Path
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.tables import cell_facts
 from navbake.views.viewer.view_state import (
-    CLICKS,
-    GOAL,
-    INSPECT,
-    START,
+    CLICK_TEXTS,
+    GOAL_COLOR,
+    INSPECT_TEXT,
+    START_COLOR,
     TRAJECTORY,
     Choices,
     FreeSpace,
@@ -42,7 +42,7 @@ RADIUS_STEP = 0.01  # [m]
 MAX_RADIUS = 1.0  # [m], or twice the grid's own
 MAX_CHECKBOXES = 12  # with more levels, levels have no checkboxes
 CUT_STEP = 0.05  # [m]
-INFLATED = "The grid was inflated when it was made: its doors stay as they are."
+INFLATED_HINT = "The grid was inflated when it was made: its doors stay as they are."
 MARKDOWN_SIGNS = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START = "Click where the path starts."
@@ -161,7 +161,7 @@ class Controls:
 
     def _add_click(self, choices: Choices) -> None:
         gui = self._gui
-        click = gui.add_dropdown("A click", CLICKS, initial_value=choices.click)
+        click = gui.add_dropdown("A click", CLICK_TEXTS, initial_value=choices.click)
         self._add_input("click", click, _set("click"))
         self._handles["cell"] = gui.add_markdown("")
         self._handles["route"] = gui.add_markdown("")
@@ -173,7 +173,7 @@ class Controls:
         gui = self._gui
         grid = self._view_state.grid
         if "inflation" in grid.metadata:
-            gui.add_markdown(INFLATED)
+            gui.add_markdown(INFLATED_HINT)
             return
         door_ids = [door.id for door in grid.doors]
         states = sorted({state for door in grid.doors for state in door.states})
@@ -272,7 +272,7 @@ class Controls:
         )
         marks = {}
         if choices.start or choices.episode:
-            marks = {"start": START, "goal and path": GOAL}
+            marks = {"start": START_COLOR, "goal and path": GOAL_COLOR}
         if "task" in handles:
             run = view_state.runs.get(choices.episode)
             handles["task"].content = episode_text(run.episode if run else None)
@@ -284,7 +284,7 @@ class Controls:
         handles["verify"].visible = shows_disagreements
         handles["verified"].visible = shows_disagreements and view_state.report is not None
         handles["verified"].content = report_text(view_state)
-        is_inspecting = choices.click == INSPECT
+        is_inspecting = choices.click == INSPECT_TEXT
         handles["cell"].visible = is_inspecting
         handles["route"].visible = not is_inspecting
         handles["cell"].content = cell_text(inspection, choices.inflation)

@@ -35,7 +35,8 @@ trimesh = lazy("trimesh")
 
 NUM_SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
 PLANE_MARGIN = 1.5  # an endless plane is drawn so many times larger than the scene
-QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)  # corners of a rectangle's two triangles
+# Corners of a rectangle's two triangles
+RECTANGLE_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
 # (number of round geoms, corners of a circle): up to so many round geoms, a circle has so many
 # corners. A page without a graphics card draws some 100,000 triangles smoothly.
 CIRCLE_CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
@@ -71,8 +72,8 @@ RGBA_ROLE = 7
 TEXTURE_2D = 0  # mjtTexture: a flat picture, not the six sides of a cube
 DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # of a geom without a colour
 
-LIFT = 0.012  # height of the drawn grid over the floor, so that the floor doesn't hide it [m]
-FLAT = 0.01  # how far a drawn layer may be off the floor [m]
+LAYER_LIFT = 0.012  # height of the drawn grid over the floor, so that the floor doesn't hide it [m]
+FLAT_TOLERANCE = 0.01  # how far a drawn layer may be off the floor [m]
 MAX_RECTANGLES = 200_000  # of a level; with more, FLAT is doubled until they are few enough
 MAX_RISE = 1.0  # rise of a rectangle, relative to its length
 OVERLAP = 0.002  # by which rectangles overlap, so that no gaps show [cells]
@@ -193,7 +194,7 @@ class Appearance(NamedTuple):
     texture: int
 
 
-class Ray(NamedTuple):
+class ViewRay(NamedTuple):
     """A ray: origin and direction, world frame."""
 
     origin: ArrayLike  # x, y, z [m]
@@ -471,7 +472,9 @@ def _hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
     unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
     first_corners = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
     rectangles = first_corners[:, None] + np.array([0, 1, cols + 1, cols])
-    return unit * model.hfield_size[hfield_id, :3], rectangles[:, QUAD].reshape(-1, 3)
+    return unit * model.hfield_size[hfield_id, :3], rectangles[:, RECTANGLE_TRIANGLES].reshape(
+        -1, 3
+    )
 
 
 def _texcoord_ids(model: mujoco.MjModel, mesh_id: int) -> NDArray[np.int32]:
@@ -525,7 +528,7 @@ def _draw_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int, bounds: F
     middle = np.where(is_endless, middle, 0.0)
     half_size = np.where(is_endless, reach, half_size)
     corners = middle + half_size * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    return _geom_surface(geom, corners @ rotation[:, :2].T + position, QUAD)
+    return _geom_surface(geom, corners @ rotation[:, :2].T + position, RECTANGLE_TRIANGLES)
 
 
 def _bounds_of(pieces: Sequence[Surface]) -> Float:
@@ -681,7 +684,7 @@ def make_floor_surface(
     heights = np.where(np.isnan(floor), level.ground, floor)
     labels = shown.astype(np.int32)
     height_span = float(np.ptp(heights))
-    flatness = FLAT
+    flatness = FLAT_TOLERANCE
     while True:
         _, row, col, z = cover_quads(labels, heights, flatness, MAX_RISE * cell_size, OVERLAP)
         if len(row) <= max_rectangles or flatness > height_span:
@@ -692,8 +695,8 @@ def make_floor_surface(
     first_corners = (np.arange(len(row)) * 4)[:, None, None]
     uv = np.stack([col / level.width, row / level.height], axis=-1).reshape(-1, 2)
     return Surface(
-        np.stack([x, y, z + LIFT + flatness], axis=-1).reshape(-1, 3).astype(np.float32),
-        (QUAD + first_corners).reshape(-1, 3).astype(np.uint32),
+        np.stack([x, y, z + LAYER_LIFT + flatness], axis=-1).reshape(-1, 3).astype(np.float32),
+        (RECTANGLE_TRIANGLES + first_corners).reshape(-1, 3).astype(np.uint32),
         uv=uv.astype(np.float32),
         texture=0,
     )
@@ -857,7 +860,7 @@ class PickCandidate(NamedTuple):
 
 
 def pick(
-    grid: NavGrid, ray: Ray, surfaces: Sequence[Surface], levels: Collection[int]
+    grid: NavGrid, ray: ViewRay, surfaces: Sequence[Surface], levels: Collection[int]
 ) -> Pick | None:
     """Find the cell under a click.
 
@@ -899,7 +902,7 @@ def pick(
     return Pick(best.cell, (x, y, best.height), None if hit.geom < 0 else hit.geom)
 
 
-def _cast_ray(ray: Ray, surfaces: Sequence[Surface]) -> Hit | None:
+def _cast_ray(ray: ViewRay, surfaces: Sequence[Surface]) -> Hit | None:
     """Where a ray meets the nearest triangle of some surfaces; None if it meets none.
 
     The ray is cut with the plane of each triangle; it meets the triangle where no barycentric

@@ -26,19 +26,23 @@ from navbake.errors import MissingDependencyError, NavbakeError
 HOST = "127.0.0.1"
 PORT = 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
-LOCAL = ("localhost", "127.0.0.1", "::1")
-MISSING = 'the viewer needs viser: pip install "navbake[view]"'
-TAKEN = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
-TITLE = b"<title>Viser</title>"
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
+MISSING_VISER = 'the viewer needs viser: pip install "navbake[view]"'
+PORT_IN_USE = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
+VISER_TITLE = b"<title>Viser</title>"
 # of a request, and what is passed on at once [bytes]
-MAX_HEAD = 1 << 16
-CHUNK = 1 << 16
-PATIENCE = 10.0  # for the head of a request [s]
-REFUSED = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-NOTHING = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
+MAX_HEAD_SIZE = 1 << 16
+CHUNK_SIZE = 1 << 16
+HEAD_TIMEOUT = 10.0  # for the head of a request [s]
+FORBIDDEN_RESPONSE = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+NO_CONTENT_RESPONSE = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
 # the page tells that its reader's system is dark
-DARK = b'<script>if (matchMedia("(prefers-color-scheme: dark)").matches) fetch("dark")</script>'
-PAGE = b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n"
+DARK_MODE_SCRIPT = (
+    b'<script>if (matchMedia("(prefers-color-scheme: dark)").matches) fetch("dark")</script>'
+)
+PAGE_RESPONSE = (
+    b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n"
+)
 
 
 class PageServer(AbstractContextManager["PageServer"]):
@@ -64,9 +68,9 @@ class PageServer(AbstractContextManager["PageServer"]):
         try:
             import viser  # of the extra [view], and slow to load
         except ImportError as error:
-            raise MissingDependencyError(MISSING) from error
-        self._names = {*LOCAL, socket.gethostname().lower()} if host in EVERYWHERE else {host}
-        self._names |= {*LOCAL} if host in LOCAL else set()
+            raise MissingDependencyError(MISSING_VISER) from error
+        self._names = {*LOCAL_HOSTS, socket.gethostname().lower()} if host in EVERYWHERE else {host}
+        self._names |= {*LOCAL_HOSTS} if host in LOCAL_HOSTS else set()
         self._is_open = host in EVERYWHERE
         self._allowed = {check_origin(one) for one in allowed}
         self.title = "navbake"
@@ -84,7 +88,7 @@ class PageServer(AbstractContextManager["PageServer"]):
             text = f"{host!r}, port {port}, is no address of this machine"
             if isinstance(error, OSError) and not isinstance(error, socket.gaierror):
                 text = f"cannot listen at {host}, port {port}: {error.strerror}"
-                text = TAKEN.format(host, port) if error.errno == errno.EADDRINUSE else text
+                text = PORT_IN_USE.format(host, port) if error.errno == errno.EADDRINUSE else text
             raise NavbakeError(text) from error
         shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{self.port}"
@@ -106,7 +110,9 @@ class PageServer(AbstractContextManager["PageServer"]):
         self._loop = asyncio.get_running_loop()
         self._closing = asyncio.Event()
         try:
-            server = await asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
+            server = await asyncio.start_server(
+                self._answer, host or None, port, limit=MAX_HEAD_SIZE
+            )
         except Exception as error:
             listening.set_exception(error)
             return
@@ -147,19 +153,19 @@ class PageServer(AbstractContextManager["PageServer"]):
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer one connection, or pass it on; viser's server takes one request of each."""
         try:
-            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
+            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
             request, _, lines = head.partition(b"\r\n")
             headers = BytesHeaderParser().parsebytes(lines)
             if not self.is_allowed(headers):
-                writer.write(REFUSED)
+                writer.write(FORBIDDEN_RESPONSE)
             elif request.startswith(b"GET / ") and "Upgrade" not in headers:
                 title = f"<title>{html.escape(self.title)}</title>".encode()
-                page = self._page.replace(TITLE, title + DARK, 1)
-                writer.write(PAGE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
+                page = self._page.replace(VISER_TITLE, title + DARK_MODE_SCRIPT, 1)
+                writer.write(PAGE_RESPONSE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
                 await writer.drain()
             elif request.startswith(b"GET /dark "):
                 self.on_dark()
-                writer.write(NOTHING)
+                writer.write(NO_CONTENT_RESPONSE)
             else:
                 there, back = await asyncio.open_connection(*self._inner)
                 back.write(head)
@@ -173,7 +179,7 @@ class PageServer(AbstractContextManager["PageServer"]):
 async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Write all that comes from one side to the other, until one of them ends."""
     try:
-        while data := await reader.read(CHUNK):
+        while data := await reader.read(CHUNK_SIZE):
             writer.write(data)
             await writer.drain()
     finally:

@@ -30,12 +30,12 @@ from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
 from navbake.types import Float
 from navbake.views.viewer.controls import Change, Controls, error_text
-from navbake.views.viewer.meshes import Ray, Reals
+from navbake.views.viewer.meshes import Reals, ViewRay
 from navbake.views.viewer.server import HOST, PORT, PageServer
 from navbake.views.viewer.view_state import (
-    GOAL,
-    HIGHLIGHT,
-    START,
+    GOAL_COLOR,
+    HIGHLIGHT_COLOR,
+    START_COLOR,
     TRAJECTORY,
     Choices,
     Inspection,
@@ -76,9 +76,9 @@ PATH_WIDTH = 5.0  # [pixels]
 MARK_SHARE = 1 / 180  # radius of a mark, by the diagonal of the grid
 MIN_MARK_RADIUS = 0.06  # [m]
 MAX_MARK_RADIUS = 0.5  # [m]
-POLE = np.array([[0, 0, 0], [0, 0, 1.3]])  # over the inspected cell [m]
+CELL_MARKER = np.array([[0, 0, 0], [0, 0, 1.3]])  # over the inspected cell [m]
 HIGHLIGHT_MARGIN = 0.006  # by which a highlight is larger than its object, to be seen [m]
-ELEVATION = math.radians(58)  # of the first camera over the horizon
+CAMERA_ELEVATION = math.radians(58)  # of the first camera over the horizon
 FIELD_OF_VIEW = math.radians(45)
 USUAL_ASPECT = 1.2  # width by height of a page
 CAMERA_MARGIN = 1.08  # factor by which the first camera is farther away than it must be
@@ -118,8 +118,8 @@ def find_camera(bounds: Float, aspect: float) -> Float:
         The camera's position, world x, y, z [m].
     """
     middle = bounds.mean(axis=0)
-    away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
-    up = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
+    away = np.array([0.0, -math.cos(CAMERA_ELEVATION), math.sin(CAMERA_ELEVATION)])
+    up = np.array([0.0, math.sin(CAMERA_ELEVATION), math.cos(CAMERA_ELEVATION)])
     corners = np.array(list(product(*bounds.T))) - middle
     slope = math.tan(FIELD_OF_VIEW / 2)
     # the distance at which each corner is at the side, and at the top or bottom, of the page
@@ -262,7 +262,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         gui.main_panel.dock_right()  # beside the scene, not over it
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
-        ray = Ray(event.ray_origin, event.ray_direction)
+        ray = ViewRay(event.ray_origin, event.ray_direction)
         self._changes.put(lambda choices: self._view_state.click(choices, ray))
 
     def _show_view_state(self, view_state: ViewState) -> None:
@@ -351,11 +351,11 @@ class Viewer(AbstractContextManager["Viewer"]):
         """Draw the path between two clicks, and where they were."""
         marks = []
         if choices.start is not None:
-            marks.append(Mark(choices.start.position, START))
+            marks.append(Mark(choices.start.position, START_COLOR))
         if choices.goal is not None:
-            marks.append(Mark(choices.goal.position, GOAL))
+            marks.append(Mark(choices.goal.position, GOAL_COLOR))
         positions = route.positions if isinstance(route, Route) else np.empty((0, 3))
-        lines = [Line(positions, GOAL)]
+        lines = [Line(positions, GOAL_COLOR)]
         radius = self._mark_radius()
         self._replace_nodes(
             "/path",
@@ -370,9 +370,9 @@ class Viewer(AbstractContextManager["Viewer"]):
         lines = []
         run = self._view_state.runs.get(choices.episode)
         if run is not None and run.episode is not None:
-            marks.append(Mark(run.episode.start, START))
-            marks += [Mark(goal, GOAL) for goal in list_goal_positions(run.episode)]
-            lines.append(Line(path, GOAL))
+            marks.append(Mark(run.episode.start, START_COLOR))
+            marks += [Mark(goal, GOAL_COLOR) for goal in list_goal_positions(run.episode)]
+            lines.append(Line(path, GOAL_COLOR))
         if run is not None and run.trajectory is not None:
             trajectory = np.array(run.trajectory.positions).reshape(-1, 3)
             lines.append(Line(trajectory, TRAJECTORY))
@@ -392,8 +392,8 @@ class Viewer(AbstractContextManager["Viewer"]):
             corners = inspection.highlighted.reshape(-1, 3)
             outline = inspection.outline.tobytes()
             # the pole is seen where furniture hides the cell
-            pole = inspection.outline[:4].mean(axis=0) + POLE
-            lines = [Line(inspection.outline, HIGHLIGHT), Line(pole, HIGHLIGHT)]
+            pole = inspection.outline[:4].mean(axis=0) + CELL_MARKER
+            lines = [Line(inspection.outline, HIGHLIGHT_COLOR), Line(pole, HIGHLIGHT_COLOR)]
         self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight(corners))
         self._replace_nodes(
             "/cell", outline, lambda: self._add_marks_and_lines("/cell", [], lines, radius=0)
@@ -490,7 +490,7 @@ class Viewer(AbstractContextManager["Viewer"]):
             "/lit/0",
             middle + (corners - middle) * (1 + HIGHLIGHT_MARGIN / half_size),
             np.arange(len(corners)).reshape(-1, 3),
-            color=rgb_of(HIGHLIGHT),
+            color=rgb_of(HIGHLIGHT_COLOR),
             opacity=0.75,
             flat_shading=True,
             side="double",

@@ -26,7 +26,7 @@ from navbake.types import Bool, Float, Json
 from navbake.views.describe import arc_between, find_connections
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Label, Panel, make_panel, paint
 from navbake.views.viewer import meshes
-from navbake.views.viewer.meshes import Drawing, MeshBatch, Pick, Ray, Surface
+from navbake.views.viewer.meshes import Drawing, MeshBatch, Pick, Surface, ViewRay
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import Scene
@@ -38,19 +38,19 @@ Result = TypeVar("Result")
 CUT_HEIGHT = 1.3  # the scene is cut so high over a level's ground [m]
 # colours on the page
 FREE_TINT = "#a9dfc4"  # of free cells, which must stand out from grey floors
-START = "#2f9e44"
-GOAL = colors.ROUTE
-HIGHLIGHT = "#ff922b"
+START_COLOR = "#2f9e44"
+GOAL_COLOR = colors.ROUTE
+HIGHLIGHT_COLOR = "#ff922b"
 TRAJECTORY = "#c2255c"
-STAIRS = "#495057"  # arcs
-CLOSED = "#868e96"  # arcs of closed links
+STAIRS_COLOR = "#495057"  # arcs
+CLOSED_LINK_COLOR = "#868e96"  # arcs of closed links
 NAME_HEIGHT = 0.4  # largest letters of a name [m]
 POINT_NAME_HEIGHT = 0.18  # letters of names of points, such as doors [m]
 NAME_LIFT = 1.0  # of names over the floor: most furniture is lower [m]
 LETTER_WIDTH = 0.65  # of a letter, relative to its height
-INSPECT = "tells about the cell"
-ROUTE = "sets start, then goal"
-CLICKS = (INSPECT, ROUTE)
+INSPECT_TEXT = "tells about the cell"
+ROUTE_TEXT = "sets start, then goal"
+CLICK_TEXTS = (INSPECT_TEXT, ROUTE_TEXT)
 """What a click may do."""
 NUM_CACHED = 6  # results of a method that are kept, so that going back is fast
 SAMPLE_SIZE = 20_000  # cells that are verified
@@ -79,7 +79,7 @@ class Choices:
         opacity: the opacity of the layer, above 0, up to 1.
         dark: whether the page is dark; None (a light page) until the user or the user's system
             chooses.
-        click: what a click on a cell does, one of `CLICKS`.
+        click: what a click on a cell does, one of `CLICK_TEXTS`.
         start: the start of the path, None for none.
         goal: the goal of the path, None for none.
         inspected: the cell that is described, None for none.
@@ -96,7 +96,7 @@ class Choices:
     with_names: bool = True
     opacity: float = 0.9
     dark: bool | None = None
-    click: str = INSPECT
+    click: str = INSPECT_TEXT
     start: Pick | None = None
     goal: Pick | None = None
     inspected: Pick | None = None
@@ -135,7 +135,7 @@ class Choices:
 
     def with_click(self, clicked: Pick | None) -> Choices:
         """Return the choices after a click on a cell; None is a click outside of all cells."""
-        if self.click == INSPECT:
+        if self.click == INSPECT_TEXT:
             return replace(self, inspected=clicked)
         if clicked is None:
             return self
@@ -457,9 +457,9 @@ class ViewState:
             return []
         arcs = []
         for connection in find_connections(self.grid):
-            color = STAIRS if connection.link is None else colors.LINK
+            color = STAIRS_COLOR if connection.link is None else colors.LINK
             if connection.is_closed:
-                color = CLOSED
+                color = CLOSED_LINK_COLOR
             for start, end in itertools.pairwise(connection.stops):
                 if start.level in choices.levels and end.level in choices.levels:
                     points = arc_between(np.array(start.position), np.array(end.position))
@@ -517,7 +517,7 @@ class ViewState:
         batches = [VisibleBatch(batch, batch.is_below(choices.cut)) for batch in drawing.batches]
         return [visible for visible in batches if visible.is_drawn.any()]
 
-    def click(self, choices: Choices, ray: Ray) -> Choices:
+    def click(self, choices: Choices, ray: ViewRay) -> Choices:
         """Return the choices after a click.
 
         Args:
@@ -569,7 +569,7 @@ class ViewState:
     def inspect(self, choices: Choices) -> Inspection | None:
         """Describe the inspected cell; return None if there is none."""
         picked = choices.inspected
-        if picked is None or choices.click != INSPECT:
+        if picked is None or choices.click != INSPECT_TEXT:
             return None
         x, y, z = picked.position
         facts = self.shown_grid(choices).describe_cell(x, y, picked.cell.level)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from box_worlds import box, stages_of_xml, world
-from navbake.baker.bake.boxes import GAP, MARGIN, find_level_boxes
+from navbake.baker.bake.boxes import BOX_GAP, BOX_MARGIN, find_level_boxes
 from navbake.baker.bake.pipeline import build_grid, run_bake
 from navbake.baker.floors.levels import LevelFloor
 from navbake.config.settings import load_config
@@ -45,7 +45,7 @@ def check_client(grid, warnings, most_lost=0.0):
     if isinstance(grid, MultiLevelGrid):
         for level in grid.levels:
             lowest = float(np.nanmin(level.floor_height))
-            assert 0 < lowest - level.bbox_yup[0][1] == pytest.approx(MARGIN, abs=1e-6)
+            assert 0 < lowest - level.bbox_yup[0][1] == pytest.approx(BOX_MARGIN, abs=1e-6)
         if not found.lost:
             assert all(a[1] < b[0] for a, b in pairwise(heights))
 
@@ -79,7 +79,7 @@ def test_client_finds_each_free_cell_of_two_slabs(tmp_path, shift):
     assert [level.ground for level in grid.levels] == pytest.approx([shift, 2.7 + shift])
     check_client(grid, [])
     low, high = grid.levels
-    assert low.bbox_yup[1][1] == pytest.approx(high.bbox_yup[0][1] - GAP, abs=5e-7)
+    assert low.bbox_yup[1][1] == pytest.approx(high.bbox_yup[0][1] - BOX_GAP, abs=5e-7)
 
 
 def test_box_of_one_level_is_the_scenes_own(tmp_path):
@@ -93,15 +93,15 @@ def test_box_of_one_level_is_the_scenes_own(tmp_path):
 def test_box_of_one_level_holds_floors_beside_the_scenes_own(tmp_path):
     pieces = '<geom type="plane" size="0 0 1"/>' + box("", -0.5, -0.5, 0.5, 0.5, 0.5, 0.7)
     grid = bake_xml(tmp_path, world(pieces), grid={"margin": 2.0})
-    assert grid.bbox_yup == ((-2.5, -MARGIN, -2.5), (2.5, 0.7, 2.5))
+    assert grid.bbox_yup == ((-2.5, -BOX_MARGIN, -2.5), (2.5, 0.7, 2.5))
     bounds = {"grid": {"bounds": [-1, -1, 3, 2]}}
     assert bake_xml(tmp_path, world(pieces), **bounds).bbox_yup == (
-        (-1.0, -MARGIN, -2.0),
+        (-1.0, -BOX_MARGIN, -2.0),
         (3.0, 0.7, 1.0),
     )
     endless = world('<geom type="plane" size="0 0 1"/>')
     grid = bake_xml(tmp_path, endless, **bounds)
-    assert grid.bbox_yup == ((-1.0, -MARGIN, -2.0), (3.0, 1.14, 1.0))
+    assert grid.bbox_yup == ((-1.0, -BOX_MARGIN, -2.0), (3.0, 1.14, 1.0))
     assert look_up(grid).lost == 0
 
 
@@ -189,7 +189,7 @@ def test_boxes_share_no_height_over_a_cell_unless_levels_interleave(scene):
             (_, one), (_, other) = found.windows[a], found.windows[b]
             apart = one.start >= other.stop or other.start >= one.stop
             lowest = np.nanmin(levels[b].floor)
-            if not apart and len(free) and lowest - 2 * MARGIN > free.max():
+            if not apart and len(free) and lowest - 2 * BOX_MARGIN > free.max():
                 assert found.boxes[a][1][1] < found.boxes[b][0][1]
 
 
@@ -222,7 +222,7 @@ def test_the_lowest_box_begins_below_its_ground():
     levels[0] = replace(levels[0], ground=-0.5)
     free = [np.zeros((1, WIDTH), dtype=np.bool_)] * 2
     low, _ = find_level_boxes(levels, free, LATTICE, None, 1.5).boxes[0]
-    assert low[1] == pytest.approx(-0.5 - MARGIN)
+    assert low[1] == pytest.approx(-0.5 - BOX_MARGIN)
 
 
 def test_box_of_one_level_holds_floors_as_they_are_written():

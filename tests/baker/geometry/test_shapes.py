@@ -38,7 +38,7 @@ def test_numbers_of_types_are_those_of_mujoco():
 # ---------------------------------------------------------------- boxes
 
 
-@pytest.mark.parametrize("kind", collect.SOLIDS)
+@pytest.mark.parametrize("kind", collect.SOLID_TYPES)
 def test_solid_bounds_touch_the_solid_on_all_sides(kind):
     rng = np.random.default_rng(kind)
     pos, size = rng.normal(size=3), rng.uniform(0.2, 1.0, size=3)

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from navbake.baker.bake.pipeline import run_bake
-from navbake.baker.readers.mesh import AXES, rotation_to_z_up
+from navbake.baker.readers.mesh import AXIS_VECTORS, rotation_to_z_up
 from navbake.config.settings import SceneSettings, parse_config
 from navbake.types import Float
 from scenes_alone import load_alone
@@ -74,10 +74,10 @@ def ceilings(result) -> list[str]:
 # ---------------------------------------------------------------- turning
 
 
-@pytest.mark.parametrize("up", [*AXES, (0.2, -0.9, 0.1), (0.3, 0.1, -2.0), (0, 1e-9, -1)])
+@pytest.mark.parametrize("up", [*AXIS_VECTORS, (0.2, -0.9, 0.1), (0.3, 0.1, -2.0), (0, 1e-9, -1)])
 def test_what_is_up_turns_to_z_and_nothing_is_mirrored(up):
     turn = rotation_to_z_up(up)
-    vector = np.array(AXES[up] if isinstance(up, str) else up)
+    vector = np.array(AXIS_VECTORS[up] if isinstance(up, str) else up)
     assert turn @ (vector / np.linalg.norm(vector)) == pytest.approx([0, 0, 1], abs=1e-12)
     assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(turn) == pytest.approx(1)
@@ -124,9 +124,9 @@ def test_auto_is_what_the_file_says(tmp_path, name, said, height):
 # ---------------------------------------------------------------- scans
 
 
-@pytest.mark.parametrize("down", [*AXES, (0.3, -0.5, 0.8)])
+@pytest.mark.parametrize("down", [*AXIS_VECTORS, (0.3, -0.5, 0.8)])
 def test_level_finds_the_floor_that_things_stand_on(tmp_path, down):
-    up = -np.array(AXES[down] if isinstance(down, str) else down)
+    up = -np.array(AXIS_VECTORS[down] if isinstance(down, str) else down)
     path = scan(tmp_path / "scan.ply", up)
     result = bake(path, up="level")
     (level,) = result.grid.levels
@@ -146,31 +146,33 @@ def test_level_is_exact(tmp_path):
 
 
 def test_auto_takes_the_axis_of_a_scan_that_lies_on_its_side_and_says_so(tmp_path):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["-y"]))
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["-y"]))
     scene = load_alone(SceneSettings(path=path))
     (hint,) = scene.hints
     assert "is taken with -y up" in hint and "`scene.up: -y` silences this" in hint
     assert not load_alone(SceneSettings(path=path, up="-y")).warnings
     assert scene.bounds[1, 2] == pytest.approx(2.5, abs=0.05)
     # one that stands upright stays as it is
-    assert not load_alone(SceneSettings(path=scan(tmp_path / "b.ply", np.array(AXES["z"])))).hints
+    assert not load_alone(
+        SceneSettings(path=scan(tmp_path / "b.ply", np.array(AXIS_VECTORS["z"])))
+    ).hints
 
 
 @pytest.mark.parametrize("up", ["y", [0, 1.0, 0]])
 def test_a_ceiling_is_told_from_a_floor(tmp_path, up):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["-y"]))
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["-y"]))
     (warning,) = ceilings(bake(path, up=up))
     assert "`scene.up: -y` turns the mesh over" in warning
 
 
 def test_level_says_that_an_empty_room_may_be_either_way_up(tmp_path):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["-y"]), bed=False)
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["-y"]), bed=False)
     (warning,) = ceilings(bake(path, up="level"))
     assert "doesn't say which way is up" in warning
 
 
 def test_furnished_rooms_get_no_such_warning(tmp_path):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["z"]))
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["z"]))
     assert not ceilings(bake(path)) and not ceilings(bake(path, up="level"))
 
 
@@ -178,7 +180,7 @@ def test_furnished_rooms_get_no_such_warning(tmp_path):
 
 
 def test_holes_of_a_scan_are_closed_and_marked(tmp_path):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["z"]))
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["z"]))
     (level,) = bake(path, up="z", scan=True).grid.levels
     unseen = level.attributes["unseen"].astype(bool)
     assert level.attributes["unseen"].dtype == np.uint8
@@ -192,13 +194,13 @@ def test_holes_of_a_scan_are_closed_and_marked(tmp_path):
 
 
 def test_nobody_stands_inside_of_a_hollow_pillar(tmp_path):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["z"]), pillar=True)
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["z"]), pillar=True)
     (level,) = bake(path, up="z", scan=True).grid.levels
     assert not level.attributes["unseen"].any()
 
 
 def test_a_verification_takes_no_closed_hole_for_a_floor_that_is_off(tmp_path):
-    path = scan(tmp_path / "scan.ply", np.array(AXES["z"]))
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["z"]))
     settings = {"scene": {"path": path, "up": "z", "scan": True}, "verify": {"sample": 5000}}
     result = run_bake(parse_config(settings))
     assert result.grid.navbake["verified"]["disagreements"] == 0

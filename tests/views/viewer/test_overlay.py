@@ -18,10 +18,10 @@ from PIL import Image
 import navbake
 from grid_maps import level_from
 from navbake.views.viewer.meshes import (
-    FLAT,
-    LIFT,
-    Ray,
+    FLAT_TOLERANCE,
+    LAYER_LIFT,
     Surface,
+    ViewRay,
     draw_overlay,
     make_floor_surface,
     make_glb,
@@ -99,7 +99,10 @@ def test_each_cell_with_a_floor_is_covered_once_at_its_height(seed, height, widt
     covered, drawn = floors_of(make_floor_surface(level), level)
     has_floor = ~np.isnan(floor)
     np.testing.assert_array_equal(covered, has_floor)
-    assert (np.abs(drawn - LIFT - FLAT - level.floor)[has_floor] <= FLAT + 1e-4).all()
+    assert (
+        np.abs(drawn - LAYER_LIFT - FLAT_TOLERANCE - level.floor)[has_floor]
+        <= FLAT_TOLERANCE + 1e-4
+    ).all()
     covered, _ = floors_of(make_floor_surface(level, with_holes=False), level)
     assert (covered == 1).all()
 
@@ -160,7 +163,7 @@ def room():
 
 
 def down(x, y):
-    return Ray((x, y, 10), (0, 0, -1))
+    return ViewRay((x, y, 10), (0, 0, -1))
 
 
 def pick_in(view_state, ray, **choices):
@@ -180,7 +183,7 @@ def test_the_floor_is_a_cell_and_a_table_is_the_cell_below(room):
 
 def test_nothing_is_nothing(room):
     assert pick_in(room, down(50, 50)) is None
-    assert pick_in(room, Ray((0, 0, 10), (0, 0, 1))) is None
+    assert pick_in(room, ViewRay((0, 0, 10), (0, 0, 1))) is None
 
 
 def test_what_is_not_drawn_is_not_clicked(room):
@@ -202,7 +205,7 @@ def test_clicks_meet_what_mujocos_rays_meet():
         direction = np.array([*rng.uniform(-0.5, 0.5, 2), -1.0])
         geom = np.zeros(1, dtype=np.int32)
         mujoco.mj_ray(model, data, origin, direction, None, 1, -1, geom, None)
-        found = pick_in(view_state, Ray(origin, direction))
+        found = pick_in(view_state, ViewRay(origin, direction))
         # floors are met as cells, and round things have corners here
         if geom[0] >= 0 and is_box[geom[0]] and found is not None and found.geom is not None:
             met += 1
@@ -219,6 +222,6 @@ def test_of_two_storeys_the_one_below_the_click_counts():
     floors = np.argwhere((np.abs(upper.floor - upper.ground) < 0.01)[: lower.height, : lower.width])
     row, col = floors[len(floors) // 2]
     x, y = upper.lattice.positions(row, col)
-    ray = Ray((x, y, upper.ground + 0.5), (0, 0, -1))
+    ray = ViewRay((x, y, upper.ground + 0.5), (0, 0, -1))
     assert pick_in(view_state, ray).cell.level == 1
     assert pick_in(view_state, ray, levels=(0,), with_scene=False).cell.level == 0

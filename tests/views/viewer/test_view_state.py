@@ -18,9 +18,9 @@ from navbake.views.viewer.meshes import Pick
 from navbake.views.viewer.view import make_view_state
 from navbake.views.viewer.view_state import (
     FREE_TINT,
-    INSPECT,
+    INSPECT_TEXT,
     NAME_HEIGHT,
-    ROUTE,
+    ROUTE_TEXT,
     Run,
     ViewState,
     first_choices,
@@ -66,7 +66,7 @@ def test_the_radius_frees_what_inflate_frees(room, chosen):
 
 
 def test_a_path_follows_two_clicks(room, chosen):
-    now = replace(chosen, click=ROUTE)
+    now = replace(chosen, click=ROUTE_TEXT)
     assert texts.route_text(now, room.route(now)) == texts.HINT_START
     now = now.with_click(at(room, -1.5, -1.0))
     assert texts.route_text(now, room.route(now)) == texts.HINT_GOAL
@@ -108,7 +108,7 @@ def test_what_is_lit_obeys_the_cut_and_goes_with_the_mode(room, chosen):
     corners = inspection.outline[:4, :2]
     np.testing.assert_allclose(corners.mean(axis=0), room.grid.lattice.positions(row, col))
     np.testing.assert_allclose(np.ptp(corners, axis=0), 0.1)
-    assert room.inspect(replace(now, click=ROUTE)) is None
+    assert room.inspect(replace(now, click=ROUTE_TEXT)) is None
     assert len(room.inspect(replace(now, with_scene=False)).highlighted) == 0
     assert now.without_clicks().inspected is None
 
@@ -231,7 +231,7 @@ def test_choices_outlive_another_bake_as_far_as_it_has_them(room, chosen):
     now = replace(
         chosen, levels=(0, 3), doors=(("gone", "open"),), layer="rooms",
         inspected=at(room, 1.0, 1.0, geom=4), start=at(room, -1.5, 1),
-        click=INSPECT,
+        click=INSPECT_TEXT,
     )  # fmt: skip
     kept = transfer_choices(now, room.grid)
     assert kept.levels == (0,) and kept.doors == () and kept.layer == "rooms"
