@@ -558,7 +558,7 @@ def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[st
     if not force:
         grid = fit_grid(grid, agent)
         content.check_grid(grid)
-    return scene_of(grid), PathFinder(grid, agent=agent.of_any_size() if name else None)
+    return scene_of(grid), PathFinder(grid, agent=agent.without_sizes() if name else None)
 
 
 def summarize(

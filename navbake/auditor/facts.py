@@ -241,7 +241,7 @@ class Facts:
     """
 
     def __init__(self, grid: GridBase) -> None:
-        self.grid: GridBase = grid.without_blocks()
+        self.grid: GridBase = grid.without_obstacles()
         self.levels: list[SceneGrid2D] = self.grid.levels
         self.free: list[Bool] = [level.free for level in self.levels]
         self.floors: list[Float] = [level.floor for level in self.levels]

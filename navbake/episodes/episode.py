@@ -246,7 +246,7 @@ def digest_of(grid: NavGrid) -> str:
     agent's radius and height. Names, timings, added obstacles, and the states of doors that block
     nothing are not included.
     """
-    grid = grid.without_blocks()
+    grid = grid.without_obstacles()
     sizes_and_steps = (grid.radius, grid.agent_height, grid.max_step, grid.step_array.tolist())
     digest = sha256(repr(sizes_and_steps).encode())
     if grid.links or grid.areas:

@@ -241,7 +241,7 @@ def make_episodes(
     for number, (scene, original) in enumerate(zip(scenes, grid_list, strict=True)):
         agent = named_agent(original, agent_name, choice.get("radius"), choice.get("height"))
         grid = fit_grid(original, agent)
-        finder_agent = agent.of_any_size() if agent_name else None
+        finder_agent = agent.without_sizes() if agent_name else None
         draw = _Draw(grid, task, rules, int(seed), splits, finder_agent)
         # the first scenes have the remainder
         scene_count = count // len(scenes) + (number < count % len(scenes))

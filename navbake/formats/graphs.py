@@ -20,7 +20,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.door_states import find_leaf_ends
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import rounded
-from navbake.navgrid.rooms import DOOR_REACH, Door, Room
+from navbake.navgrid.rooms import MAX_DOOR_DISTANCE, Door, Room
 from navbake.runtime.flat_grid import map_rooms
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int, Int32, Vector3
@@ -428,7 +428,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
             if opening.kind == "open"
             and opening.rooms == joined_rooms
             and int(flat.level_of(opening.cells[0])) == level
-            and _find_distance(leaf, flat.positions(opening.cells)[:, :2]) <= DOOR_REACH
+            and _find_distance(leaf, flat.positions(opening.cells)[:, :2]) <= MAX_DOOR_DISTANCE
         ]
         for number in opening_numbers:
             del openings[number]

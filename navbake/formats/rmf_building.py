@@ -24,7 +24,7 @@ import numpy as np
 from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
 from navbake.lazy import lazy
-from navbake.navgrid.door_states import DoorLine, doorway_cells, find_door_lines
+from navbake.navgrid.door_states import DoorLine, find_door_lines, mark_door_cells
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
@@ -159,7 +159,7 @@ def _add_walls(level: _BuildingLevel, grid: NavGrid, number: int, lifts: Iterabl
     # without names of walls, all that stands on a floor is one
     is_wall = scene.solid != 0
     is_wall &= has_wall_name if has_wall_name.any() else ~np.isnan(scene.floor)
-    is_wall &= ~doorway_cells(grid, number, blocked=False)
+    is_wall &= ~mark_door_cells(grid, number, in_current_state=False)
     x, y = np.meshgrid(scene.lattice.center_x(), scene.lattice.center_y())
     for link in lifts:
         if not link.car:

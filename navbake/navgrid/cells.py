@@ -1,7 +1,8 @@
-"""Finds the cell and level of a position, the position of a cell, and the layers at both.
+"""Converts positions to cells and cells to positions, and looks up values of layers there.
 
-A position is on the level with the nearest floor below it, or at most a step above it. So a
-position under a bridge is on the level below, one on the bridge on the level above.
+A position belongs to the level with the highest floor that is at most a step above the position. So
+a position under a bridge belongs to the level below, and a position on the bridge to the level
+above.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
-from navbake.navgrid.islands import STEP_SLACK, clearance, islands_of
+from navbake.navgrid.islands import STEP_SLACK, islands_of, measure_clearance
 from navbake.navgrid.lattice import Cell as Cell
 from navbake.navgrid.lattice import Cells as Cells
 from navbake.navgrid.obstacle_state import BLOCKED
 from navbake.types import Bool, Float, Int
 
-FLOAT32_ROUNDING = 1e-6  # relative, of floors in files
+FLOAT32_ROUNDING = 1e-6  # relative error of the floors in files, which are float32
 CellsLike = Cell | Cells | tuple[ArrayLike, ArrayLike, ArrayLike]
-"""Level, row and column: of one cell, or of several as arrays."""
+"""Level, row and column of one cell; or of several cells, as three arrays."""
 
 
 class Layer(NamedTuple):
-    """A layer that `values_at` returns."""
+    """How `values_at` computes one layer of a grid."""
 
-    make: Callable[[NavGrid], list[NDArray[Any]]]  # the arrays of the levels, of a grid
-    outside: float  # the value where there is no cell
+    make: Callable[[NavGrid], list[NDArray[Any]]]  # takes a grid, returns an array for each level
+    outside: float  # the value of positions outside the grid
 
 
 LAYERS = {
@@ -44,9 +45,9 @@ LAYERS = {
     ),
     "room": Layer(lambda grid: [level.room_index for level in grid.levels], 0),
     "island": Layer(lambda grid: list(islands_of(grid)), 0),
-    "clearance": Layer(lambda grid: [clearance(level) for level in grid.levels], 0),
+    "clearance": Layer(lambda grid: [measure_clearance(level) for level in grid.levels], 0),
 }
-"""The layers that are not attributes, by name."""
+"""Name -> layer. `values_at` takes any other name as that of an attribute of the file."""
 
 
 def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Cell | None:
@@ -56,6 +57,9 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
         grid: The grid.
         position: World x, y, z [m], shape (3,), or x, y.
         level: The level of the cell, 0 is the lowest; None to find it by z.
+
+    Returns:
+        Level, row and column; None if there is no cell.
 
     Raises:
         QueryError: The level does not exist, or the position is not valid.
@@ -130,7 +134,7 @@ def check_cells(grid: GridBase, cells: CellsLike) -> Cells:
         cells: Level, row and column, of shapes that can be broadcast.
 
     Raises:
-        QueryError: They are no integers, or a cell does not exist.
+        QueryError: A value is not an integer, the shapes do not fit, or a cell does not exist.
     """
     try:
         arrays = np.broadcast_arrays(*(np.asarray(axis) for axis in cells))
@@ -144,8 +148,9 @@ def check_cells(grid: GridBase, cells: CellsLike) -> Cells:
     checked = Cells(*(array.astype(np.int64) for array in arrays))
     level, row, col = checked
     exists = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
-    # any level's shape stands in for that of a level that does not exist
-    shapes = np.array([each.shape for each in grid.levels])[np.where(exists, level, 0)]
+    # a level that does not exist gets the shape of level 0; its cells are faulty anyway
+    level_shapes = np.array([level_grid.shape for level_grid in grid.levels])
+    shapes = level_shapes[np.where(exists, level, 0)]
     exists &= (row < shapes[..., 0]) & (col < shapes[..., 1])
     if not exists.all():
         missing = tuple(int(axis[~exists].ravel()[0]) for axis in checked)
@@ -163,7 +168,7 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
     Args:
         positions: World x, y, z [m], shape (..., 3); (..., 2) with a level or on one level.
         num_levels: Number of levels of the grid.
-        level: The level that they are on, 0 is the lowest; None to find it by z.
+        level: The level of all positions, 0 is the lowest; None to find each by z.
 
     Returns:
         The positions, shape (..., 3) or (..., 2), float64.
@@ -231,9 +236,16 @@ def check_level(level: int | None, num_levels: int) -> None:
 
 
 def _cells_below(grid: GridBase, positions: Float) -> Int:
-    """The cells of the nearest floors at or below positions, shape (n, 3).
+    """Find for each position the cell with the highest floor at most a step above it.
 
-    Returns level, row and column, shape (3, n); -1 for no cell.
+    Where no level has such a floor, the levels' grounds count as floors.
+
+    Args:
+        grid: The grid.
+        positions: World x, y, z [m], shape (n, 3).
+
+    Returns:
+        Level, row and column, shape (3, n); -1 for no cell.
     """
     z = positions[:, 2]
     # float32 moved the floors of files, in proportion to their height
@@ -260,7 +272,7 @@ def _cells_below(grid: GridBase, positions: Float) -> Int:
 
 
 def _cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
-    """Level, row and column of positions on a level, shape (3, n); -1 outside its rectangle."""
+    """Return level, row and column of positions on one level, shape (3, n); -1 outside it."""
     x_min, y_max, cell_size, width, height = grid.levels[number].lattice
     row = np.floor((y_max - positions[:, 1]) / cell_size)
     col = np.floor((positions[:, 0] - x_min) / cell_size)
@@ -271,7 +283,10 @@ def _cells_on_level(grid: GridBase, number: int, positions: Float) -> Int:
 
 
 def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
-    """Floors of cells [m], NaN for none; the ground if the level has no floors of cells."""
+    """Return world z of the cells' floors [m], NaN for no floor.
+
+    It is the level's ground if the level has no floors of single cells.
+    """
     if not level.uses_cell_floors:
         return np.full(rows.shape, level.ground)
     return level.attributes["floorHeight"][rows, cols].astype(np.float64) * level.unit
@@ -306,7 +321,7 @@ class Place:
 
     @property
     def island(self) -> int | None:
-        """Number of the connected part, from 1, the largest; None where the cell is not free."""
+        """Number of the cell's island, 1 is the largest; None where the cell is not free."""
         if not self.free:
             return None
         level, row, col = self.cell
@@ -325,8 +340,11 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
 
     Args:
         grid: The grid.
-        position: As of `cell_at`.
-        level: As of `cell_at`.
+        position: See `cell_at`.
+        level: See `cell_at`.
+
+    Returns:
+        The layers; None if there is no cell.
     """
     cell = cell_at(grid, position, level)
     return None if cell is None else place_in(grid, cell)
@@ -357,7 +375,7 @@ def place_in(grid: NavGrid, cell: Cell) -> Place:
 
 
 def _room_id(grid: NavGrid, cell: Cell) -> str | None:
-    """The id of a cell's room, ``level:index`` for a room without an entry; None for no room."""
+    """Return the id of a cell's room; ``level:index`` if no table lists it; None for no room."""
     index = int(grid.levels[cell.level].room_index[cell.row, cell.col])
     if not index:
         return None
@@ -375,8 +393,8 @@ def values_at(
     Args:
         grid: The grid.
         layer: A name of `LAYERS`, or of an attribute as the file stores it.
-        positions: As of `cells_at`.
-        level: As of `cells_at`.
+        positions: See `cells_at`.
+        level: See `cells_at`.
 
     Returns:
         The values, shape (...).
@@ -386,18 +404,18 @@ def values_at(
     """
     cells = cells_at(grid, positions, level)
     outside: float | None = None
-    arrays: dict[int, NDArray[Any]] = {}  # by level; some may not have the attribute
+    arrays: dict[int, NDArray[Any]] = {}  # level -> array; a level may lack the attribute
     if layer in LAYERS:
         outside = LAYERS[layer].outside
         arrays = dict(enumerate(LAYERS[layer].make(grid)))
     else:
-        for number, of_level in enumerate(grid.levels):
-            if layer in of_level.attributes:
-                arrays[number] = of_level.attributes[layer]
+        for number, level_grid in enumerate(grid.levels):
+            if layer in level_grid.attributes:
+                arrays[number] = level_grid.attributes[layer]
     if not arrays:
         names = [*LAYERS]
-        for of_level in grid.levels:
-            names += of_level.attributes
+        for level_grid in grid.levels:
+            names += level_grid.attributes
         hint = suggest(layer, names, limit=len(names))
         raise QueryError(
             f"no layer {layer!r} in {grid.scene_id!r}: {hint}", key="layer", value=layer, hint=hint

@@ -1,7 +1,7 @@
-"""The colours of pictures and meshes, as ``#rrggbb``, and of each room.
+"""The colours of pictures and meshes, as ``#rrggbb``, and the choice of a colour for each room.
 
-They are safe for colour-blind people, as `tests/navgrid/test_colors.py` measures. Free cells are
-light and blocked ones dark, so that pictures work in grey, too.
+Colour-blind people can tell them apart: `tests/navgrid/test_colors.py` measures this. Free cells
+are light and blocked cells dark, so pictures can be read in grey, too.
 """
 
 import math
@@ -18,21 +18,23 @@ FREE = "#f7f3e8"
 OCCUPIED = "#3b4252"
 NO_FLOOR = "#b9c0cc"
 DOOR = "#c8440a"  # where a door blocks the way
-DOORWAY = "#ff9f5a"  # where a closed door would
+DOORWAY = "#ff9f5a"  # where a door would block the way if it were closed
 ROUTE = "#1864ab"
-MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by kind
+# the first kind of mark in a picture has the first colour, and so on
+MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")
 
 OUTDOORS = "#e9ffc6"
 ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
-BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room's occupied cells
-ROOM_LEGEND = "#6b6f78"  # stands in the legend for all rooms' darker colours
+# a room's occupied cells have the room's colour, mixed with this share of `OCCUPIED`
+OCCUPIED_SHARE = 0.55
+ROOM_LEGEND = "#6b6f78"  # in the legend: occupied cells of any room
 
-MAX_NEIGHBOR_GAP = 0.6  # rooms with no more than this between them are neighbours [m]
+MAX_NEIGHBOR_GAP = 0.6  # rooms are neighbours if the gap between them is no wider [m]
 
 # of links, visible on walls as well
 LINK_UP = "#3bcb11"
 LINK_DOWN = "#b870fd"
-LINK_ACROSS = "#889590"
+LINK_ACROSS = "#889590"  # between cells of the same level
 LINK = "#ff3d78"  # a lift, a drop, …
 KEEP_OUT = "#f05f7f"  # an area that bars every agent
 
@@ -44,25 +46,28 @@ def rgb_of(color: str) -> tuple[int, int, int]:
 
 
 def to_linear(color: NDArray[Any]) -> NDArray[Any]:
-    """Convert colours of sRGB to linear light, both 0 to 1 (IEC 61966-2-1)."""
+    """Convert sRGB colours, 0 to 1, to linear light, 0 to 1 (IEC 61966-2-1)."""
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
 
 
 def darken_rooms(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Convert the colours of rooms' free cells to those of their occupied cells, shape (..., 3)."""
-    mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE
+    """Return the colours of rooms' occupied cells, from those of their free cells, (..., 3)."""
+    mixed = rgb * (1 - OCCUPIED_SHARE) + np.array(rgb_of(OCCUPIED)) * OCCUPIED_SHARE
     return np.round(mixed).astype(np.uint8)
 
 
 def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """Choose colours for the rooms of a level; rooms that share a wall or an opening differ.
+    """Choose colours for the rooms of a level.
+
+    Rooms that share a wall or an opening have different colours, if possible. All outdoor areas
+    have the colour `OUTDOORS`.
 
     Args:
         grid: The grid.
         number: Number of the level, 0 is the lowest.
 
     Returns:
-        The colours by index of the room, shape (n + 1, 3), uint8; index 0 is no room.
+        Red, green and blue for each index of a room, shape (n + 1, 3), uint8; index 0 is no room.
     """
     level = grid.levels[number]
     index = level.room_index
@@ -84,23 +89,24 @@ def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
     return colors
 
 
-def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
+def find_neighbours(part_of_cell: NDArray[Any], max_gap: int) -> set[tuple[int, int]]:
     """Find the pairs of parts of a plan that are close to each other along a row or a column.
 
     Args:
-        index: The part of each cell from 1, 0 for none, shape (height, width), integers.
-        reach: How many cells of no part, such as those of a wall, may be between them.
+        part_of_cell: Number of the part of each cell, from 1; 0 for no part. Shape (height, width),
+            integers.
+        max_gap: How many cells of no part, such as a wall's, may be between two neighbours.
 
     Returns:
-        The pairs, the smaller number first.
+        Pairs of part numbers, the smaller number first.
     """
     all_pairs = [np.empty((0, 2), dtype=np.int64)]
-    for lines in (index, index.T):
+    for lines in (part_of_cell, part_of_cell.T):
         line, place = np.nonzero(lines[:, 1:] != lines[:, :-1])
         before = lines[line, place]
         after = lines[line, place + 1]
         # a gap opens at one change and closes at the next change of the same line
-        is_gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (np.diff(place) <= reach)
+        is_gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (np.diff(place) <= max_gap)
         touching = np.stack([before, after], axis=1)
         across_gap = np.stack([before[:-1], after[1:]], axis=1)[is_gap]
         all_pairs += [touching, across_gap]
@@ -118,11 +124,12 @@ def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int)
 
     Args:
         count: Number of parts, which are numbered from 1.
-        pairs: The pairs of neighbours.
+        pairs: Pairs of the numbers of neighbours.
         num_colors: Number of colours.
 
     Returns:
-        The colour of each part from 0, shape (count + 1,), int64; the first entry has no meaning.
+        For each part the number of its colour, from 0; shape (count + 1,), int64. Entry 0 belongs
+        to no part.
     """
     neighbours: list[set[int]] = [set() for _ in range(count + 1)]
     for first, second in pairs:

@@ -1,4 +1,4 @@
-"""Grids with doors and links in other states, and the lines of doors from jamb to jamb."""
+"""Makes grids with doors and links in other states, and finds doors' lines from jamb to jamb."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from navbake.types import Bool, Float, Json
 
 AnyGrid = TypeVar("AnyGrid", bound=GridBase)
 
-DECIMALS = 6  # of ends of lines: micrometres
+DECIMALS = 6  # the ends of lines are rounded to micrometres
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
@@ -29,7 +29,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 
     Args:
         grid: A grid that was not inflated.
-        states: A state for all doors, or states by the ids of doors.
+        states: One state for all doors; or door id -> state, for some doors.
 
     Raises:
         QueryError: A door or a state does not exist, or the grid was inflated.
@@ -48,7 +48,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     doors_after = [
         replace(door, state=new_states.get(door.id, door.state)) for door in doors_before.values()
     ]
-    # by level and cell id
+    # for each level a mask, indexed by cell id
     occupied = [level.occupancy.astype(np.bool_).ravel() for level in grid.levels]
     solid = [level.solid.astype(np.bool_).ravel() for level in grid.levels]
     # doors may overlap, so all are taken out before any is put in
@@ -121,7 +121,15 @@ def _check_door_states(
 def _mark_doors(
     doors: Sequence[Door], occupied: list[Bool], solid: list[Bool], *, is_blocked: bool
 ) -> None:
-    """Mark the cells of doors in their states, in the masks of all levels."""
+    """Set the cells that doors block in their current states to `is_blocked`.
+
+    Args:
+        doors: The doors.
+        occupied: For each level a mask by cell id, which changes: the cells that a door blocks.
+        solid: For each level a mask by cell id, which changes: the cells whose square a door
+            overlaps.
+        is_blocked: The value to set.
+    """
     for door in doors:
         for number, cells in enumerate(door.cells_in(door.state, len(occupied))):
             occupied[number][cells] = is_blocked
@@ -134,7 +142,7 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
 
     Args:
         grid: The grid; the new one shares its arrays.
-        states: ``open`` or ``closed``, by the names of links.
+        states: Link name -> ``open`` or ``closed``.
 
     Raises:
         QueryError: A link or a state does not exist.
@@ -172,13 +180,13 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
 def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
-    """Return the user data of a level with the doors of each cell, by ascending cell id.
+    """Return the user data of a level in which each cell names its doors.
 
-    The doors of a cell are those that block it, closed or in their current state. A door that
-    blocks it in its current state is one of its objects, too.
+    A cell lists as ``doors`` those that block it when closed or in their current state. It lists
+    those that block it in their current state as ``objects``, too.
 
     Args:
-        user_data: The user data, which may still have the doors of a former state.
+        user_data: The user data, which may still list doors for their former states.
         doors: All doors of the grid.
         level: Number of the level, 0 is the lowest.
         num_levels: Number of levels of the grid.
@@ -187,7 +195,7 @@ def with_door_names(
         return user_data  # without parsing it
     # all cells that a door blocks in any state: the user data may be from that state
     doors_by_cell: dict[int, set[str]] = {}
-    blocking_by_cell: dict[int, set[str]] = {}  # those that block it in their current state
+    blocking_by_cell: dict[int, set[str]] = {}  # doors that block the cell in their current state
     for door in doors:
         for state in door.cells:
             for cell in door.cells_in(state, num_levels)[level].tolist():
@@ -200,7 +208,7 @@ def with_door_names(
     cells = np.fromiter(doors_by_cell, dtype=np.int64, count=len(doors_by_cell))
     changed: dict[int, Json] = {}
     for cell, entry in zip(doors_by_cell, user_data.find(cells), strict=True):
-        changed[cell] = _with_names(
+        changed[cell] = _with_door_ids(
             _without_doors(entry, all_door_ids),
             doors_by_cell[cell],
             blocking_by_cell.get(cell, set()),
@@ -209,20 +217,20 @@ def with_door_names(
 
 
 def _without_doors(entry: Json, door_ids: set[str]) -> Json:
-    """The user data of a cell without doors, and without blockers, which may be doors."""
+    """Return a cell's user data without ``doors`` and ``blockers``, and with no door as object."""
     if "doors" not in entry:
         return entry
-    without = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
-    if isinstance(without.get("objects"), list):
-        objects = [name for name in names_in(without, "objects") if name not in door_ids]
-        without["objects"] = objects
+    remaining = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
+    if isinstance(remaining.get("objects"), list):
+        objects = [name for name in names_in(remaining, "objects") if name not in door_ids]
+        remaining["objects"] = objects
         if not objects:
-            del without["objects"]
-    return without
+            del remaining["objects"]
+    return remaining
 
 
-def _with_names(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> Json:
-    """The user data of a cell with its doors; those that block it are objects, too."""
+def _with_door_ids(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> Json:
+    """Return a cell's user data with `door_ids` as doors, and `blocking_ids` as objects, too."""
     if not door_ids:
         return entry
     names: Json = {"doors": sorted(door_ids)}
@@ -244,8 +252,8 @@ def _with_names(entry: Json, door_ids: set[str], blocking_ids: set[str]) -> Json
 class DoorLine(NamedTuple):
     """The line of a door's closed leaf on a level."""
 
-    id: str  #: Of the door.
-    state: str  #: ``closed``, ``open``, ``modelled`` (neither of both) or ``removed``.
+    id: str  #: Id of the door.
+    state: str  #: ``closed``, ``open``, ``removed``; else ``modelled``.
     start: tuple[float, float]  #: One end, world x, y [m].
     end: tuple[float, float]  #: The other end, world x, y [m].
 
@@ -275,21 +283,22 @@ def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
     return tuple(lines)
 
 
-def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
+def mark_door_cells(grid: NavGrid, number: int, *, in_current_state: bool) -> Bool:
     """Mark the cells of a level that doors block.
 
     Args:
         grid: The grid.
         number: Number of the level, 0 is the lowest.
-        blocked: Whether to mark the cells that doors block in their current states; if False, those
-            that they block when closed.
+        in_current_state: Whether to mark the cells that doors block in their current states. If
+            False, the cells that they block when closed; a door without the state ``closed`` is
+            taken in its current one.
 
     Returns:
         Shape (height, width), bool.
     """
     mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
     for door in grid.doors:
-        state = "closed" if "closed" in door.cells and not blocked else door.state
+        state = "closed" if "closed" in door.cells and not in_current_state else door.state
         mask.flat[door.cells_in(state, len(grid.levels))[number]] = True
     return mask
 
@@ -301,12 +310,13 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     """Find the ends of a door's leaf on a level.
 
-    The leaf is taken as closed, or in its current state if the grid has no cells of it closed.
+    The leaf is taken in the first state in which the grid has cells of it on the level: closed, the
+    current state, then any other state.
 
     With a layer ``solid``, the cells of the leaf itself are known: the line follows their longer
-    axis, from edge to edge. Without it, only the blocked cells are known, which may be deeper than
-    the door is wide: the line follows the axis with obstacles at both ends, or else the longer one,
-    and is longer by the agent's radius at each end.
+    axis, from edge to edge. Without it, only the blocked cells are known. They may be deeper than
+    the door is wide, so the line follows the axis with more obstacles at its ends, or else the
+    longer axis. It is then longer by the agent's radius at each end.
 
     Args:
         grid: The grid.
@@ -331,37 +341,37 @@ def find_leaf_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
     middle = centers.mean(axis=0)
     offsets = centers - middle
     # the longer principal axis: the eigenvector of the largest eigenvalue
-    axis = _pointing_up(np.linalg.eigh(offsets.T @ offsets)[1][:, 1])
+    axis = _pointing_right(np.linalg.eigh(offsets.T @ offsets)[1][:, 1])
     if np.ptp(offsets @ axis) * np.abs(axis).min() < cell_size / 2:
-        # it is along a row or column of cells, to their resolution
+        # within half a cell, it runs along a row or a column
         axis = np.round(axis) + 0.0
     extra_length = 0.0
     if not has_leaf:
         is_free = np.pad(level.free, 1)  # no cell outside the grid is free
 
         def count_obstacles(axis: Float) -> int:
-            """Of the two cells next to the ends of the leaf along an axis, how many are blocked."""
-            across = _pointing_up(np.array([-axis[1], axis[0]]))
-            along = centers @ axis
-            offset = np.median(centers @ across) * across
-            distances = np.array([[along.min() - cell_size], [along.max() + cell_size]])
-            rows, cols = level.lattice.rows_cols(distances * axis + offset)
+            """Count the blocked cells among the two next to the ends of the leaf along an axis."""
+            normal = _pointing_right(np.array([-axis[1], axis[0]]))
+            distances = centers @ axis
+            offset = np.median(centers @ normal) * normal
+            ends = np.array([[distances.min() - cell_size], [distances.max() + cell_size]])
+            rows, cols = level.lattice.rows_cols(ends * axis + offset)
             rows = (rows + 1).clip(0, is_free.shape[0] - 1)
             cols = (cols + 1).clip(0, is_free.shape[1] - 1)
             return int(np.count_nonzero(~is_free[rows, cols]))
 
-        shorter_axis = _pointing_up(np.array([-axis[1], axis[0]]))
+        shorter_axis = _pointing_right(np.array([-axis[1], axis[0]]))
         if count_obstacles(shorter_axis) > count_obstacles(axis):
             axis = shorter_axis
         extra_length = grid.agent_radius
     # to the outermost edges of the cells
-    along = offsets @ axis
+    distances = offsets @ axis
     extra_length += cell_size / 2 / np.abs(axis).max()
-    distances = np.array([[along.min() - extra_length], [along.max() + extra_length]])
-    ends = (np.round(middle + distances * axis, DECIMALS) + 0.0).tolist()
+    end_distances = np.array([[distances.min() - extra_length], [distances.max() + extra_length]])
+    ends = (np.round(middle + end_distances * axis, DECIMALS) + 0.0).tolist()
     return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
 
 
-def _pointing_up(axis: Float) -> Float:
-    """The axis or its opposite: the one that points up or, if it is level, to the right."""
+def _pointing_right(axis: Float) -> Float:
+    """Return the axis or its opposite: the one towards +x, or towards +y if both have x = 0."""
     return axis if tuple(axis) > (0.0, 0.0) else 0.0 - axis

@@ -5,7 +5,7 @@ Arrays are ``[row, col]``, shape (height, width): col along file X, row along fi
 file that navbake writes). Positions in methods are in the world frame: z up, metres;
 `SceneGrid2D.lattice` converts between the two.
 
-This folder imports nothing of the folders above it but in `navbake.navgrid.grid_methods`.
+Of this folder, only `navbake.navgrid.grid_methods` imports from the folders above it.
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ if TYPE_CHECKING:
 
 Table = TypeVar("Table")
 
-MAX_RADIUS = 10_000.0  # of an agent [m]
-DEFAULT_HEIGHT = 1.14  # of an agent, where a file states none [m]
-DEFAULT_STEP = 0.25  # the highest step of an agent, where a file states none [m]
+MAX_RADIUS = 10_000.0  # largest radius of an agent [m]
+DEFAULT_HEIGHT = 1.14  # height of the agent, if the file states none [m]
+DEFAULT_STEP = 0.25  # highest step that the agent takes, if the file states none [m]
 
 
 @dataclass(eq=False, kw_only=True)
 class GridBase(GridMethods):
-    """Common base of grids of one level and of several.
+    """Common base of grids of one level and of several levels.
 
-    Its `rooms`, `doors`, `steps`, `links`, `areas` and `agents` are tables of the file, which are
-    parsed on first access: they raise a FormatError if the table of the file is broken.
+    The properties `rooms`, `doors`, `steps`, `links`, `areas` and `agents` parse a table of the
+    file on first access. They raise a FormatError if that table is broken.
 
     Attributes:
         cell_size: Edge of a cell [file units], > 0.
         unit: Metres per file unit, > 0.
         metadata: The metadata, as in the file.
         timings: The timings, as in the file; comparisons of grids ignore them.
-        extra: Fields of the file that are not the format's own; they are written back.
-        cached_islands: The last result of `navbake.navgrid.islands.islands_of`, after the digest of
-            what it depends on.
+        extra: Fields of the file that the format does not define; they are written back.
+        cached_islands: The digest of the grid's data at the last call of
+            `navbake.navgrid.islands.find_islands`, and the islands that it found; None before.
         obstacles: The current obstacles, each a `navbake.runtime.blocking.AddedObstacle`.
-        fitted_grids: Grids that were made of this one for agents of other sizes, and whose
-            obstacles follow those of this one.
+        fitted_grids: Grids made of this one for agents of other sizes. An obstacle that is added to
+            this grid, or freed, is added to them or freed, too.
     """
 
     cell_size: float
@@ -76,11 +76,11 @@ class GridBase(GridMethods):
     cached_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
     obstacles: list[Any] = field(default_factory=list, init=False, repr=False)
     fitted_grids: WeakSet[NavGrid] | None = field(default=None, init=False, repr=False)
-    # parsed tables by name, each after the entries of the metadata that it was parsed of
+    # name of a table -> its entries in the metadata, and the table parsed from them
     _tables: dict[str, tuple[object, object]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
-        """Leave caches and obstacles out of copies and pickles."""
+        """Return the state for copies and pickles: all but caches and obstacles."""
         return {
             **self.__dict__,
             "cached_islands": None,
@@ -96,26 +96,29 @@ class GridBase(GridMethods):
         raise NotImplementedError
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return the grid with its levels replaced by as many new ones.
+        """Return the grid with all of its levels replaced.
 
         Args:
-            levels: The new levels, lowest first.
+            levels: The new levels, lowest first, as many as the grid has.
             metadata: The new metadata of the grid; None to keep them. Levels that inherited their
-                metadata from the grid inherit these.
+                metadata from the grid inherit the new ones.
         """
         raise NotImplementedError
 
     @property
     def is_blocked(self) -> bool:
-        """Whether an obstacle currently blocks a cell."""
+        """Whether an added obstacle (see `block`) currently blocks any cell."""
         states = [level.obstacle_state for level in self.levels]
         return any(state is not None and state.is_blocked for state in states)
 
-    def without_blocks(self) -> Self:
-        """Return the grid without obstacles; itself if it has none."""
+    def without_obstacles(self) -> Self:
+        """Return a grid in which no added obstacle (see `block`) blocks a cell.
+
+        It is the grid itself if no obstacle blocks a cell now.
+        """
         if not self.is_blocked:
             return self
-        return self.with_levels([level.unblocked() for level in self.levels])
+        return self.with_levels([level.without_obstacles() for level in self.levels])
 
     @property
     def scene_id(self) -> str | None:
@@ -130,12 +133,12 @@ class GridBase(GridMethods):
 
     @property
     def agent_radius(self) -> float:
-        """Radius of the agent of the bake [m]; 0 if the file states none."""
+        """Radius of the agent that the grid was baked for [m]; 0 if the file states none."""
         return self._length("agentRadius") or 0.0
 
     @property
     def exact_inflations(self) -> list[Json]:
-        """The metadata's entries of the grid's inflations in mode ``exact``."""
+        """The metadata's entries about inflations of the grid in mode ``exact``."""
         inflations = self.metadata.get("inflation")
         if not isinstance(inflations, list):  # files of other programs may hold anything here
             return []
@@ -147,7 +150,7 @@ class GridBase(GridMethods):
 
     @property
     def inflated_radius(self) -> float:
-        """The radius that the grid was inflated for in mode ``exact`` [m]; 0 if it was not."""
+        """The largest radius that the grid was inflated for in mode ``exact`` [m], or 0."""
         largest = 0.0
         for inflation in self.exact_inflations:
             radius = inflation.get("radius")
@@ -157,7 +160,7 @@ class GridBase(GridMethods):
 
     @property
     def radius(self) -> float:
-        """The agent's radius [m]: that of the inflation, or of the bake if it is not inflated."""
+        """The agent's radius [m]: `inflated_radius`, or `agent_radius` if that is 0."""
         return self.inflated_radius or self.agent_radius
 
     @property
@@ -167,7 +170,7 @@ class GridBase(GridMethods):
         return DEFAULT_STEP if step is None else step
 
     def _length(self, key: str) -> float | None:
-        """A length of the metadata [m]; None unless it is from 0 to 1e10 m."""
+        """Return a length of the metadata [m]; None unless it is a number from 0 to 1e10 m."""
         length = self.metadata.get(key)
         if not isinstance(length, int | float) or not 0 <= length * self.unit <= MAX_COORDINATE:
             return None
@@ -175,7 +178,7 @@ class GridBase(GridMethods):
 
     @property
     def navbake(self) -> Json:
-        """The metadata under ``navbake``; {} in files of other programs."""
+        """The entry ``navbake`` of the metadata; {} in files of other programs."""
         metadata = self.metadata.get("navbake")
         return metadata if isinstance(metadata, dict) else {}
 
@@ -183,8 +186,8 @@ class GridBase(GridMethods):
     def warnings(self) -> tuple[str, ...]:
         """The warnings of the bake, one line each.
 
-        Each level has those of the whole scene. Changes of the grid (`inflate`, `with_doors`)
-        neither add nor remove warnings.
+        Each level has the warnings of the whole scene. Changes of the grid (`inflate`,
+        `with_doors`) neither add nor remove warnings.
         """
         warnings = self.navbake.get("warnings")
         if not isinstance(warnings, list):
@@ -193,7 +196,7 @@ class GridBase(GridMethods):
 
     @property
     def rooms(self) -> tuple[Room, ...]:
-        """The rooms by level and index, measured from `room_index` if the file has no table."""
+        """The rooms, sorted by level and index; without a table, measured from `room_index`."""
         rooms = self.stated_rooms
         if rooms is not None:
             return rooms
@@ -216,7 +219,7 @@ class GridBase(GridMethods):
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """The steps between levels, and between neighbours on steep ramps; see `Step`."""
+        """The steps between levels, and between neighbouring cells of steep ramps; see `Step`."""
         return tuple(Step(*row) for row in self.step_array.tolist())
 
     @property
@@ -247,12 +250,13 @@ class GridBase(GridMethods):
         return [level.width * level.height for level in self.levels]
 
     def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
-        """Parse a table of the metadata, once for each object that holds its entries.
+        """Parse a table of the metadata; parse it again only once its entries were replaced.
 
         Args:
             name: Key of the table under ``navbake``.
-            parse: Converts the entries.
-            part: Name of the part that `parse` returns, if a table has several.
+            parse: Converts the entries to the result.
+            part: Name of what `parse` returns, if it is only a part of the table, such as the steps
+                of ``links``.
         """
         entries = self.navbake.get(name)
         key = part or name
@@ -275,7 +279,7 @@ class GridBase(GridMethods):
 
     @property
     def cell_attributes(self) -> list[Json]:
-        """The metadata of each attribute, completed from the arrays."""
+        """The entry of each attribute in the metadata, with its name, type and data type."""
         return describe_attributes(self.metadata, [level.attributes for level in self.levels])
 
 
@@ -298,7 +302,7 @@ class DerivedWeights:
 
 
 DERIVED_WEIGHTS = cast("NDArray[Any]", DerivedWeights())
-"""Stands for the weights of a level: 1 where its occupancy is 0, inf elsewhere."""
+"""Weights that are derived from a level's occupancy: 1 where it is 0, inf elsewhere."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -309,13 +313,13 @@ class SceneGrid2D(GridBase):
         width: Number of columns, >= 1.
         height: Number of rows, >= 1.
         min_yup: Lower corner of cell 0, file frame [file units]; its Y is the level's ground.
-        bbox_yup: Lower and upper corner of the level, file frame [file units], or None.
+        bbox_yup: Lower and upper corner of the level, file frame [file units]; None if the file
+            states none.
         weights: Costs of cells, shape (height, width), float32 or float64; inf where an agent can't
-            stand. If they are not given, 1 where the occupancy is 0, else inf.
-        attributes: Further layers by name (``floorHeight``, …), shape (height, width), with dtypes
-            of their own.
-        user_data: The file's data of single cells, by cell id; parsed on first use.
-        obstacle_state: The obstacles on the level; None before the first `block`.
+            stand. By default 1 where the occupancy is 0, else inf.
+        attributes: Name (``floorHeight``, …) -> further layer, shape (height, width), of any dtype.
+        user_data: Cell id -> the file's data about this cell; parsed on first use.
+        obstacle_state: The added obstacles on the level; None before the first `block`.
     """
 
     width: int
@@ -346,15 +350,15 @@ class SceneGrid2D(GridBase):
 
     @property
     def levels(self) -> list[SceneGrid2D]:
-        """The level itself, as the only one of a list."""
+        """A list with this level alone."""
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return the new level, with new metadata if they are given.
+        """Return the new level, with other metadata if they are given.
 
         Args:
-            levels: The new level, as the only one.
-            metadata: The new metadata; None for those of the level.
+            levels: A list with the new level alone.
+            metadata: The new metadata; None to keep those of the new level.
         """
         (level,) = levels
         changed = level if metadata is None else level.with_layers(metadata=metadata)
@@ -368,15 +372,15 @@ class SceneGrid2D(GridBase):
         user_data: MutableMapping[int, Json] | None = None,
         metadata: Json | None = None,
     ) -> Self:
-        """Return the level with other layers; None leaves a layer as it is.
+        """Return the level with some layers replaced; arguments that are None replace nothing.
 
-        The new level shares its arrays with this one, except the layers that `block` changes in
-        place, if `block` was called on this level.
+        The new level shares the other arrays with this one. If `block` was called on this level,
+        layers that `block` changes in place are copied instead.
 
         Args:
             weights: The new weights, shape (height, width).
-            attributes: Attributes to add or replace, by name, shape (height, width).
-            user_data: The new data of single cells, by cell id.
+            attributes: Name -> attribute to add or replace, shape (height, width).
+            user_data: Cell id -> new data about this cell.
             metadata: The new metadata.
         """
         layers = dict(self.attributes)
@@ -385,8 +389,8 @@ class SceneGrid2D(GridBase):
                 layers[name] = layers[name].copy()
             weights = self.weights.copy() if weights is None else weights
         if weights is None:
-            # weights that are not derived yet are derived from the occupancy of the new level, if
-            # that is the same
+            # weights that are not derived yet may be derived later, from the new level's occupancy,
+            # unless that is replaced
             is_replaced = attributes is not None and "occupancy" in attributes
             weights = self.weights if is_replaced else self.__dict__["weights"]
         return replace(
@@ -397,8 +401,8 @@ class SceneGrid2D(GridBase):
             metadata=self.metadata if metadata is None else metadata,
         )
 
-    def unblocked(self) -> Self:
-        """Return the level without obstacles; itself if it has none."""
+    def without_obstacles(self) -> Self:
+        """Return a level in which no added obstacle blocks a cell; `self` if none does now."""
         state = self.obstacle_state
         if state is None or not state.is_blocked:
             return self
@@ -411,16 +415,16 @@ class SceneGrid2D(GridBase):
 
     @property
     def uses_cell_floors(self) -> bool:
-        """Whether cells have floors of their own.
+        """Whether each cell has a floor height of its own.
 
-        They do if the file has ``floorHeight``, and does not say ``useCellFloorHeight: false``.
+        This is so if the file has ``floorHeight``, and does not say ``useCellFloorHeight: false``.
         """
         is_used = self.metadata.get("useCellFloorHeight")
         return "floorHeight" in self.attributes and is_used is not False
 
     @property
     def lattice(self) -> Lattice:
-        """The positions of the cells in the world [m]."""
+        """The lattice of the cells, which converts between cells and world positions [m]."""
         # 0.0 - z, because -z would turn 0.0 into -0.0
         x_min = self.min_yup[0] * self.unit
         y_max = 0.0 - self.min_yup[2] * self.unit
@@ -440,9 +444,9 @@ class SceneGrid2D(GridBase):
     def floor_height(self) -> NDArray[np.float32]:
         """The floor's Y [file units], shape (height, width), float32, NaN for no floor.
 
-        Without ``floorHeight``, it is the ground height at finite weights; with
-        ``useCellFloorHeight: false``, also where the file has a floor. Read-only unless it is the
-        attribute itself.
+        Without ``floorHeight`` in the file, free cells have the level's ground as their floor. With
+        ``useCellFloorHeight: false``, free cells and cells with a stored floor have it. Read-only
+        unless it is the attribute itself.
         """
         stored = self.attributes.get("floorHeight")
         if stored is None or not self.uses_cell_floors:
@@ -462,14 +466,17 @@ class SceneGrid2D(GridBase):
         """Return world z of the floor of some cells [m], float64, NaN for no floor.
 
         Args:
-            rows: The rows of the cells, as an index of `floor_height`.
-            cols: Their columns.
+            rows: The rows of the cells: indices or a slice of the rows of `floor_height`.
+            cols: The columns of the cells, likewise.
         """
         return self.floor_height[rows, cols].astype(np.float64) * self.unit
 
     @property
     def floor_or_ground(self) -> Float:
-        """World z of the floor, or of the level's ground where there is none [m]; as `floor`."""
+        """World z of the floor, or of the level's ground where a cell has no floor [m].
+
+        Shape (height, width), float64.
+        """
         floor = self.floor
         return np.where(np.isnan(floor), self.ground, floor)
 
@@ -477,18 +484,18 @@ class SceneGrid2D(GridBase):
     def occupancy(self) -> NDArray[np.uint8]:
         """1 for an obstacle in the agent's way, shape (height, width), uint8.
 
-        If the file has no ``occupancy``, cells of infinite weight are occupied; if it has one of
-        another dtype, cells where it is not 0. Read-only unless it is the attribute itself.
+        If the file has no ``occupancy``, cells of infinite weight are occupied. If its layer has
+        another dtype, cells where it is not 0 are. Read-only unless it is the attribute itself.
         """
         return _as_flags(self.attributes.get("occupancy", ~self.free))
 
     @property
     def solid(self) -> NDArray[np.uint8]:
-        """1 where a geom overlaps the cell's square or there is no floor, uint8 as `occupancy`.
+        """1 where a geom overlaps the cell's square or there is no floor; (height, width), uint8.
 
-        A bake stores this layer if the disc of its `agentRadius` reaches beyond the square;
-        otherwise it equals `occupancy`. Inflation for other agents starts from it. Read-only unless
-        it is the attribute itself.
+        A bake stores this layer if the agent's disc, around the cell's centre, reaches beyond the
+        square; otherwise it equals `occupancy`. Inflation for other agents starts from it.
+        Read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("solid")
         if stored is None or not self.navbake:  # other programs may use the name for anything
@@ -497,38 +504,48 @@ class SceneGrid2D(GridBase):
 
     @property
     def free_for_point(self) -> Bool:
-        """True where an agent without a radius can stand, as far as the file shows it; bool.
+        """True where an agent without a radius can stand, as far as the file shows it.
 
-        These are the free cells and, with a layer ``solid``, those that only the disc of the baked
-        radius or the margin of an obstacle closed. Cells that an inflation closed stay closed.
+        Shape (height, width), bool. These are the free cells and, with a layer ``solid``, the cells
+        that are blocked only because the disc of the baked radius or the margin of an added
+        obstacle reaches something. In an inflated grid, they are the free cells alone.
         """
         free = self.free
         if "solid" not in self.attributes or not self.navbake or "inflation" in self.metadata:
             return free
-        is_closed = self.occupancy != 0
+        is_blocked = self.occupancy != 0
         if self.obstacle_state is not None:
-            is_closed |= self.obstacle_state.mask_of(BLOCKED)
-        return np.asarray(free | (is_closed & (self.solid == 0)))
+            is_blocked |= self.obstacle_state.mask_of(BLOCKED)
+        return np.asarray(free | (is_blocked & (self.solid == 0)))
 
     @property
     def room_index(self) -> NDArray[np.uint16]:
         """The room of each cell from 1, 0 for none, shape (height, width), uint16.
 
-        All 0 if the file has no ``roomIndex``; values of other dtypes beyond uint16 are 0 as well.
+        All 0 if the file has no ``roomIndex``; stored values that uint16 can't hold become 0.
         Read-only unless it is the attribute itself.
         """
         return self._index_layer("roomIndex", np.uint16)
 
     @property
     def area_index(self) -> NDArray[np.uint8]:
-        """The number of each cell's area, its place in `areas` from 1; 0 for none; as `room_index`.
+        """The area of each cell, 0 for none, shape (height, width), uint8.
 
-        It is ignored if the grid has no areas. Numbers beyond the table of areas count as no area.
+        Area 1 is the first of `areas`. Numbers beyond that table count as no area. All 0 if the
+        file has no layer ``area``; stored values that uint8 can't hold become 0. Read-only unless
+        it is the attribute itself.
         """
         return self._index_layer("area", np.uint8)
 
     def _index_layer(self, name: str, dtype: type[Any]) -> NDArray[Any]:
-        """An attribute as unsigned integers, 0 where it is missing or beyond the dtype."""
+        """Return an attribute as unsigned integers.
+
+        All 0 if there is no such attribute; 0 where the dtype can't hold the stored value.
+
+        Args:
+            name: Name of the attribute.
+            dtype: The unsigned integer type of the result.
+        """
         stored = self.attributes.get(name)
         if stored is None:
             return _read_only(np.zeros(self.shape, dtype=dtype))
@@ -544,7 +561,7 @@ class SceneGrid2D(GridBase):
             number: The number of the level in the grid that the rooms are for.
 
         Returns:
-            The rooms by index, without names and neighbours.
+            The rooms, sorted by index, without names and neighbours.
         """
         if not self.room_index.any():  # saves time on maps of other programs, which may be large
             return []
@@ -555,8 +572,8 @@ class SceneGrid2D(GridBase):
 class MultiLevelGrid(GridBase):
     """The navigation grids of a scene with several levels.
 
-    A level without metadata of its own inherits the parts of the grid's that are about it (see
-    `navbake.navgrid.metadata`), so that each level is a grid by itself.
+    A level without metadata of its own inherits the parts of the grid's metadata that are about
+    this level (see `navbake.navgrid.metadata`). So each level is a complete grid by itself.
 
     Attributes:
         grids: The levels, lowest first, at least one.
@@ -580,21 +597,21 @@ class MultiLevelGrid(GridBase):
         return self.grids
 
     def inherits_metadata(self, number: int, level: SceneGrid2D) -> bool:
-        """Return whether a level has the metadata that level `number` inherited from this grid.
+        """Return whether a level still has the metadata that it inherited from this grid.
 
         Args:
-            number: Number of the level in this grid.
-            level: That level, or one made of it.
+            number: Number of the level in this grid, 0 is the lowest.
+            level: The level with this number, or a level that replaces it.
         """
         return level.metadata == self._inherited_metadata[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Return the grid with its levels replaced, and its metadata too unless they are None.
+        """Return the grid with all of its levels replaced.
 
         Args:
-            levels: As many levels as this grid has, lowest first. One that has the metadata that it
-                inherited from this grid inherits those of the new one.
-            metadata: The new metadata of the grid.
+            levels: The new levels, lowest first, as many as the grid has. A level that still has
+                the metadata inherited from this grid inherits the metadata of the new grid.
+            metadata: The new metadata of the grid; None to keep them.
         """
         grids = [
             level.with_layers(metadata={}) if self.inherits_metadata(number, level) else level
@@ -604,7 +621,7 @@ class MultiLevelGrid(GridBase):
 
 
 def _as_flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
-    """A layer as uint8, 1 where it is not 0; the array itself if it has that dtype."""
+    """Convert a layer to uint8: 1 where it is not 0. A uint8 layer is returned unchanged."""
     if stored.dtype == np.uint8:
         return stored
     return _read_only((stored != 0).astype(np.uint8))

@@ -1,9 +1,9 @@
-"""The methods of a grid whose code stands in other modules: queries, planning, export, pictures.
+"""The methods of a grid whose code is in other modules: queries, planning, export, pictures.
 
-Each method of `GridMethods` calls one function of another module. Most of these modules stand above
-this folder and import `navbake.navgrid.grid`, so this is the one module of the package that imports
-upwards: for types below, and inside of its methods. It holds no code of its own. The graph of
-imports in `tests/test_imports.py` and `scripts/draw_imports.py` leaves it out.
+Each method of `GridMethods` calls one function of another module. Most of these modules belong to
+folders above this one and import `navbake.navgrid.grid`. So this is the only module of the package
+that imports upwards: for type annotations, and inside of its methods. The graph of imports in
+`tests/test_imports.py` and `scripts/draw_imports.py` leaves it out.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ if TYPE_CHECKING:
     from navbake.tensors.grid_tensors import GridTensors
     from navbake.views.plot import Mark
 
-# Functions import the modules that they call: most of these import this one, and load slowly.
+# Each method imports the module that it calls, as most of these import this module or load slowly.
 
 
 class GridMethods:
     """Methods that `GridBase` inherits; a position is world x, y, z [m]."""
 
     def _as_grid(self) -> NavGrid:
-        """The grid itself: only the classes of grids inherit from this class."""
+        """Return the grid itself: only the classes of grids inherit from this class."""
         return cast("NavGrid", self)
 
     # ---------------------------------------------------------------- cells and positions
 
     def cell_at(self, position: ArrayLike, level: int | None = None) -> Cell | None:
-        """Return the cell of a position, or None outside the grid and below all of its floors.
+        """Return the cell of a position; None outside the grid or below all of its floors.
 
         The cell is on the level with the highest floor that lies at or below the position, or at
         most a step (`max_step`) above it. If no level has such a floor there, the grounds of the
@@ -112,8 +112,8 @@ class GridMethods:
         """Return all layers of the grid in the cell of a position.
 
         Args:
-            position: As of `cell_at`.
-            level: As of `cell_at`.
+            position: See `cell_at`.
+            level: See `cell_at`.
 
         Returns:
             The cell, its floor, whether it is free, its weight, room, area and island; None where
@@ -151,8 +151,8 @@ class GridMethods:
 
         Args:
             layer: The name of a layer above, or of an attribute (`SceneGrid2D.attributes`).
-            positions: As of `cells_at`.
-            level: As of `cells_at`.
+            positions: See `cells_at`.
+            level: See `cells_at`.
 
         Returns:
             The values, shape (...).
@@ -177,9 +177,9 @@ class GridMethods:
             x, y [m]), ``floor`` (world z [m], None without floor), ``free``, ``occupied``,
             ``weight`` (None for infinite), ``room`` (its entry in the table `rooms`, else its
             index, None for no room), ``island`` (from 1, the largest; None where it is not free),
-            ``area`` (its name, or None) and ``links`` (names of those with a stop in it). Names of
-            what stands in the cell are in ``doors``, ``objects`` and ``walls``, names of what
-            blocks it in ``blockers``.
+            ``area`` (its name, or None) and ``links`` (names of the links with a stop in the cell).
+            Names of what stands in the cell are in ``doors``, ``objects`` and ``walls``, names of
+            what blocks it in ``blockers``.
 
         Raises:
             QueryError: The position is outside the level, or there is no such level.
@@ -207,11 +207,11 @@ class GridMethods:
     # ---------------------------------------------------------------- grids made of the grid
 
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
-        """Return the grid with doors in other states, equal to a bake with the doors in these.
+        """Return the grid with doors in other states; it equals a bake with the doors in these.
 
         Args:
-            states: ``modelled``, ``open``, ``closed`` or ``removed``: one for all doors, or by the
-                ids of some.
+            states: ``modelled``, ``open``, ``closed`` or ``removed``: one state for all doors; or
+                door id -> state, for some doors.
 
         Returns:
             A new grid; doors that are not in `states` keep their state.
@@ -231,7 +231,7 @@ class GridMethods:
         """Return the grid with links opened or closed.
 
         Args:
-            states: ``open`` or ``closed``, by the names of links.
+            states: Link name -> ``open`` or ``closed``.
 
         Returns:
             A new grid, which shares its arrays with this one; links that are not in `states` keep
@@ -257,7 +257,7 @@ class GridMethods:
         scaling: float = 10.0,
         ledges: str = "avoid",
     ) -> Self:
-        """Return the grid for an agent of another radius; `radius` replaces the radius of the bake.
+        """Return the grid for an agent of another radius than that of the bake.
 
         In mode ``exact``, a cell stays free if the open disc of `radius` around its centre overlaps
         no occupied cell's square, and no floor that is more than a step higher or lower. In mode
@@ -269,8 +269,9 @@ class GridMethods:
 
         Args:
             radius: Radius of the agent [m], 0 to 10,000.
-            clearance: Distance beyond `radius` in which cells cost more [m], 0 to 10,000. None is 0
-                for costs ``step``, and the distance where the cost falls to 1 for ``nav2``.
+            clearance: Distance beyond `radius` in which cells cost more [m], 0 to 10,000. None
+                means 0 with costs ``step``; with ``nav2``, the distance at which the cost has
+                fallen to 1.
             mode: ``exact`` or ``minos``.
             costs: The least weight of a cell within the clearance. ``step``: 10. ``nav2``: the cost
                 of nav2's inflation layer, ``floor(252 exp(-scaling (d - radius)))``, where d is the
@@ -283,7 +284,7 @@ class GridMethods:
             A new grid of the same class.
 
         Raises:
-            QueryError: An argument is out of its range, or they exclude each other.
+            QueryError: An argument is out of its range, or arguments exclude each other.
 
         Example:
             >>> for_robot = grid.inflate(0.3, clearance=0.5, costs="nav2", scaling=3.0)
@@ -299,7 +300,7 @@ class GridMethods:
     def inflate_footprint(
         self, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
     ) -> list[Bool]:
-        """Return where an agent with a polygonal footprint can stand, by its heading.
+        """Return where an agent with a polygonal footprint can stand, for each of its headings.
 
         A cell is free for a heading if it is free, and the polygon with its origin on the cell's
         centre overlaps no occupied cell's square.
@@ -309,7 +310,7 @@ class GridMethods:
                 to the left, the agent's centre at the origin. No two sides cross.
             num_headings: Number of headings, >= 1. Heading k is ``2 π k / num_headings`` [rad],
                 counter-clockwise from the world's x axis.
-            ledges: As of `inflate`.
+            ledges: See `inflate`.
 
         Returns:
             For each level an array of shape (num_headings, height, width), bool.
@@ -334,8 +335,9 @@ class GridMethods:
         """Block cells of the grid for an obstacle, until it is freed.
 
         The weights, the occupancy and the layer ``clearance`` of this grid change in place. Each
-        `PathFinder` on it follows, also one for an agent of another size, with that agent's margin.
-        Obstacles may overlap. Grids that are made of this one keep its current obstacles.
+        `PathFinder` on it avoids the obstacle, too. One for an agent of another size uses the
+        radius of that agent as the margin. Obstacles may overlap. Grids that are made of this one
+        keep its current obstacles.
 
         A disc or a box blocks the cells where an agent on the floor would collide with it: where it
         overlaps the cell's square or the disc of `margin` around the cell's centre.
@@ -350,8 +352,9 @@ class GridMethods:
             box: Lower and upper corner, world frame [m]; given x, y, it takes the whole height of
                 its level.
             level: Block cells of this level only; positions need no z then.
-            height: Height of the disc [m]; None for that of the agent.
-            margin: Radius of the agent [m]; None for that of the inflation, else of the bake.
+            height: Height of the disc [m]; None for the agent's height.
+            margin: Radius of the agent [m]; None for that of the inflation or, if the grid is not
+                inflated, of the bake.
 
         Returns:
             The obstacle, with the `cells` it blocks. Call its `free` to free them, or use it as a
@@ -431,7 +434,7 @@ class GridMethods:
             Nodes and lanes; its `save` writes it for nav2, Open-RMF and others.
 
         Raises:
-            QueryError: The grid names no such agent, or is not for one of its size.
+            QueryError: The grid names no such agent, or can't be used for one of its size.
         """
         from navbake.routes.build import make_routes
 
@@ -465,7 +468,7 @@ class GridMethods:
             max_drop: Largest height above the floor at which `GridTensors.is_navigable` is true
                 [m], >= 0.
             cut_corners: Allow diagonal steps past blocked corners.
-            agent: As of `PathFinder`: the arrays are those of the grid for its size.
+            agent: See `PathFinder`; the arrays describe the grid for an agent of its size.
 
         Returns:
             The arrays, and methods that answer queries with them.
@@ -515,8 +518,8 @@ class GridMethods:
 
         Args:
             path: Name of the file; its ending says the format unless `to` does.
-            to: Name of the format, as ``nav2`` or ``geojson``; see docs/convert.md.
-            **options: Options of the format, as ``level`` and ``radius``.
+            to: Name of the format, such as ``nav2`` or ``geojson``; see docs/convert.md.
+            **options: Options of the format, such as ``level`` and ``radius``.
 
         Returns:
             The paths of the written files.
@@ -548,18 +551,18 @@ class GridMethods:
 
         Cells without a floor are unknown, the others free or occupied. Modes ``scale`` and ``raw``
         hold costs as well: 1 to 98 for weights above 1, and 99 for cells that only an inflation
-        closed. `navbake.from_nav2` reads the maps.
+        blocked. `navbake.from_nav2` reads the maps.
 
         Args:
             path: Name of the YAML, which ends in ``.yaml`` or ``.yml``. Maps of several levels have
                 numbers: ``map_0.yaml``, ``map_1.yaml``.
-            level: Write the map of this level only, 0 is the lowest, under the name itself.
+            level: Write the map of this level only, 0 is the lowest; its name gets no number.
             radius: Inflate the grid for a robot of this radius first [m]; see `inflate`.
             mode: ``trinary``, ``scale`` or ``raw``.
             image: ``pgm`` or ``png``; None for ``png`` in mode ``scale``, else for ``pgm``.
-            inflation: Write costs by nav2's formula up to this distance from obstacles, nav2's
-                ``inflation_radius`` [m]; not in mode ``trinary``. The radius is then the grid's
-                unless `radius` is given.
+            inflation: Write costs by nav2's formula up to this distance from obstacles, which is
+                nav2's ``inflation_radius`` [m]; not in mode ``trinary``. The radius in the formula
+                is `radius`, or the grid's if that is None.
             scaling: nav2's ``cost_scaling_factor`` [1/m], with `inflation`; None for 10.
 
         Returns:
@@ -617,13 +620,13 @@ class GridMethods:
     def to_npz(self, path: str | PathLike[str]) -> list[Path]:
         """Write all that the grid holds as a NumPy archive; `navbake.from_npz` reads it.
 
-        Equal grids have equal bytes, and arrays keep their dtypes.
+        Equal grids give files with equal bytes. Arrays keep their dtypes.
 
         Args:
             path: Name of the file, which ends in ``.npz``.
 
         Returns:
-            The path of the file, as the only one of a list.
+            A list with the path of the file alone.
 
         Raises:
             FormatError: The format cannot hold the grid, or the file cannot be written.
@@ -646,8 +649,8 @@ class GridMethods:
             path: Name of the scene, which ends in ``.xml``; the settings beside it have the same
                 name with ``.yaml``.
             level: Write this level only, 0 is the lowest; None for all, each at its height.
-            height: Height of the walls over the highest floor [m], more than that of the agent.
-                None for 2.5, or more for a high agent.
+            height: Height of the walls over the highest floor [m], more than the agent's height.
+                None for 2.5, or more for a tall agent.
             flat: Put all floors of a level at the ground of the level, which needs fewer boxes on
                 rough ground; None is False.
 
@@ -668,11 +671,11 @@ class GridMethods:
     def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
         """Make a mesh of the free cells, for Recast, Blender, Unity and others.
 
-        Each free cell is covered once, and nothing else. Cells of one room in a rectangle whose
-        floor is a plane within the tolerance become one quad: level, or sloped where three cells or
-        more in a line rise evenly, up to the grid's ``maxSlope`` (45 degrees if the file states
-        none). So stairs are level treads and ramps are slopes; stairs whose treads are all one cell
-        deep become a slope.
+        The mesh covers each free cell once, and nothing else. A rectangle of cells of one room
+        becomes one quad if its floor is a plane within the tolerance. A quad is level, or sloped
+        where at least three cells in a line rise evenly, up to the grid's ``maxSlope`` (45 degrees
+        if the file states none). So stairs become level treads, and ramps become slopes. Stairs
+        whose treads are all one cell deep become a slope, too.
 
         There are no risers. Where two quads meet, their heights differ by the step between the
         floors of the cells, plus at most the rise of each quad over half a cell. A free cell
@@ -694,11 +697,12 @@ class GridMethods:
     def to_polygons(self, kinds: Collection[str] = ("room", "walkable", "door")) -> list[Shape]:
         """Return rooms and walkable areas as polygons, and doors as lines, in world x, y [m].
 
-        Polygons run exactly along the edges of cells: of a room, around all of its cells, also
-        occupied ones; of a walkable area, around the free cells of a level. A cell's centre is in a
-        polygon if and only if the cell belongs to it. Cells that only touch at a corner are in
-        separate parts, so all polygons are valid. A door is a line from jamb to jamb along its
-        closed leaf, else along the leaf in its current state.
+        Polygons run exactly along the edges of cells. The polygon of a room contains all of its
+        cells, also occupied ones. The polygon of a walkable area contains the free cells of a
+        level. A cell's centre is in a polygon if and only if the cell belongs to it. Cells that
+        only touch at a corner are in separate parts, so all polygons are valid. A door is a line
+        from jamb to jamb along its closed leaf; if the grid does not have the closed leaf, along
+        the leaf in its current state.
 
         Args:
             kinds: The kinds of shapes: some of ``room``, ``walkable`` and ``door``.
@@ -723,7 +727,7 @@ class GridMethods:
         doors.
 
         Args:
-            kinds: As of `to_polygons`.
+            kinds: See `to_polygons`.
 
         Returns:
             The FeatureCollection, which can be written as JSON.
@@ -800,9 +804,9 @@ class GridMethods:
     ) -> Image | Path:
         """Draw layers of the grid: as an image, which notebooks show, or into a file.
 
-        A row of the picture is a level, the lowest on top, and a column a layer; levels of a single
-        layer lie beside each other. All panels have one scale and show the same part of the world,
-        +y up. The same grid gives the same bytes.
+        The picture has a row for each level, the lowest on top, and a column for each layer. If
+        there is a single layer, the levels are side by side. All panels have the same scale and
+        show the same part of the world, +y up. The same grid gives the same bytes.
 
         Args:
             path: Name of the file: an SVG if it ends in ``.svg``, else a PNG. None for no file.
@@ -810,7 +814,8 @@ class GridMethods:
             layers: What to draw: ``occupancy``, ``floor``, ``rooms``, ``doors``, ``clearance``,
                 ``island``, ``weights``, ``links`` or ``area``.
             route: A path to draw on top, each of its parts on its level.
-            marks: Places to mark: level (-1 for all levels), world x and y [m], and what is there.
+            marks: Places to mark, each as level (-1 for all levels), world x and y [m], and the
+                kind of what is there.
 
         Returns:
             The image, or the path of the file if `path` is given.

@@ -1,4 +1,4 @@
-"""The islands of a grid, which are the connected parts of its free cells, and their clearance."""
+"""Finds the islands of a grid (the connected parts of its free cells), and cells' clearance."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from navbake.navgrid.obstacle_state import Window
 from navbake.types import Bool, Int, Int32
 
 STEP_SLACK = 1e-6  # tolerance of the highest step [m]
-MAX_STORED = 65535  # number of all further islands in a file, which are uint16
+# files store islands as uint16: this number stands for the 65535th island and all smaller ones
+MAX_STORED_ISLAND = 65535
 
 
 def find_islands(grid: GridBase) -> list[Int32]:
     """Number the connected parts of the free cells, the largest first.
 
     Two free cells are connected if they share an edge and their floors differ by at most the
-    grid's `traversableFloorHeight` (plus 1e-6 m and float32 rounding), or if a step or open links
-    lead from each to the other. A free cell without floor height is level with each of its
-    neighbours. Cells of an area whose cost is infinite count as not free.
+    grid's `traversableFloorHeight` (plus 1e-6 m and float32 rounding). They are also connected if a
+    step joins them, or if open links lead from each to the other. A free cell without a floor
+    height is connected with all free neighbours. Cells of an area whose cost is infinite count as
+    not free.
 
     Returns:
         An array for each level, shape (height, width), int32: the number of each free cell's
@@ -35,7 +37,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     width = np.array([level.width for level in levels], dtype=np.int64)
     free = np.concatenate([level.free.ravel() for level in levels])
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
-    free &= ~cells_of_areas(grid, [area.bars(None) for area in grid.areas], False)
+    free &= ~values_by_area(grid, [area.bars(None) for area in grid.areas], False)
     # flat ids over all levels, so that steps join cells as edges do
     steps = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
     arcs = find_arcs(grid.links, start)
@@ -51,8 +53,8 @@ def find_islands(grid: GridBase) -> list[Int32]:
     return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
-def cells_of_areas(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
-    """Look up a value for each cell by the area that the cell is in.
+def values_by_area(grid: GridBase, values: Sequence[object], outside: object) -> NDArray[Any]:
+    """Give each cell the value of the area that it is in.
 
     Args:
         grid: The grid.
@@ -78,21 +80,22 @@ def label_islands(
     steps: Int,
     arcs: Int | None = None,
 ) -> Int32:
-    """Number the connected parts by the rule of `find_islands`.
+    """Number the connected parts of free cells by the rule of `find_islands`.
 
-    Connected components by runs of cells along rows. Each run points at the lowest run known to be
+    A run is a row of connected cells side by side. Each run points at the lowest run known to be
     connected with it, at first itself. Alternately, the ends of all pairs of connected runs are
     hooked, the higher to the lower, and all pointers are followed to their ends, until all pairs
     have equal ends (Shiloach and Vishkin, 1982).
 
     Args:
-        start: First flat id of each level, and the number of cells, shape (levels + 1,).
-        width: Columns of each level, shape (levels,).
+        start: First flat id of each level, then the number of all cells, shape (levels + 1,).
+        width: Number of columns of each level, shape (levels,).
         free: Whether each cell is free, by flat id, shape (n,).
         floor: Floor of each cell, NaN for none, shape (n,).
         limit: Largest difference of neighbours' floors, in the unit of `floor`.
-        steps: Pairs of connected cells, shape (m, 2).
-        arcs: Cells that links lead from and to, shape (k, 2).
+        steps: Flat ids of the two cells that each step joins, shape (m, 2).
+        arcs: Flat ids of the cells that each link leads from and to, shape (k, 2); None for no
+            links.
 
     Returns:
         The number of each cell's island by flat id, int32; 0 if it is not free.
@@ -139,14 +142,19 @@ def label_islands(
 
 
 def _join_linked(number: Int, linked: Int) -> Int:
-    """Number islands again, from 0 in their order, where those that lead to each other are one.
+    """Join islands that links connect in both directions, and renumber all islands from 0.
+
+    The islands keep their order; a joined island has the place of the first of its parts.
 
     Args:
-        number: The island of each run.
-        linked: The islands that links lead from and to, shape (k, 2).
+        number: The island of each run, shape (n,).
+        linked: The islands that each link leads from and to, shape (k, 2).
+
+    Returns:
+        The new island of each run, shape (n,).
     """
     from scipy.sparse import coo_array  # scipy loads slowly
-    from scipy.sparse.csgraph import connected_components  # the same
+    from scipy.sparse.csgraph import connected_components  # scipy loads slowly
 
     count = int(number.max()) + 1
     graph = coo_array((np.ones(len(linked)), tuple(linked.T)), shape=(count, count))
@@ -159,14 +167,18 @@ def _join_linked(number: Int, linked: Int) -> Int:
 def islands_of(grid: GridBase) -> list[Int32]:
     """Return the islands stored in the file, or else the cached result of `find_islands`.
 
-    A stored layer ``island`` counts only in files that navbake wrote, and only without obstacles:
-    in files of other programs it may mean anything. The arrays must not be modified.
+    A stored layer ``island`` is used only if navbake wrote the file (in files of other programs it
+    may mean anything), no obstacle blocks a cell, and it tells all islands apart.
+
+    Returns:
+        For each level, the number of each cell's island, shape (height, width), int32. The arrays
+        must not be modified.
     """
     stored = [level.attributes.get("island") for level in grid.levels]
     if (
         grid.navbake
         and not grid.is_blocked
-        and all(layer is not None and layer.max(initial=0) < MAX_STORED for layer in stored)
+        and all(layer is not None and layer.max(initial=0) < MAX_STORED_ISLAND for layer in stored)
     ):
         return [np.asarray(layer).astype(np.int32) for layer in stored]
     digest = _digest_sources(grid)
@@ -176,7 +188,7 @@ def islands_of(grid: GridBase) -> list[Int32]:
 
 
 def _digest_sources(grid: GridBase) -> bytes:
-    """Hash all that the islands depend on, because callers may write to a grid's arrays."""
+    """Hash all data that the islands depend on: callers may have changed a grid's arrays."""
     tables = (grid.step_array.tolist(), grid.links, grid.areas, grid.radius)
     digest = blake2b(repr((step_limit(grid), *tables)).encode())
     for level in grid.levels:
@@ -186,27 +198,27 @@ def _digest_sources(grid: GridBase) -> bytes:
     return digest.digest()
 
 
-def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
+def measure_clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
     The distance is measured between centres, and half a cell is subtracted. Cells outside the grid
-    are not free. Cells
-    that only the disc of the baked radius closed count as free: see `SceneGrid2D.free_for_point`.
+    are not free. Cells that only the disc of the baked radius blocks count as free: see
+    `SceneGrid2D.free_for_point`.
 
     Args:
         level: The level.
-        window: Measure these cells only, as if there were no cells outside of it; None for all.
+        window: Measure these cells only, as if there were no cells around them; None for all.
 
     Returns:
-        The clearance, of the shape of the level or of the window, float32; 0 in cells that are not
-        free.
+        The clearance [m], of the shape of the level or of the window, float32; 0 in cells that are
+        not free.
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly
 
     first_row, end_row, first_col, end_col = window or (0, level.height, 0, level.width)
     free = level.free[first_row:end_row, first_col:end_col]
     is_open = level.free_for_point[first_row:end_row, first_col:end_col]
-    # one closed cell beyond each side that is at the grid's edge
+    # one blocked cell beyond each side of the window that is an edge of the grid
     pad_top = int(first_row == 0)
     pad_left = int(first_col == 0)
     pad_bottom = int(end_row == level.height)
@@ -218,14 +230,17 @@ def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.fl
 
 
 def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
-    """Group steps between levels into stairs: steps of a group touch on the first level.
+    """Group steps into stairs.
+
+    Steps are in one group if they join the same two levels, and their cells on the first of these
+    levels touch, also at corners.
 
     Args:
         grid: The grid.
-        steps: Rows of its `step_array`.
+        steps: Some rows of its `step_array`, shape (n, 4).
 
     Yields:
-        The rows of each group, by the numbers of the two levels.
+        For each group its rows of `steps`, shape (k, 4); sorted by the two levels.
     """
     from scipy import ndimage  # scipy loads slowly
 
@@ -267,7 +282,7 @@ def add_layers(grid: GridBase, names: Iterable[str]) -> None:
     """
     if "island" in names:
         for level, island in zip(grid.levels, find_islands(grid), strict=True):
-            level.attributes["island"] = np.minimum(island, MAX_STORED).astype(np.uint16)
+            level.attributes["island"] = np.minimum(island, MAX_STORED_ISLAND).astype(np.uint16)
     if "clearance" in names:
         for level in grid.levels:
-            level.attributes["clearance"] = clearance(level)
+            level.attributes["clearance"] = measure_clearance(level)

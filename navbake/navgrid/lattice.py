@@ -17,9 +17,9 @@ from navbake.types import Bool, Float, Int
 
 MAX_COORDINATE = 1e10  # greatest distance from the origin, MuJoCo's mjMAXVAL [m]
 LEAST_EDGE = 1e-9  # smallest edge of a cell [m]
-CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
-MAX_CORNERS = 10_000  # corners of one outline
-MAX_PAIRS = 1 << 18  # pairs of an outline's sides that are compared at once, to limit memory
+CELL_SLACK = 1e-6  # share of a cell; an extent that exceeds n cells by less counts as n cells
+MAX_CORNERS = 10_000  # largest number of corners of one outline
+MAX_PAIRS = 1 << 18  # pairs of sides that are compared at once, to limit memory
 
 
 class Cell(NamedTuple):
@@ -33,9 +33,9 @@ class Cell(NamedTuple):
 class Cells(NamedTuple):
     """Cells of a grid, as three arrays of one shape, int64; -1 in all three for no cell."""
 
-    level: Int  #: Number of the level of each, 0 is the lowest.
-    row: Int  #: Row of each.
-    col: Int  #: Column of each.
+    level: Int  #: Number of each cell's level, 0 is the lowest.
+    row: Int  #: Row of each cell.
+    col: Int  #: Column of each cell.
 
 
 def rounded(value: float, digits: int = 6) -> float:
@@ -54,14 +54,15 @@ def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
     Args:
         extent: Length to cover [m].
         cell_size: Edge of a cell [m], > 0.
-        rounding: How much too large the extent may be [m]. An excess below that and 1e-6 of a cell
-            adds no cell.
+        rounding: By how much the extent may be too large because of rounding [m]. An excess over a
+            whole number of cells adds no cell if it is smaller than `rounding` plus 1e-6 of a
+            cell.
     """
     return max(1, math.ceil((extent - rounding) / cell_size - CELL_SLACK))
 
 
 class Lattice(NamedTuple):
-    """A rectangle of square cells in the world's horizontal plane."""
+    """A rectangle of square cells in the world's horizontal plane, without their contents."""
 
     x_min: float  #: World x of the outer edge of column 0 [m].
     y_max: float  #: World y of the outer edge of row 0 [m]; rows run towards smaller y.
@@ -81,7 +82,7 @@ class Lattice(NamedTuple):
             bounds: x_min, y_min, x_max and y_max of the scene, world frame [m].
             cell_size: Edge of a cell [m], > 0.
             margin: Length that is added on each side [m].
-            rounding: How much too large the bounds may be [m].
+            rounding: By how much the extent may be too large because of rounding [m].
         """
         x_low, y_low, x_high, y_high = bounds
         width = num_cells(x_high - x_low + 2 * margin, cell_size, rounding)
@@ -150,7 +151,7 @@ class Lattice(NamedTuple):
     def holds(self, rows: Int, cols: Int) -> Bool: ...
 
     def holds(self, rows: int | Int, cols: int | Int) -> bool | Bool:
-        """Whether cells lie on the lattice.
+        """Return whether cells lie on the lattice.
 
         Args:
             rows: Rows of the cells, as an integer or an array.
@@ -161,18 +162,18 @@ class Lattice(NamedTuple):
         """
         return (rows >= 0) & (cols >= 0) & (rows < self.height) & (cols < self.width)
 
-    def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
-        """Return the rows and columns that a box covers, with one more row or column on each side.
+    def window(self, bounds: Float, margin: float = 0.0) -> tuple[slice, slice] | None:
+        """Return the rows and columns that a box covers, and one more row or column on each side.
 
         Args:
             bounds: Lower and upper corner of the box, shape (2, 2) or (2, 3), world frame [m].
-            reach: Length by which the box is enlarged on each side [m].
+            margin: Length by which the box is enlarged on each side [m].
 
         Returns:
-            The range of rows and the range of columns; None for a box outside the lattice.
+            The range of rows and the range of columns; None if no cell of the lattice is in them.
         """
-        x_low, y_low = bounds[0, :2] - reach
-        x_high, y_high = bounds[1, :2] + reach
+        x_low, y_low = bounds[0, :2] - margin
+        x_high, y_high = bounds[1, :2] + margin
         row, col = self.rows_cols([[x_low, y_high], [x_high, y_low]])
         rows = slice(max(int(row[0]) - 1, 0), min(int(row[1]) + 2, self.height))
         cols = slice(max(int(col[0]) - 1, 0), min(int(col[1]) + 2, self.width))
@@ -181,11 +182,11 @@ class Lattice(NamedTuple):
         return rows, cols
 
     def cut(self, rows: slice, cols: slice) -> Lattice:
-        """Return the lattice of the cells ``[rows, cols]`` of this one.
+        """Return the part of the lattice with some rows and columns.
 
         Args:
-            rows: The rows, from a start to an end.
-            cols: The columns, from a start to an end.
+            rows: The range of rows, with a start and an end.
+            cols: The range of columns, with a start and an end.
         """
         return self._replace(
             x_min=self.x_min + cols.start * self.cell_size,
@@ -201,8 +202,8 @@ class Lattice(NamedTuple):
 def find_outline_fault(points: ArrayLike) -> str | None:
     """Describe what is wrong with an outline; None if it is valid.
 
-    Faults are no area, crossing sides, more than 10,000 corners, and corners beyond 1e10 m. Sides
-    may touch, and corners may be repeated.
+    An outline is wrong if all corners lie in a line, if sides cross, or if it has more than 10,000
+    corners or a coordinate beyond 1e10 m. Sides may touch, and corners may be repeated.
 
     Args:
         points: Corners in order, shape (n, 2), the first not repeated at the end.
@@ -215,12 +216,12 @@ def find_outline_fault(points: ArrayLike) -> str | None:
     if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    num_rows = max(1, MAX_PAIRS // len(sides))
-    for first in range(0, len(sides), num_rows):
-        some_sides = sides[first : first + num_rows, None]
+    num_at_once = max(1, MAX_PAIRS // len(sides))
+    for first in range(0, len(sides), num_at_once):
+        some_sides = sides[first : first + num_at_once, None]
         is_crossing = _separates(some_sides, sides[None]) & _separates(sides[None], some_sides)
         crossing = np.argwhere(is_crossing)
-        if len(crossing):  # the first side that crosses one, and the first that it crosses
+        if len(crossing):  # the first side that crosses another, and the first that it crosses
             row, col = crossing[0]
             pair = sides[[first + row, col]]
             texts = [f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in pair]
@@ -229,7 +230,12 @@ def find_outline_fault(points: ArrayLike) -> str | None:
 
 
 def _separates(lines: Float, sides: Float) -> Bool:
-    """Whether the lines through sides (..., 4) have the ends of other sides on both their sides."""
+    """Return whether each line separates the two ends of a side.
+
+    Args:
+        lines: x, y of two points of each line, shape (..., 4).
+        sides: x, y of the start and of the end of each side, a shape that broadcasts with `lines`.
+    """
     x0, y0, x1, y1 = np.moveaxis(lines, -1, 0)
     start_x, start_y, end_x, end_y = np.moveaxis(sides, -1, 0)
     # signed areas: which side of the line the start and the end of a side are on
@@ -245,12 +251,12 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     centre on the common side of two polygons is in exactly one of them.
 
     Args:
-        rings: Outlines, holes and further parts of the polygon, each of shape (n, 2), world x, y
-            [m].
+        rings: The polygon's outlines and the outlines of its holes, each of shape (n, 2), world
+            x, y [m].
         lattice: The cells.
 
     Returns:
-        Shape (height, width), bool.
+        The mask, shape (height, width), bool.
     """
     # Each side toggles all cells of its rows right of it: marks where the toggles are, then a
     # running sum along each row; odd sums are inside (scan conversion by edge flags, Ackland and
@@ -273,19 +279,19 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
 
 
 def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
-    """Mark the cells whose open squares a polygon meets.
+    """Mark the cells whose squares a polygon overlaps, even slightly.
 
-    A polygon that reaches less than a millionth of a cell into a square does not meet it. All cells
-    that a keep-out zone meets are marked, so that even a thin zone has no gaps.
+    A polygon that gets less than a millionth of a cell into a square does not overlap it. Keep-out
+    zones use this rule, so even a thin zone has no gaps.
 
     Args:
-        rings: As of `cover_cells`.
+        rings: See `cover_cells`.
         lattice: The cells.
 
     Returns:
-        Shape (height, width), bool.
+        The mask, shape (height, width), bool.
     """
-    # +1 at the first column that a side meets in a row, -1 after the last one
+    # in each row, +1 at the first column that a side runs through, -1 after the last
     changes = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
     origin = np.array([lattice.x_min, lattice.y_max])
     for ring in rings:

@@ -1,8 +1,8 @@
-"""The agents that a grid names, and what they use: areas, steps as a bake finds them, named links.
+"""The agents that a grid names, and the areas, steps and named links that they use.
 
 Areas say what cells cost, how fast agents may go there, and which agents may enter. Steps and named
-links lead from cell to cell where the floor of one level does not; ``metadata.navbake.links`` lists
-both: a step is a row of four integers, a link an object.
+links lead from cell to cell where the floor of one level does not. ``metadata.navbake.links`` lists
+both: a step as a row of four integers, a link as an object.
 """
 
 from __future__ import annotations
@@ -30,26 +30,29 @@ from navbake.types import Bool, Float, Int, Json, JsonValue, Vector3
 AGENTS = "metadata.navbake.agents"
 AREAS = "metadata.navbake.areas"
 LINKS = "metadata.navbake.links"
-MAX_AREAS = 255
-DEFAULT_SPEED = 1.0  # of an agent, where a file states none [m/s]
+MAX_AREAS = 255  # the layer `area` is uint8
+DEFAULT_SPEED = 1.0  # speed of an agent, if the file states none [m/s]
 LinkState: TypeAlias = Literal["open", "closed"]
 LINK_STATES: tuple[str, ...] = get_args(LinkState)
 
 WIDTH_SLACK = 1e-9  # share by which an agent may be wider than a link, for rounding
 
 Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
-Row = tuple[Id, Id, Id, Id]
+"""A level's number or a cell's id in a file, not checked yet."""
+
+StepEntry = tuple[Id, Id, Id, Id]
+"""A step in a file: level and cell, other level and other cell."""
 
 
 @dataclass(frozen=True)
 class Agent:
-    """An agent that plans on a grid; links and areas name those that may use them.
+    """An agent that plans on a grid. Links and areas name the agents that may use them.
 
     Attributes:
         name: Its name, as links and areas use it.
-        radius: Radius of its footprint [m]; None for that of the grid.
-        height: Its height [m]; None for that of the grid.
-        step: The highest step that it takes [m]; None for that of the grid.
+        radius: Radius of its footprint [m]; None for the grid's.
+        height: Its height [m]; None for the grid's.
+        step: The highest step that it takes [m]; None for the grid's.
         speed: Its speed [m/s].
 
     Example:
@@ -62,8 +65,8 @@ class Agent:
     step: NonNegative | None = None
     speed: Positive = DEFAULT_SPEED
 
-    def of_any_size(self) -> Agent:
-        """Return the agent with the grid's sizes; it keeps its name and speed."""
+    def without_sizes(self) -> Agent:
+        """Return the agent without radius, height and step, so that the grid's values count."""
         return replace(self, radius=None, height=None, step=None)
 
     def to_json(self) -> Json:
@@ -72,10 +75,13 @@ class Agent:
 
 
 def parse_agents(entries: JsonValue) -> dict[str, Agent]:
-    """Check and convert ``metadata.navbake.agents``; None is no agent.
+    """Check and convert ``metadata.navbake.agents``.
+
+    Args:
+        entries: The table; None for no agents.
 
     Returns:
-        The agents by name.
+        Name -> agent.
 
     Raises:
         FormatError: The table is broken.
@@ -87,12 +93,12 @@ def parse_agents(entries: JsonValue) -> dict[str, Agent]:
 
 @dataclass(frozen=True)
 class Area:
-    """An area of the grid; the layer ``area`` holds its number, its place in the table from 1.
+    """An area of the grid. In the layer ``area``, its cells have its place in the table, from 1.
 
     Attributes:
         name: Its name, unique in the grid.
-        cost: Factor of the weights of its cells; inf bars all agents.
-        speed: The highest speed in it [m/s]; None for that of the agent.
+        cost: Factor by which the weights of its cells are multiplied; inf bars all agents.
+        speed: The highest speed in it [m/s]; None for no limit.
         agents: Names of the agents that may enter it; None for all.
     """
 
@@ -112,7 +118,7 @@ class Area:
 
 
 class _AreaEntry(msgspec.Struct):
-    """An area in a file."""
+    """The entry of an area in a file."""
 
     name: Name
     cost: NonNegative | Literal["inf"] = 1.0  # JSON has no infinite numbers
@@ -121,7 +127,10 @@ class _AreaEntry(msgspec.Struct):
 
 
 def parse_areas(entries: JsonValue) -> tuple[Area, ...]:
-    """Check and convert ``metadata.navbake.areas``; None is no area.
+    """Check and convert ``metadata.navbake.areas``.
+
+    Args:
+        entries: The table; None for no areas.
 
     Raises:
         FormatError: The table is broken, has more than 255 areas, or a name twice.
@@ -143,7 +152,7 @@ def parse_areas(entries: JsonValue) -> tuple[Area, ...]:
 
 
 def _not_unique(name: str, place: str) -> FormatError:
-    """The error of a name that stands twice in a table."""
+    """Make the error for a name that stands twice in a table."""
     expected = "unique names"
     return FormatError(
         f"expected {expected}, got {name!r} twice at `{place}`",
@@ -203,8 +212,8 @@ class Link:
         stops: Its stops, two or more.
         one_way: Whether it leads to later stops only.
         width: Diameter of the widest agent that fits [m]; None for any.
-        cost: Cost of a passage [m]; None for its length, over the stops in between.
-        seconds: Duration of a passage [s]; None for its cost over the agent's speed.
+        cost: Cost of a passage [m]; None for its length, via the stops in between.
+        seconds: Duration of a passage [s]; None for its cost divided by the agent's speed.
         agents: Names of the agents that may use it; None for all.
         state: ``open`` or ``closed``.
         auto: Whether the bake found it.
@@ -240,7 +249,7 @@ class Link:
         return self.width is None or self.width >= 2.0 * radius * (1.0 - WIDTH_SLACK)
 
     def length(self, begin: int, end: int) -> float:
-        """Return the length from one stop to another, over the stops in between [m].
+        """Return the length from one stop to another, via the stops in between [m].
 
         Args:
             begin: Index of the first stop.
@@ -264,13 +273,13 @@ class Link:
 
 
 class Arcs(NamedTuple):
-    """Passages over links, each from one stop to another; arrays have an entry for each passage."""
+    """The n passages over links, each from one stop to another."""
 
-    ends: Int  #: Flat ids of the cells that it leads from and to, shape (n, 2), int64.
-    link: Int  #: Index of its link in the grid's `links`, shape (n,), int64.
-    width: Float  #: Diameter of the widest agent that fits [m], inf for any.
-    cost: Float  #: Its cost [m].
-    seconds: Float  #: Its duration [s].
+    ends: Int  #: Flat ids of the cells that each leads from and to, shape (n, 2), int64.
+    link: Int  #: Index of each passage's link in the grid's `links`, shape (n,), int64.
+    width: Float  #: Diameter of the widest agent that fits [m], inf for any, shape (n,).
+    cost: Float  #: Cost of each passage [m], shape (n,).
+    seconds: Float  #: Duration of each passage [s], shape (n,).
 
     def fits_radius(self, radius: float) -> Bool:
         """Mark the passages that an agent of a radius [m] fits through, shape (n,)."""
@@ -285,10 +294,13 @@ def find_arcs(
     Args:
         links: The links of a grid.
         start: First flat id of each level.
-        agent: The agent, whose rights and speed count; None for one of 1 m/s that may use all open
-            links.
+        agent: The agent, whose permissions and speed count; None for one with 1 m/s that may use
+            all open links.
         penalty: Extra cost [m] and duration [s] of passages that the agent may not use, and of
-            those against the direction of a one-way link. None to leave such passages out.
+            passages against the direction of a one-way link. None to leave such passages out.
+
+    Returns:
+        The passages, in the order of the links.
     """
     speed = DEFAULT_SPEED if agent is None else agent.speed
     rows = []
@@ -320,13 +332,13 @@ class _StopsEntry(msgspec.Struct):
     positions: list[Vector3]
 
 
-def _parse_entries(entries: JsonValue) -> list[Row | _StopsEntry]:
-    """Convert a table of links: its steps, and the stops of its named links, in its order."""
+def _parse_entries(entries: JsonValue) -> list[StepEntry | _StopsEntry]:
+    """Convert a table of links to steps (tuples) and the stops of named links, in its order."""
     separate = unflatten(entries or [])
     has_links = isinstance(separate, list) and any(isinstance(entry, dict) for entry in separate)
     if has_links:
-        return read_table(separate, list[Row | _StopsEntry], LINKS)
-    return [*read_table(separate, list[Row], LINKS)]
+        return read_table(separate, list[StepEntry | _StopsEntry], LINKS)
+    return [*read_table(separate, list[StepEntry], LINKS)]
 
 
 def parse_steps(entries: JsonValue, cell_counts: Sequence[int]) -> Int:
@@ -359,7 +371,7 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
     """Check and convert the named links of ``metadata.navbake.links``.
 
     Args:
-        entries: The table, as of `parse_steps`.
+        entries: The table; see `parse_steps`.
         cell_counts: Number of cells of each level.
 
     Raises:
@@ -393,7 +405,7 @@ def parse_links(entries: JsonValue, cell_counts: Sequence[int]) -> tuple[Link, .
 
 
 def _check_cell(level: int, cell: int, cell_counts: Sequence[int], entry: str) -> None:
-    """Raise a FormatError for a cell that does not exist; `entry` names what it belongs to."""
+    """Raise a FormatError for a cell that does not exist; it names the `entry` with the cell."""
     if not (0 <= level < len(cell_counts) and 0 <= cell < cell_counts[level]):
         expected = "an existing cell"
         raise FormatError(

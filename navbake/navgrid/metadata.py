@@ -1,4 +1,4 @@
-"""A grid's metadata about its attributes and its single levels, and how its tables are parsed."""
+"""Describes a grid's attributes, cuts its metadata for single levels, and parses its tables."""
 
 from __future__ import annotations
 
@@ -32,14 +32,17 @@ def datatype_name(array_type: str) -> str:
 
 
 def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
-    """List ``{"name", "type", "dataType", …}`` of the levels' attributes, in their order.
+    """Make the entries ``cellAttributes`` for the attributes of a grid, in their order.
 
-    An entry of the metadata stays as it is, except a ``type`` that is not that of the array. If
-    levels differ in the dtype of an attribute, that of the first level counts.
+    An entry of the metadata is kept, but its ``type`` is replaced if the array has another one. If
+    levels differ in the dtype of an attribute, the dtype on the first level counts.
 
     Args:
         metadata: The metadata of the grid.
-        levels: The attributes of each level, by name.
+        levels: For each level, name -> attribute.
+
+    Returns:
+        For each attribute ``{"name", "type", "dataType", …}``.
     """
     entries = metadata.get("cellAttributes")
     entry_of_name: dict[str, Json] = {}
@@ -67,12 +70,12 @@ def read_table(entries: JsonValue, kind: type[Table], place: str) -> Table:
     """Convert a table of a file to a Python type, and check it.
 
     Args:
-        entries: What the file has, as parsed JSON.
-        kind: The type, as ``list[Room]``; msgspec checks it.
-        place: The place of the table, as ``metadata.navbake.rooms``.
+        entries: The parsed JSON of the table.
+        kind: The type, such as ``list[Room]``; msgspec checks it.
+        place: The place of the table, such as ``metadata.navbake.rooms``.
 
     Raises:
-        FormatError: The table does not have this type; the message has the place.
+        FormatError: The table does not have this type; the message names the place.
     """
     try:
         return msgspec.convert(entries, kind)
@@ -85,7 +88,7 @@ def read_table(entries: JsonValue, kind: type[Table], place: str) -> Table:
 
 
 def to_entry(record: DataclassInstance, *left_out: str) -> Json:
-    """Return the fields of a dataclass as JSON, without those that are None.
+    """Convert a dataclass to a JSON object, without the fields that are None.
 
     Args:
         record: An object of a dataclass.
@@ -100,10 +103,10 @@ def to_entry(record: DataclassInstance, *left_out: str) -> Json:
 
 
 def cut_metadata(metadata: Json, level: int) -> Json:
-    """Return a copy of a grid's metadata for one level, which becomes level 0 of a grid by itself.
+    """Return a copy of a grid's metadata for one level, as level 0 of a grid of its own.
 
-    The copy lacks the rooms, doors, neighbours and links of other levels. Broken parts are copied
-    unchanged; the errors are raised by the whole grid.
+    The copy lacks the rooms, doors, neighbours and links of other levels. Broken tables are copied
+    unchanged; reading them raises the error.
 
     Args:
         metadata: The metadata of the grid; returned unchanged if they have nothing under
@@ -121,19 +124,19 @@ def cut_metadata(metadata: Json, level: int) -> Json:
 
 
 def unflatten(links: JsonValue) -> JsonValue:
-    """Return the entries of a table of links, whose steps may be one flat list of integers."""
+    """Return the entries of a table of links; a flat list of integers becomes rows of four."""
     if isinstance(links, list) and links and not isinstance(links[0], list | tuple | dict):
         return [links[i : i + 4] for i in range(0, len(links), 4)]
     return links
 
 
 def cut_levels(levels: list[Json], level: int) -> list[Json]:
-    """Return the entry of the level alone."""
+    """Return a list with the entry of one level alone."""
     return levels[level : level + 1]
 
 
 def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
-    """Return the steps within a level, and the named links with two or more stops on it."""
+    """Return the steps within a level, and the named links with at least two stops on it."""
     cut: list[JsonValue] = []
     for entry in unflatten(links):
         if isinstance(entry, dict):
@@ -171,7 +174,7 @@ def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
 
 
 def cut_doors(doors: list[Json], level: int) -> list[Json]:
-    """Return the doors with cells on a level, with these cells alone."""
+    """Return the doors with cells on a level, without their cells on other levels."""
     cut = []
     for door in doors:
         # a door beside a stair may be on two levels: it is in the tables of both
@@ -193,4 +196,4 @@ CUT_FUNCTIONS: dict[str, Callable[[JsonValue, int], JsonValue]] = {
     "rooms": cut_rooms,
     "doors": cut_doors,
 }
-"""By the name of a table, the function that returns its part about one level."""
+"""Name of a table -> function that takes the table and a level, and returns the level's part."""

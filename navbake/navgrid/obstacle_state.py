@@ -1,6 +1,7 @@
-"""The added obstacles of one level: how many block each cell, and a log of what changed.
+"""The added obstacles of one level: how many block each cell, and a log of the changed cells.
 
-`grid.block` adds obstacles (`navbake.runtime.blocking`). They may overlap, so cells have counts.
+`grid.block` adds obstacles (`navbake.runtime.blocking`). They may overlap, so the number of
+obstacles on each cell is counted.
 """
 
 from __future__ import annotations
@@ -12,36 +13,35 @@ from numpy.typing import NDArray
 
 from navbake.types import Bool, Int
 
-# The layers of an obstacle: the cells that it covers itself; cells where an agent can't stand;
-# where it can't step diagonally; where it can't be off the cell's centre. Each of the last three
-# includes the one before.
-OCCUPIED = 0
-BLOCKED = 1
-NO_DIAGONAL = 2
-NO_OFF_CENTER = 3
+# An obstacle has four layers of cells. Each layer includes the one before.
+OCCUPIED = 0  # cells that the obstacle itself overlaps
+BLOCKED = 1  # cells where an agent can't stand because of it
+NO_DIAGONAL = 2  # cells where an agent can't step diagonally
+NO_OFF_CENTER = 3  # cells where an agent can only be on the cell's centre
 NUM_LAYERS = 4
 
 Layers = list[Int]
 """Ascending cell ids for each of the four layers."""
 
 Window = tuple[int, int, int, int]
-"""First and last row, first and last column, the last ones excluded."""
+"""First row, end row, first column, end column; the two ends are not included."""
 
 # Attributes that obstacles change in place
 CHANGING_ATTRIBUTES = {"occupancy", "solid", "clearance"}
-OCCUPIED_LAYERS = ("occupancy", "solid")  # attributes that are 1 in the cells of an obstacle
-MAX_LOG = 1024  # windows in the log
+OCCUPIED_ATTRIBUTES = ("occupancy", "solid")  # attributes that are 1 where an obstacle is
+MAX_LOG = 1024  # largest number of windows in the log
 
 
 class ObstacleState:
     """The added obstacles of one level.
 
     Attributes:
-        count: Number of obstacles on each cell, by layer, shape (4, height, width), uint16.
+        count: For each of the four layers, how many obstacles have each cell in it, shape
+            (4, height, width), uint16.
         weights: Weights of the level without obstacles, shape (height, width).
-        occupied: The level's `OCCUPIED_LAYERS` without obstacles, by name.
-        farthest: Largest clearance without obstacles, in cells; None without the layer
-            ``clearance``.
+        occupied: Name -> attribute of the level without obstacles, for `OCCUPIED_ATTRIBUTES`.
+        max_clearance: Largest clearance without obstacles [cells]; None if the level has no layer
+            ``clearance``, or one that means something else.
         revision: Number of changes so far.
     """
 
@@ -49,22 +49,22 @@ class ObstacleState:
         self,
         weights: NDArray[np.floating],
         occupied: Mapping[str, NDArray[np.generic]],
-        farthest: float | None,
+        max_clearance: float | None,
     ) -> None:
         self.count = np.zeros((NUM_LAYERS, *weights.shape), dtype=np.uint16)
         self.weights = weights
         self.occupied = occupied
-        self.farthest = farthest
+        self.max_clearance = max_clearance
         self.revision = 0
         self._log: list[Window] = []
 
     @property
     def is_blocked(self) -> bool:
-        """Whether there is an obstacle."""
+        """Whether an obstacle blocks any cell of the level."""
         return bool(self.count.any())
 
     def mask_of(self, layer: int) -> Bool:
-        """Mark the cells that obstacles block in a layer, shape (height, width)."""
+        """Mark the cells that any obstacle has in a layer, such as `BLOCKED`; (height, width)."""
         return np.asarray(self.count[layer] > 0)
 
     def log_change(self, window: Window) -> None:
@@ -74,7 +74,7 @@ class ObstacleState:
         del self._log[:-MAX_LOG]
 
     def windows_since(self, revision: int) -> list[Window] | None:
-        """Return the windows that changed after a revision; None if the log is too short."""
+        """Return the windows that changed after a revision; None if the log has lost some."""
         num_missed = self.revision - revision
         if num_missed > len(self._log):
             return None

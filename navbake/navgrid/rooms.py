@@ -1,6 +1,6 @@
 """The rooms of a grid, parsed from a file's table or measured, and the doors between them.
 
-For each state of a door, a grid holds the cells that only this door blocks, by level.
+For each state of a door, a grid holds the cells of each level that only this door blocks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROOMS = "metadata.navbake.rooms"
 DOORS = "metadata.navbake.doors"
 State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
 DOOR_STATES: tuple[str, ...] = get_args(State)
-DOOR_REACH = 0.4  # a door is in an opening if they are at most this far apart [m]
+MAX_DOOR_DISTANCE = 0.4  # a door this close to an opening between rooms is in the opening [m]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Room:
         level: Its level, 0 is the lowest.
         area: Its area [m²].
         centroid: Mean of the centres of its cells on their floors, world x, y, z [m].
-        source: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
+        source: What defines it: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
         neighbours: The rooms that it has an opening to.
         outdoors: Whether it is the area under the open sky outside of all walls.
     """
@@ -88,7 +88,7 @@ def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:
         num_levels: Number of levels of the grid.
 
     Returns:
-        The rooms by level and index.
+        The rooms, sorted by level and index.
 
     Raises:
         FormatError: The table is broken, or a level does not exist.
@@ -112,16 +112,16 @@ def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:
 def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: int) -> list[Room]:
     """Describe the rooms of a level from its cells alone.
 
-    They have the id ``level:index``, and neither name nor neighbours.
+    The rooms have the id ``level:index``, and neither names nor neighbours.
 
     Args:
-        index: The room of each cell, 0 for none, shape (height, width), integers.
-        floor: World z of each cell [m], shape (height, width).
+        index: Index of each cell's room, 0 for no room, shape (height, width), integers.
+        floor: World z of each cell's floor [m], shape (height, width).
         lattice: The cells of the level.
         number: Number of the level, 0 is the lowest.
 
     Returns:
-        The rooms by index.
+        The rooms, sorted by index.
     """
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     index = index.ravel()
@@ -148,7 +148,7 @@ def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: i
 # ---------------------------------------------------------------- doors
 
 Runs = list[int]
-"""Ascending cell ids as runs of consecutive ones: first id, count, first id, count, …"""
+"""Ascending cell ids, packed as runs of consecutive ids: first id, count, first id, count, …"""
 
 
 def to_runs(cells: Int) -> Runs:
@@ -176,9 +176,9 @@ class Door:
         joint: Name of the joint that moves it; None for no joint.
         rooms: Ids of the two rooms that it joins, None for the outside; () if unknown.
         state: Its current state: ``modelled``, ``open``, ``closed`` or ``removed``.
-        cells: The cells that only this door blocks, by state and level, as runs of cell ids.
-        solid: The cells whose squares only this door overlaps, as `cells`; {} unless the grid has a
-            layer ``solid``.
+        cells: State -> level -> the cells that only this door blocks, as runs of cell ids.
+        solid: State -> level -> the cells whose squares only this door overlaps, as runs of cell
+            ids; {} unless the grid has a layer ``solid``.
     """
 
     id: str
@@ -195,12 +195,15 @@ class Door:
 
     @property
     def states(self) -> list[str]:
-        """The states that it can have; the grid holds its cells in each."""
+        """The states that it can have: those for which the grid has its cells, and ``removed``."""
         return [state for state in DOOR_STATES if state in self.cells or state == "removed"]
 
     @property
     def like(self) -> str | None:
-        """The state, ``closed`` or ``open``, that equals ``modelled``, if it is in that state."""
+        """``closed`` or ``open`` if its state is ``modelled`` and it blocks the same cells so.
+
+        None if its state is another one, or equals neither.
+        """
         modelled_cells = self.cells.get("modelled")
         if self.state != "modelled" or modelled_cells is None:
             return None
@@ -213,7 +216,7 @@ class Door:
         """Return the cells that only this door blocks in a state.
 
         Args:
-            state: A state of a door.
+            state: One of `DOOR_STATES`.
             num_levels: Number of levels of the grid.
 
         Returns:
@@ -223,11 +226,14 @@ class Door:
         return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
 
     def solid_in(self, state: str, num_levels: int) -> list[Int]:
-        """Return the cells whose squares only this door overlaps in a state; as `cells_in`.
+        """Return the cells whose squares only this door overlaps in a state.
 
         Args:
-            state: A state of a door.
+            state: One of `DOOR_STATES`.
             num_levels: Number of levels of the grid.
+
+        Returns:
+            Ascending cell ids for each level, int64.
         """
         by_level = self.solid.get(state, {})
         return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
@@ -239,7 +245,7 @@ class Door:
 
 
 class _DoorEntry(msgspec.Struct):
-    """A door in a file; for each state, pairs of a level and the runs of its cells."""
+    """The entry of a door in a file; for each state, pairs of a level and the runs of cells."""
 
     id: str
     state: State
@@ -291,7 +297,7 @@ def parse_doors(entries: object, cell_counts: Sequence[int]) -> tuple[Door, ...]
 
 
 def _are_runs(runs: list[int], num_cells: int) -> bool:
-    """Whether runs ascend, don't overlap, and stay within the cells."""
+    """Return whether runs ascend, don't overlap, and hold only ids below `num_cells`."""
     if len(runs) % 2:
         return False
     end = 0

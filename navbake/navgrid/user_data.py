@@ -1,8 +1,8 @@
-"""The user data of cells, as names of objects, parsed or made on first use.
+"""The user data of cells, such as names of objects; they are parsed or made on first use.
 
-They make up most of a grid's file, are rarely needed, and are often equal in many cells. So
-`UserData` parses those of a file on first use, and lets cells share the entries of a bake until a
-caller accesses single cells, which are writable.
+User data make up most of a grid's file, are rarely needed, and are often equal in many cells. So
+`UserData` parses a file's data on first use. Cells of a bake share equal entries. Each cell gets an
+entry of its own, which may be modified, once a caller accesses single cells.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ def without_garbage_collection() -> Iterator[None]:
 
 
 class Shared(NamedTuple):
-    """User data with entries shared by many cells."""
+    """User data in which many cells share one entry."""
 
     cells: Int  #: Cell ids, ascending, shape (n,), int64.
-    number: Int  #: The entry of each cell, shape (n,), int64.
-    entries: Sequence[Json]  #: Must not be modified.
+    number: Int  #: Index in `entries` for each cell, shape (n,), int64.
+    entries: Sequence[Json]  #: The different entries; they must not be modified.
 
 
 Entries: TypeAlias = MutableMapping[int, Json] | Shared
 
 
 class UserData(MutableMapping[int, Json]):
-    """User data by cell id (col + row * width).
+    """The user data of cells: cell id (col + row * width) -> entry.
 
     Args:
-        source: A dictionary, which is modified in place; `Shared` entries, which become a
-            dictionary on access to single cells; a function that returns one of these; or None for
-            no data.
+        source: A dictionary, which is modified in place; or `Shared`, which becomes a dictionary on
+            access to single cells; or a function that returns one of these and is called on first
+            use; or None for no data.
     """
 
     def __init__(self, source: Entries | Callable[[], Entries] | None = None) -> None:
@@ -67,7 +67,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def source(self) -> Entries:
-        """The dictionary, or the entries that cells share."""
+        """The dictionary or the shared entries; the first access calls the function, if any."""
         if callable(self._source):
             with without_garbage_collection():
                 self._source = self._source()
@@ -75,7 +75,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def _cells(self) -> MutableMapping[int, Json]:
-        """The dictionary; of shared entries, each cell gets a copy of its own."""
+        """The dictionary; shared entries are turned into one, with a copy for each cell."""
         source = self.source
         if not isinstance(source, Shared):
             return source
@@ -125,7 +125,10 @@ class UserData(MutableMapping[int, Json]):
         return [entries[number] for number in numbers.tolist()]
 
     def shared(self) -> Shared:
-        """Return all entries and their cells, in the source's order; they must not be modified."""
+        """Return all entries and their cells, in the source's order.
+
+        The entries must not be modified.
+        """
         source = self.source
         if isinstance(source, Shared):
             return source
@@ -133,11 +136,11 @@ class UserData(MutableMapping[int, Json]):
         return Shared(cells, np.arange(len(cells)), list(source.values()))
 
     def with_entries(self, changed: Mapping[int, Json]) -> UserData:
-        """Return a copy with the entries of some cells replaced, by ascending cell id.
+        """Return a copy, sorted by cell id, in which some cells have other entries.
 
         Args:
-            changed: The new entries by cell id, which must not be modified; an empty one removes
-                the cell's entry.
+            changed: Cell id -> new entry, which must not be modified. An empty entry removes the
+                one that the cell has.
         """
         source = self.source
         if not isinstance(source, Shared):
@@ -164,7 +167,7 @@ class UserData(MutableMapping[int, Json]):
 def names_in(entry: Json, key: str) -> list[str]:
     """Return the names under a key of a cell's user data.
 
-    Other programs may store other things there; these are ignored.
+    Values that are no names, in files of other programs, are ignored.
 
     Args:
         entry: The user data of a cell.
@@ -175,7 +178,7 @@ def names_in(entry: Json, key: str) -> list[str]:
 
 
 def _copy_json(value: JsonValue) -> JsonValue:
-    """Copy parsed JSON, faster than `copy.deepcopy`."""
+    """Copy parsed JSON with all that it contains, faster than `copy.deepcopy`."""
     if isinstance(value, dict):
         return {key: _copy_json(part) for key, part in value.items()}
     return [_copy_json(part) for part in value] if isinstance(value, list) else value

@@ -80,7 +80,7 @@ class _Builder:
         if fitted.inflated_radius < fitted.radius:
             # lines are swept exactly on inflated grids only
             fitted = fitted.inflate(fitted.radius)
-        any_size = agent and agent.of_any_size()
+        any_size = agent and agent.without_sizes()
         self.search = Search(fitted, agent=any_size, radius=self.radius)
         self.grid = self.search.grid
         self.flat = self.search.flat

@@ -19,14 +19,14 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.islands import clearance, renew_islands, step_limit
+from navbake.navgrid.islands import measure_clearance, renew_islands, step_limit
 from navbake.navgrid.links import Agent
 from navbake.navgrid.obstacle_state import (
     BLOCKED,
     CHANGING_ATTRIBUTES,
     NUM_LAYERS,
     OCCUPIED,
-    OCCUPIED_LAYERS,
+    OCCUPIED_ATTRIBUTES,
     Layers,
     ObstacleState,
     Window,
@@ -107,7 +107,9 @@ def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
     for name in CHANGING_ATTRIBUTES & level.attributes.keys():
         level.attributes[name] = np.array(level.attributes[name], order="C")
     occupied = {
-        name: level.attributes[name].copy() for name in OCCUPIED_LAYERS if name in level.attributes
+        name: level.attributes[name].copy()
+        for name in OCCUPIED_ATTRIBUTES
+        if name in level.attributes
     }
     return ObstacleState(level.weights.copy(), occupied, _largest_clearance(level))
 
@@ -134,8 +136,8 @@ def _change_counts(
     rows, cols = np.divmod(np.concatenate(layers), level.width)
     window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
     state.log_change(window)
-    if state.farthest is not None:
-        _update_clearance(level, window, state.farthest)
+    if state.max_clearance is not None:
+        _update_clearance(level, window, state.max_clearance)
 
 
 def _write_cells(
@@ -182,7 +184,9 @@ def _update_clearance(level: SceneGrid2D, window: Window, farthest: float) -> No
     row0, row1, col0, col1 = inner
     rows = slice(row0 - outer[0], row1 - outer[0])
     cols = slice(col0 - outer[2], col1 - outer[2])
-    level.attributes["clearance"][row0:row1, col0:col1] = clearance(level, outer)[rows, cols]
+    level.attributes["clearance"][row0:row1, col0:col1] = measure_clearance(level, outer)[
+        rows, cols
+    ]
 
 
 def _pad_window(window: Window, pad: int, level: SceneGrid2D) -> Window:
@@ -200,7 +204,7 @@ def _largest_clearance(level: SceneGrid2D) -> float | None:
     stored = level.attributes.get("clearance")
     if stored is None:
         return None
-    measured = clearance(level)
+    measured = measure_clearance(level)
     # in files of other programs, a layer of this name may mean anything
     if stored.dtype != measured.dtype or not np.allclose(stored, measured, atol=1e-5):
         return None
@@ -434,7 +438,7 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
                 expected=f"{things} up to {limit:g} m",
                 hint=hint,
             )
-    clean: NavGrid = grid.without_blocks()
+    clean: NavGrid = grid.without_obstacles()
     fitted = clean
     radius = agent.radius
     if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:

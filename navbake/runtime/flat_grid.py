@@ -17,7 +17,7 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.islands import cells_of_areas, group_steps, label_islands, step_limit
+from navbake.navgrid.islands import group_steps, label_islands, step_limit, values_by_area
 from navbake.navgrid.links import DEFAULT_SPEED, Agent, Arcs, find_arcs
 from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32
@@ -400,8 +400,8 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     for area in grid.areas:
         area_factors.append((penalty or np.inf) if area.bars(agent) else area.cost)
         area_paces.append(1.0 / min(speed, area.speed or speed))
-    area_factor = cells_of_areas(grid, area_factors, 1.0)
-    pace = cells_of_areas(grid, area_paces, 1.0 / speed)
+    area_factor = values_by_area(grid, area_factors, 1.0)
+    pace = values_by_area(grid, area_paces, 1.0 / speed)
     flat = FlatGrid(
         layout=layout,
         steps=steps,

@@ -178,7 +178,7 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
     """
     grid = search.grid
     flat = search.flat
-    clean = grid.without_blocks()
+    clean = grid.without_obstacles()
     if clean is grid:
         return None
     route = find_route_cells(clean, search, start_cell, goals)
@@ -217,7 +217,7 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     flat = search.flat
     if not grid.doors:
         return None
-    doorless = without_inflation(grid.without_blocks()).with_doors("removed")
+    doorless = without_inflation(grid.without_obstacles()).with_doors("removed")
     free = np.concatenate([level.free.ravel() for level in doorless.levels])
     weights = np.where(free, np.where(flat.free, 1.0, DOOR_WEIGHT), np.inf)
     doorless = with_weights(doorless, weights)
@@ -259,7 +259,7 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     agent_radius = grid.inflated_radius
     if not agent_radius:
         return None
-    point_search = similar_search(without_inflation(grid.without_blocks()), search)
+    point_search = similar_search(without_inflation(grid.without_obstacles()), search)
     point_grid = point_search.grid
     ledges = ledges_setting(grid)
     widest = find_widest(point_grid, search, start_cell, goals, ledges)

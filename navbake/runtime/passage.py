@@ -321,7 +321,7 @@ def similar_search(
     return Search(
         grid,
         cut_corners=search.cut_corners if cut_corners is None else cut_corners,
-        agent=search.agent and search.agent.of_any_size(),
+        agent=search.agent and search.agent.without_sizes(),
         radius=search.radius if radius is None else radius,
         penalty=penalty,
     )

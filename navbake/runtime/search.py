@@ -113,7 +113,7 @@ class Search:
         self.cut_corners = cut_corners
         self.version = 0
         self.radius = self.grid.radius if radius is None else radius
-        clean = self.grid.without_blocks()
+        clean = self.grid.without_obstacles()
         self.flat = flat_grid.flatten(clean, self.agent, penalty)
         self._cache: dict[str, dict[Hashable, object]] = {}
         flat = self.flat

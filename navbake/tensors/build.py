@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, QueryError
-from navbake.navgrid.islands import cells_of_areas, clearance
+from navbake.navgrid.islands import measure_clearance, values_by_area
 from navbake.navgrid.links import Agent
 from navbake.runtime.flat_grid import check_distance
 from navbake.runtime.paths import find_target
@@ -239,7 +239,7 @@ def _make_layers(
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
         num_islands += search.islands.count
         area_numbers = range(1, len(search.grid.areas) + 1)
-        area = cells_of_areas(search.grid, area_numbers, 0).astype(np.int32) + 0 * island
+        area = values_by_area(search.grid, area_numbers, 0).astype(np.int32) + 0 * island
         layers = {
             "reach": (lowest_reaching(standing_z, flat.floors.max_step, dtype), np.inf),
             "rank": (rank, -1),
@@ -248,7 +248,10 @@ def _make_layers(
             "room": (search.rooms.number, 0),
             "island": (island, 0),
             "area": (area, 0),
-            "clearance": (np.concatenate([clearance(level).ravel() for level in levels]), 0),
+            "clearance": (
+                np.concatenate([measure_clearance(level).ravel() for level in levels]),
+                0,
+            ),
         }
         for name, (values, outside) in layers.items():
             padded = _pad(search, values, shape, outside)

@@ -167,7 +167,7 @@ def verify_scene(
         FormatError: The grid's metadata states sizes that no agent can have.
     """
     # without what was blocked at run time; the type of one level and of several differs
-    baked_grid: Any = grid.without_blocks()
+    baked_grid: Any = grid.without_obstacles()
     agent = AgentSizes.of_grid(baked_grid)
     notes = list(notes)
     doors = pose_doors(scene, baked_grid)

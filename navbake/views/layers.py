@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from navbake.errors import QueryError, count_of
 from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.door_states import DoorLine, doorway_cells, find_door_lines
+from navbake.navgrid.door_states import DoorLine, find_door_lines, mark_door_cells
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.islands import clearance, islands_of
+from navbake.navgrid.islands import islands_of, measure_clearance
 from navbake.views.describe import Connection, describe_area, find_connections
 
 if TYPE_CHECKING:
@@ -318,7 +318,7 @@ def _show_floor(grid: NavGrid, number: int) -> Panel:
 def _show_clearance(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     stored = level.attributes.get("clearance")
-    values = clearance(level) if stored is None else stored * level.unit
+    values = measure_clearance(level) if stored is None else stored * level.unit
     values = np.where(level.free, values, np.nan).astype(np.float32)
     scale = linear_scale(values[np.isfinite(values)], "to the nearest obstacle [m]")
     rgb, legend = _occupancy(level)
@@ -371,8 +371,8 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
 
 def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> None:
-    rgb[doorway_cells(grid, number, blocked=False)] = colors.rgb_of(colors.DOORWAY)
-    rgb[doorway_cells(grid, number, blocked=True)] = colors.rgb_of(colors.DOOR)
+    rgb[mark_door_cells(grid, number, in_current_state=False)] = colors.rgb_of(colors.DOORWAY)
+    rgb[mark_door_cells(grid, number, in_current_state=True)] = colors.rgb_of(colors.DOOR)
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
@@ -380,8 +380,8 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
     index = level.room_index
     free = level.free
     no_floor = np.isnan(level.floor_height)
-    doors = doorway_cells(grid, number, blocked=True)
-    doorways = doorway_cells(grid, number, blocked=False)
+    doors = mark_door_cells(grid, number, in_current_state=True)
+    doorways = mark_door_cells(grid, number, in_current_state=False)
     outdoors = [room.index for room in grid.rooms if room.level == number and room.outdoors]
     entries = {
         ("outdoors", colors.OUTDOORS): np.isin(index, outdoors),

@@ -16,7 +16,7 @@ from navbake.errors import FormatError, QueryError, printable
 from navbake.formats.source import read_json, write_bytes
 from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.islands import clearance, islands_of
+from navbake.navgrid.islands import islands_of, measure_clearance
 from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables
@@ -304,7 +304,7 @@ def describe_map(grid: NavGrid, number: int) -> Json:
     names, name_lists = _number_names(level)
     layers: dict[str, NDArray[np.generic]] = {
         "floor": np.round(level.floor, DECIMALS),
-        "clearance": np.round(np.where(level.free, clearance(level), np.nan), DECIMALS),
+        "clearance": np.round(np.where(level.free, measure_clearance(level), np.nan), DECIMALS),
         "weight": np.where(level.free, level.weights, np.nan),
         "room": level.room_index,
         "island": islands_of(grid)[number],

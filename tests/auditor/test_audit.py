@@ -16,7 +16,7 @@ from grid_maps import house_from, level_from
 from navbake.auditor.audit import CHECKS, run_check
 from navbake.auditor.facts import ERROR, REMARK, Facts, Remark
 from navbake.errors import FormatError
-from navbake.navgrid.islands import clearance, find_islands
+from navbake.navgrid.islands import find_islands, measure_clearance
 from navbake.testing import assert_sound
 from project_paths import GOLDEN
 
@@ -68,7 +68,7 @@ def changed_cells(name: str, grid: Any) -> list[tuple[int, int]]:
             if before is not None:
                 changed |= (values != before) & ~((values != values) & (before != before))
         if "clearance" in level.attributes and "clearance" not in old.attributes:
-            changed |= level.attributes["clearance"] != clearance(old)
+            changed |= level.attributes["clearance"] != measure_clearance(old)
         if "island" in level.attributes and "island" not in old.attributes:
             changed |= level.attributes["island"] != find_islands(old)[0]
         found += [(number, cell) for cell in np.flatnonzero(changed).tolist()]
@@ -256,7 +256,7 @@ def wrong_islands(grid):
 
 @plant("apartment", ERROR, "1 cell has a wrong `clearance`")
 def wrong_clearance(grid):
-    grid.attributes["clearance"] = clearance(grid)
+    grid.attributes["clearance"] = measure_clearance(grid)
     grid.attributes["clearance"][free_cell(grid)] += 0.5
 
 
@@ -453,7 +453,7 @@ def blocked_by_a_broken_inflation(grid):
 )
 def blocked_farther_than_inflated(grid):
     inflated = grid.inflate(0.1)
-    middle = np.argmax(np.where(inflated.free, clearance(grid), 0))
+    middle = np.argmax(np.where(inflated.free, measure_clearance(grid), 0))
     inflated.weights.ravel()[middle] = np.inf
     return inflated
 

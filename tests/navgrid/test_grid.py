@@ -361,7 +361,7 @@ def test_blocks_and_caches_stay_with_their_grid():
         twins.append(level.with_layers())
         assert level.obstacle_state is not None and level.obstacle_state.is_blocked
         assert all(twin.obstacle_state is None and not twin.free[1, 1] for twin in twins)
-        assert level.without_blocks().free[1, 1]
+        assert level.without_obstacles().free[1, 1]
     assert level.free[1, 1]
-    assert level.without_blocks() is level
+    assert level.without_obstacles() is level
     assert not twins[-1].free[1, 1]  # a derived grid keeps what was blocked when it was made

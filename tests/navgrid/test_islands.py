@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.navgrid.islands import add_layers, clearance, find_islands, islands_of
+from navbake.navgrid.islands import add_layers, find_islands, islands_of, measure_clearance
 
 
 def make_level(rows, step=0.25, unit=1.0, cell_size=0.1, ground=0.0):
@@ -159,7 +159,7 @@ def test_clearance_equals_a_plain_minimum(seed):
     shape = tuple(rng.integers(1, 12, size=2))
     free = rng.random(shape) < rng.uniform(0.5, 1.0)
     level = make_grid(free, np.zeros(shape), cell_size=20.0, unit=0.01)
-    found = clearance(level)
+    found = measure_clearance(level)
     blocked = [
         (row, col)
         for row in range(-1, shape[0] + 1)

@@ -7,7 +7,7 @@ import pytest
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cells
-from navbake.navgrid.islands import add_layers, clearance, find_islands, islands_of
+from navbake.navgrid.islands import add_layers, find_islands, islands_of, measure_clearance
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.search import Search
 from oracles.ways import make_level, random_grid, stack
@@ -61,7 +61,9 @@ def test_any_order_of_blocks_equals_a_fresh_grid(seed):
         np.testing.assert_array_equal(finder.search.flat.free, expected)
         assert_same_as_fresh(finder, grid)
         for level in grid.levels:
-            np.testing.assert_allclose(level.attributes["clearance"], clearance(level), atol=1e-6)
+            np.testing.assert_allclose(
+                level.attributes["clearance"], measure_clearance(level), atol=1e-6
+            )
     for block in blocks:
         block.free()
     for level, old in zip(grid.levels, before.levels, strict=True):

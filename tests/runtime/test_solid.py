@@ -139,7 +139,7 @@ def test_blocks_are_laid_over_the_squares_too(tmp_path):
         assert same_free(wide.inflate(0.2), point.inflate(0.2))
         assert same_free(wide.inflate(0.4), point.inflate(0.4))
         assert same_free(
-            wide.without_blocks().inflate(0.2), bake(tmp_path, content, 0.2).inflate(0.2)
+            wide.without_obstacles().inflate(0.2), bake(tmp_path, content, 0.2).inflate(0.2)
         )
     np.testing.assert_array_equal(wide.solid, before)
 

@@ -15,7 +15,7 @@ from grid_maps import level_from, random_house
 from level_maps import level_of, stack, stairs
 from navbake import tensors
 from navbake.errors import QueryError
-from navbake.navgrid.islands import clearance
+from navbake.navgrid.islands import measure_clearance
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.path_finder import PathFinder
 from tensors.libraries import ON_ALL, compiled, given, library, positions_over, shown
@@ -48,7 +48,7 @@ class Oracle:
         return self.layer(np.concatenate(numbers), 0)
 
     def clearance(self):
-        values = np.concatenate([clearance(level).ravel() for level in self.grid.levels])
+        values = np.concatenate([measure_clearance(level).ravel() for level in self.grid.levels])
         return self.layer(values.astype(np.float64), np.nan)
 
 
@@ -155,7 +155,7 @@ def test_bilinear_clearance(case):
     xp, grid = library(name), level_from("....\n....\n....\n...#")
     t = grid.tensors(xp, dtype=dtype)
     ask = compiled(xp, lambda p: tensors.clearance(t, p))
-    values = clearance(grid).astype(np.float64)
+    values = measure_clearance(grid).astype(np.float64)
     at_centers = [[0.05 + 0.1 * c, -0.05 - 0.1 * r, 0.0] for r, c in np.ndindex(4, 4)]
     found = shown(ask(given(xp, at_centers, dtype)))
     np.testing.assert_allclose(found, values.ravel(), atol=1e-6)

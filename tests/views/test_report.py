@@ -12,7 +12,7 @@ import navbake
 from grid_maps import house_from, level_from
 from navbake.auditor.audit import audit
 from navbake.errors import FormatError, NavbakeError, QueryError
-from navbake.navgrid.islands import clearance, islands_of
+from navbake.navgrid.islands import islands_of, measure_clearance
 from navbake.views import difference, report
 from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.report import read_verification, render_report, write_report
@@ -34,7 +34,7 @@ def test_cells_are_told_as_the_grid_has_them(house):
         lists, arrays = unpack(shown, level.shape)
         np.testing.assert_allclose(arrays["floor"], level.floor, atol=0.5001e-3)
         away = np.nan_to_num(arrays["clearance"])
-        np.testing.assert_allclose(away, clearance(level), atol=0.5001e-3)
+        np.testing.assert_allclose(away, measure_clearance(level), atol=0.5001e-3)
         np.testing.assert_array_equal(arrays["room"], level.room_index)
         np.testing.assert_array_equal(arrays["island"], islands_of(house)[number])
         weights = np.nan_to_num(arrays["weight"], nan=np.inf)
@@ -50,7 +50,7 @@ def test_clearances_count_from_zero_where_no_cell_is_blocked():
     level = level_from("....\n....\n....")
     [sheet] = content_of(render_report(level))["sheets"]
     away = unpack(sheet["levels"][0], level.shape)[1]["clearance"]
-    np.testing.assert_allclose(away, clearance(level), atol=0.5001e-3)
+    np.testing.assert_allclose(away, measure_clearance(level), atol=0.5001e-3)
 
 
 def test_floors_that_are_worlds_apart_are_told():

@@ -35,7 +35,7 @@ from navbake.baker.rooms.segmentation import (
 from navbake.config.settings import RoomSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.rooms import DOOR_REACH, Neighbour, Room
+from navbake.navgrid.rooms import MAX_DOOR_DISTANCE, Neighbour, Room
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
@@ -462,8 +462,8 @@ def match_doors(
     """Find the opening that each door is in.
 
     A door belongs to one of the openings between the two rooms that it joins: the opening with most
-    cells within `DOOR_REACH` of the cells that the closed door blocks; on a tie, the nearer one. A
-    door may belong to no opening.
+    cells within `MAX_DOOR_DISTANCE` of the cells that the closed door blocks; on a tie, the nearer
+    one. A door may belong to no opening.
 
     Args:
         openings: of all levels.
@@ -475,7 +475,7 @@ def match_doors(
     Returns:
         The sorted ids of its doors, by the index of the opening.
     """
-    reach = DOOR_REACH / lattice.cell_size + LIMIT_SLACK  # [cells]
+    reach = MAX_DOOR_DISTANCE / lattice.cell_size + LIMIT_SLACK  # [cells]
     doors_of: dict[int, list[str]] = {}
     for door, (rooms, closed_cells) in sorted(doors.items()):
         scores: list[tuple[int, float, int]] = []  # near cells, distance, opening: best is greatest
