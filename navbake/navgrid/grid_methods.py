@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from navbake.tensors.grid_tensors import GridTensors
     from navbake.views.plot import Mark
 
-# Each method imports the module that it calls, as most of these import this module or load slowly.
+# Functions import the modules that they call: most of these import this module, or load slowly.
 
 
 class GridMethods:
