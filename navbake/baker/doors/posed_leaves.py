@@ -130,7 +130,7 @@ def pose_shapes(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Sha
         data,
         selections=scene.selections,
         exact_meshes=scene.exact_meshes,
-        only=np.flatnonzero(is_door_geom).tolist(),
+        geom_ids=np.flatnonzero(is_door_geom).tolist(),
         meshes=scene.meshes,
     )
     return shapes

@@ -22,7 +22,7 @@ from navbake.baker.links.search import (
     LatticeLink,
     LinkSearch,
 )
-from navbake.baker.scene.cars import VERTICAL, CarFloor, find_lift_joints, measure_car
+from navbake.baker.scene.cars import MIN_VERTICAL_COSINE, CarFloor, find_lift_joints, measure_car
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import all_names, find_subtree_ends, mark_geoms_of_bodies
 from navbake.baker.scene.pose import data_with_joints
@@ -276,7 +276,7 @@ def _car_pose(search: LinkSearch, car_floor: CarFloor, bounds: Float) -> tuple[f
     size = np.diff(bounds, axis=0)[0]
     yaw = 0.0
     rotation = data.geom_xmat[geom]  # row by row
-    if model.geom_type[geom] == BOX and rotation[8] >= VERTICAL:
+    if model.geom_type[geom] == BOX and rotation[8] >= MIN_VERTICAL_COSINE:
         middle = data.geom_xpos[geom]
         size = 2.0 * model.geom_size[geom]
         yaw = float(np.arctan2(rotation[3], rotation[0]))
@@ -302,7 +302,7 @@ def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeomet
         data,
         selections=scene.selections,
         exact_meshes=scene.exact_meshes,
-        only=counted_geoms[car.geoms[counted_geoms]].tolist(),
+        geom_ids=counted_geoms[car.geoms[counted_geoms]].tolist(),
         meshes=scene.meshes,
     )
     footprint = search.geometry.footprint

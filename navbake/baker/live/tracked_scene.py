@@ -243,7 +243,7 @@ class TrackedScene:
             data,
             selections=scene.selections,
             exact_meshes=scene.exact_meshes,
-            only=np.flatnonzero(changed_geoms).tolist(),
+            geom_ids=np.flatnonzero(changed_geoms).tolist(),
             meshes=scene.meshes,
         )
         return scene.shapes.with_replaced(moved_shapes, changed_geoms)

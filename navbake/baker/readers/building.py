@@ -1,9 +1,10 @@
 """Reads buildings of Open-RMF's traffic editor (``.building.yaml``) as parsed scenes.
 
-Walls, floors with their holes, doors and lifts become what rmf_building_map_tools makes of them
-for simulators: walls 2.5 m high and 0.1 m thick, floors 0.1 m, doors 2.2 m. Levels are laid over
-each other by their fiducials. Furniture (`models`) has no geometry in the file and is left out. A
-lift is its car, which moves between its floors; its doors open with it and are left out.
+Walls, floors with their holes, doors and lifts get the sizes that rmf_building_map_tools gives them
+for simulators: walls are 2.5 m high and 0.1 m thick, floors 0.1 m thick, doors 2.2 m high.
+Fiducials (points that several levels have in common) align the levels with each other. Furniture
+(`models`) has no geometry in the file and is left out. Of a lift, only the car is read, which moves
+between the floors; its doors are left out.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``.
 """
@@ -36,24 +37,24 @@ from navbake.types import Float, Json
 
 shapely = lazy("shapely")  # of the extra [convert]
 
-# Sizes that simulators give to what the file has as lines [m]
+# The file has lines only; these are the sizes that simulators give them [m]
 WALL_THICKNESS = 0.1
 WALL_HEIGHT = 2.5
 FLOOR_THICKNESS = 0.1
 DOOR_THICKNESS = 0.03
 DOOR_HEIGHT = 2.2
-DOOR_GAP = 0.01  # round a leaf
+DOOR_GAP = 0.01  # the free space round a door leaf
 CAR_WALL_THICKNESS = 0.05
 CAR_FLOOR_THICKNESS = 0.05
 CAR_HEIGHT = 2.5
-CAR_GAP = 0.05  # between a car and its shaft
+CAR_GAP = 0.05  # the free space between a lift's car and its shaft
 SLIDING_DOORS = ("sliding", "double_sliding", "telescopic", "double_telescopic")
 HINGED_DOORS = ("hinged", "double_hinged")
 GEOGRAPHIC_SYSTEMS = ("web_mercator", "wgs84")
 
 
 class PlanTransform(NamedTuple):
-    """Maps the plan of a level to the world: a complex number z = x + iy to factor z + shift.
+    """Maps a level's plan to the world: a point p = x + iy becomes factor * p + shift.
 
     Attributes:
         factor: rotates and scales.
@@ -64,12 +65,12 @@ class PlanTransform(NamedTuple):
     shift: complex
 
 
-class LeafHalf(NamedTuple):
-    """A leaf of a door.
+class DoorLeaf(NamedTuple):
+    """One leaf of a door.
 
     Attributes:
         name: the leaf's name.
-        side: 1 at the start of the door, -1 at its end.
+        side: 1 if the leaf is at the start of the door, -1 if it is at the door's end.
         width: the leaf's width [m].
     """
 
@@ -95,13 +96,13 @@ def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
 
     Args:
         path: the file.
-        settings: unused; all readers take them.
+        settings: unused, but all readers have this argument.
 
     Returns:
         The parsed scene.
 
     Raises:
-        SceneError: the file is no building, names a vertex that isn't there, or has no scale.
+        SceneError: the file is no building, refers to a missing vertex, or has no scale.
         MissingDependencyError: shapely is not installed.
     """
     try:
@@ -111,7 +112,7 @@ def read_building(path: Path, settings: SceneSettings) -> ParsedScene:
     if not isinstance(content, dict) or not isinstance(content.get("levels"), dict):
         raise SceneError(f"no building in {path}: expected `levels`, as traffic-editor writes them")
     import_extra("shapely")
-    with np.errstate(divide="raise", invalid="raise"):  # by points that coincide
+    with np.errstate(divide="raise", invalid="raise"):  # if points coincide
         return _BuildingReader(content, path).read()
 
 
@@ -136,7 +137,7 @@ class _BuildingReader:
     # ------------------------------------------------------------ places
 
     def _find_transforms(self) -> dict[str, PlanTransform]:
-        """How the plan of each level lies in the world."""
+        """For each level, by name: the transform from its plan to the world."""
         if not self._is_image:
             return dict.fromkeys(self._levels, PlanTransform(1.0 + 0j, 0j))
         scale = self._meters_per_pixel(self._reference_level)
@@ -153,7 +154,7 @@ class _BuildingReader:
         return points.conj() if self._is_image else points
 
     def _meters_per_pixel(self, level: str) -> float:
-        """Metres of a pixel, as the mean of the level's measurements."""
+        """Return the edge of a pixel [m]: the mean over the level's measurements."""
         points = self._points(level)
         scales = []
         for start, end, values in self._levels[level].get("measurements") or []:
@@ -166,7 +167,14 @@ class _BuildingReader:
         return float(np.mean(scales))
 
     def _align_with_reference(self, level: str, reference_scale: float) -> PlanTransform:
-        """Lay a level's image over the reference level's, by the fiducials that both have."""
+        """Find the transform that lays a level's fiducials over those of the reference level.
+
+        With fewer than two fiducials in common, the image is scaled only, with a warning.
+
+        Args:
+            level: the level's name.
+            reference_scale: edge of a pixel of the reference level [m].
+        """
         reference_fiducials = self._fiducials(self._reference_level)
         level_fiducials = self._fiducials(level)
         shared_names = [name for name in reference_fiducials if name in level_fiducials]
@@ -187,7 +195,7 @@ class _BuildingReader:
         reference_lines = reference_points[second] - reference_points[first]
         level_lines = level_points[second] - level_points[first]
         turns = level_lines * reference_lines.conj()
-        turn = (turns / abs(turns)).sum().conj()  # mean of the directions' differences
+        turn = (turns / abs(turns)).sum().conj()  # the mean rotation between the lines
         factor = turn / abs(turn) / np.mean(abs(level_lines) / abs(reference_lines))
         shift = np.mean(reference_points - level_points * factor)
         return PlanTransform(complex(factor * reference_scale), complex(shift * reference_scale))
@@ -228,7 +236,7 @@ class _BuildingReader:
         Args:
             level: its name.
             z: its elevation [m].
-            shafts: the corners of the shafts that lead through its floors, (4, 2) each [m].
+            shafts: for each shaft through the level's floors, its corners, (4, 2) [m].
         """
         content = self._levels[level]
         points = self._world_points(level)
@@ -272,12 +280,12 @@ class _BuildingReader:
     # ------------------------------------------------------------ doors
 
     def _add_door(self, ends: Float, z: float, properties: Json) -> None:
-        """Add a door's leaves, closed; each moves by a joint.
+        """Add the leaves of a closed door, with a joint each.
 
         Args:
             ends: start and end of the door, (2, 2) [m].
             z: elevation of its level [m].
-            properties: the file's.
+            properties: the door's properties, as the file states them.
         """
         name = str(properties["name"])
         kind = str(properties["type"])
@@ -316,7 +324,7 @@ class _BuildingReader:
     # ------------------------------------------------------------ lifts
 
     def _passes_through(self, lift: Json, z: float) -> bool:
-        """Whether a lift's shaft leads through the floors at a height."""
+        """Whether a lift's shaft leads through the level at an elevation."""
         lowest = lift.get("lowest_floor")
         highest = lift.get("highest_floor")
         is_above = not lowest or z >= self._elevation(lowest)
@@ -337,11 +345,11 @@ class _BuildingReader:
         return np.asarray(corners @ pose[:2, :2].T + pose[:2, 3])
 
     def _add_lift(self, name: str, lift: Json) -> None:
-        """Add a lift's car at its first floor: floor and walls, open where it has doors."""
+        """Add a lift's car, where the lift starts: a floor, and walls with openings for doors."""
         stops = [self._elevation(level) for level in lift.get("level_doors") or {}]
         if len(stops) < 2:
-            opens = f"opens on {len(stops)} levels, expected 2 or more"
-            self._warn(f"lift {name!r} of {self._path} {opens}: it is left out")
+            reason = f"opens on {len(stops)} levels, expected 2 or more"
+            self._warn(f"lift {name!r} of {self._path} {reason}: it is left out")
             return
         first_level = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
         z = self._elevation(first_level)
@@ -367,50 +375,50 @@ class _BuildingReader:
             )
 
 
-def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[LeafHalf]:
-    """The leaves of a door: one, or one on each side."""
+def _find_leaves(name: str, kind: str, length: float, properties: Json) -> list[DoorLeaf]:
+    """Find the leaves of a door: one, or one on each side."""
     if not kind.startswith("double"):
-        return [LeafHalf(name, 1, length)]
+        return [DoorLeaf(name, 1, length)]
     ratio = float(properties.get("right_left_ratio", 1.0))
     right_width = length * ratio / (1 + ratio)
     if right_width >= length:
-        return [LeafHalf(name, 1, right_width)]
+        return [DoorLeaf(name, 1, right_width)]
     return [
-        LeafHalf(f"{name}_right", 1, right_width),
-        LeafHalf(f"{name}_left", -1, length - right_width),
+        DoorLeaf(f"{name}_right", 1, right_width),
+        DoorLeaf(f"{name}_left", -1, length - right_width),
     ]
 
 
 def _find_car_walls(half_sizes: tuple[float, float], doors: Json) -> Iterator[CarWall]:
-    """Find the walls of a car: its sides but for the doors.
+    """Yield the walls of a lift's car: what the doors leave of its four sides.
 
     Args:
-        half_sizes: of the car along x and y [m].
-        doors: the car's, with their place and width in its frame.
+        half_sizes: half of the car's size along x and y [m].
+        doors: the car's doors, with their positions and widths in the car's frame.
     """
-    for axis in (0, 1):  # the sides across x, then those across y
-        across = 1 - axis
-        # The sides across x stand between those across y.
-        reach = half_sizes[across] - (CAR_WALL_THICKNESS if axis == 0 else 0.0)
+    for axis in (0, 1):  # the two sides perpendicular to x, then the two perpendicular to y
+        other_axis = 1 - axis
+        # The sides perpendicular to x stand between the other two, so they are shorter.
+        half_length = half_sizes[other_axis] - (CAR_WALL_THICKNESS if axis == 0 else 0.0)
         for sign in (-1, 1):
             gaps = []
             for door in doors.values():
                 position = (float(door["x"]), float(door["y"]))
                 x_distance = abs(abs(position[0]) - half_sizes[0])
                 y_distance = abs(abs(position[1]) - half_sizes[1])
-                is_across_axis = (x_distance <= y_distance) == (axis == 0)
-                if is_across_axis and (position[axis] > 0) == (sign > 0):
-                    middle = position[across]
+                is_on_such_side = (x_distance <= y_distance) == (axis == 0)
+                if is_on_such_side and (position[axis] > 0) == (sign > 0):
+                    middle = position[other_axis]
                     gaps.append((middle - door["width"] / 2, middle + door["width"] / 2))
-            begin = -reach
-            for gap_begin, gap_end in [*sorted(gaps), (reach, reach)]:
+            begin = -half_length
+            for gap_begin, gap_end in [*sorted(gaps), (half_length, half_length)]:
                 if gap_begin - begin > 1e-6:
                     wall_middle = [0.0, 0.0]
                     half_size = [0.0, 0.0]
                     wall_middle[axis] = sign * (half_sizes[axis] - CAR_WALL_THICKNESS / 2)
                     half_size[axis] = CAR_WALL_THICKNESS / 2
-                    wall_middle[across] = (begin + gap_begin) / 2
-                    half_size[across] = (gap_begin - begin) / 2
+                    wall_middle[other_axis] = (begin + gap_begin) / 2
+                    half_size[other_axis] = (gap_begin - begin) / 2
                     yield CarWall(
                         middle=(wall_middle[0], wall_middle[1]),
                         half_size=(half_size[0], half_size[1]),
@@ -432,7 +440,7 @@ def make_pose(position: ArrayLike, yaw: float = 0.0) -> Float:
 
 
 def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
-    """Make a closed slab, `FLOOR_THICKNESS` thick, of a polygon with holes.
+    """Make a horizontal slab, `FLOOR_THICKNESS` thick, from a polygon with holes.
 
     Args:
         outline: corners of the polygon, (n, 2) [m].
@@ -440,7 +448,7 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
         z: height of the slab's top [m].
 
     Returns:
-        The slab; an empty mesh where the polygon has no area.
+        The slab, a closed mesh; an empty mesh if the polygon has no area.
     """
     area = shapely.make_valid(shapely.polygons(outline))
     for hole in holes:
@@ -458,7 +466,7 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     cross = first_side[:, 0] * second_side[:, 1] - first_side[:, 1] * second_side[:, 0]
     is_clockwise = cross < 0
     faces[is_clockwise] = faces[is_clockwise][:, ::-1]
-    # An edge of one triangle alone is part of the outline, and gets a wall down.
+    # An edge of only one triangle is part of the outline: the slab gets a side there.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     _, first_edge, count = np.unique(
         np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
@@ -466,12 +474,12 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     outline_edges = edges[first_edge[count == 1]]
     start = outline_edges[:, 0]
     end = outline_edges[:, 1]
-    below = np.int32(len(points))  # from the index of a point of the top to that of the bottom
+    num_points = np.int32(len(points))  # point i of the top is above point i + num_points
     sides = [
-        np.stack([start, start + below, end], 1),
-        np.stack([end, start + below, end + below], 1),
+        np.stack([start, start + num_points, end], 1),
+        np.stack([end, start + num_points, end + num_points], 1),
     ]
-    bottom = faces[:, ::-1] + below
+    bottom = faces[:, ::-1] + num_points
     vertices = np.concatenate(
         [
             np.column_stack([points, np.full(len(points), height)])

@@ -1,7 +1,7 @@
 """Reads mesh files and trimesh scenes as named meshes. Only this module imports trimesh.
 
 Files that trimesh would silently misread are checked or repaired first. Plain binary PLY and STL
-are read without it, as its import takes longer than they do.
+files are read without trimesh, because importing it takes longer than reading them.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ else:
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
-# The unit vectors of the axes by their names: x, y, z, -x, -y and -z
+# Axis name -> unit vector, for x, y, z, -x, -y and -z
 AXIS_VECTORS: dict[str, list[float]] = dict(zip("xyz", np.eye(3).tolist(), strict=True))
 AXIS_VECTORS |= dict(zip(("-x", "-y", "-z"), (np.eye(3) * -1.0).tolist(), strict=True))
-MIN_TRIANGLE_AREA = 5e-15  # triangles that are no larger are dropped [m²]
-MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
-# trimesh's options for a format
+MIN_TRIANGLE_AREA = 5e-15  # triangles up to this area are dropped [m²]
+MAX_COORDINATE = 1e10  # MuJoCo refuses larger ones (its mjMAXVAL) [m]
+# File suffix -> options of trimesh.load_scene
 TRIMESH_OPTIONS: dict[str, dict[str, object]] = {
     ".glb": {"skip_materials": True},
     ".gltf": {"skip_materials": True},
@@ -58,17 +58,19 @@ TRIMESH_OPTIONS: dict[str, dict[str, object]] = {
 }
 
 Direction: TypeAlias = str | Sequence[float] | Float
-"""One of `AXIS_VECTORS` by its name, or a vector of any length, in the frame of a file."""
+"""A direction in the frame of a file: a name of `AXIS_VECTORS`, or a vector of any length."""
 
 
 class NamedMesh(NamedTuple):
-    """One named mesh of a scene: an object, a group, a solid or a node of a file.
+    """A mesh with a name: an object, a group, a solid or a node of a file.
 
     Attributes:
-        name: its name in the file; names become unique when meshes are moved to the world frame.
+        name: the name in the file; it may be changed to be unique when meshes are moved to the
+            world frame.
         vertices: shape (n, 3).
         faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
-        mode: how `scene.meshes: auto` represents it, as the file says.
+        mode: what the mesh counts as with `scene.meshes: auto`: ``surface`` or ``hull`` if the file
+            says so, else ``auto``.
     """
 
     name: str
@@ -90,19 +92,19 @@ class Triangles(NamedTuple):
 
 
 def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> list[NamedMesh]:
-    """Read a mesh file as named meshes in the world frame: its objects, groups, solids and nodes.
+    """Read the objects, groups, solids or nodes of a mesh file as meshes in the world frame.
 
-    A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`, whatever the file says of
-    its vertical axis (see `file_up_axis`). Triangles without area, unused vertices and meshes
-    without triangles are dropped.
+    Coordinates are multiplied by a DAE's own ``<unit meter>`` and by `unit`, then rotated so that
+    `up` is +z. The up axis that the file states is ignored (`file_up_axis` returns it). Triangles
+    without area, unused vertices and meshes without triangles are dropped.
 
     Args:
         path: the file.
         up: the direction in the file that is up.
-        unit: the metres of one unit of the file.
+        unit: length of one unit of the file [m].
 
     Returns:
-        The meshes, at least one [m].
+        The meshes, in metres; at least one.
 
     Raises:
         SceneError: the file is missing or broken, or has no triangles.
@@ -118,7 +120,7 @@ def read_named_meshes(path: Path, up: Direction = "z", unit: float = 1.0) -> lis
 
 
 def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
-    """Return whether an object is a trimesh.Scene or a Trimesh; imports trimesh for these only."""
+    """Return whether an object is a trimesh.Scene or a Trimesh; trimesh is imported only then."""
     if not any(kind.__module__.partition(".")[0] == "trimesh" for kind in type(scene).__mro__):
         return False
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
@@ -126,24 +128,24 @@ def is_mesh_scene(scene: object) -> TypeGuard[trimesh.Scene | trimesh.Trimesh]:
 
 def join_meshes(meshes: Sequence[NamedMesh]) -> Triangles:
     """Join the triangles of several meshes."""
-    first_vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)]).astype(np.int32)
-    faces = [mesh.faces + first for mesh, first in zip(meshes, first_vertices, strict=False)]
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)]).astype(np.int32)
+    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]
     return Triangles(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
 def convert_trimesh(
     scene: trimesh.Scene | trimesh.Trimesh, path: Path, up: Direction = "z", unit: float = 1.0
 ) -> list[NamedMesh]:
-    """Convert a trimesh.Scene or trimesh.Trimesh, as `read_named_meshes` reads a file.
+    """Convert a trimesh.Scene or trimesh.Trimesh to meshes in the world frame.
 
     Args:
-        scene: it is not changed.
-        path: its stem names meshes that the scene graph's nodes don't name; errors name it.
+        scene: the scene or mesh, which is not changed.
+        path: a path for errors; its stem is the name of meshes whose nodes have no names.
         up: the direction in the scene that is up.
-        unit: the metres of one unit of the scene.
+        unit: length of one unit of the scene [m].
 
     Returns:
-        The meshes in the world frame, at least one [m].
+        The meshes, in metres; at least one.
 
     Raises:
         SceneError: the scene is broken, or has no triangles.
@@ -156,7 +158,7 @@ def convert_trimesh(
         except (ValueError, TypeError, KeyError, IndexError) as error:
             reason = " ".join(str(error).split())[:200]
             raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
-    # Kernels are compiled for arrays that can be written, and the caller may change these later.
+    # Copied because kernels are compiled for writable arrays, and the caller may change these.
     copied_meshes = [
         NamedMesh(mesh.name, mesh.vertices.copy(), mesh.faces.copy()) for mesh in meshes
     ]
@@ -164,13 +166,13 @@ def convert_trimesh(
 
 
 def bounds_of_meshes(meshes: Collection[NamedMesh]) -> Float:
-    """Return the lower and the upper corner of the box round meshes, shape (2, 3) [m]."""
+    """Return the lowest and highest x, y, z of all vertices of meshes, shape (2, 3) [m]."""
     boxes = np.array([bounding_box(mesh.vertices) for mesh in meshes])
     return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
 def _read_file(path: Path) -> list[NamedMesh]:
-    """A mesh for each node of the file that has one, in the file's frame and unit."""
+    """Read the mesh of each node of a file, in the file's frame and unit."""
     suffix = path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
@@ -202,7 +204,7 @@ def _read_file(path: Path) -> list[NamedMesh]:
 
 
 def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> None:
-    """Refuse a PLY that is cut off: trimesh finds fewer elements than its header says."""
+    """Raise a SceneError if a PLY is cut off: trimesh found fewer elements than its header says."""
     header = content[:MAX_PLY_HEADER].partition(b"end_header")[0]
     counts = {
         "vertex": sum(len(mesh.vertices) for mesh in meshes),
@@ -216,7 +218,7 @@ def _check_ply_counts(content: bytes, meshes: list[NamedMesh], path: Path) -> No
 
 
 def _meshes_of_nodes(scene: trimesh.Scene) -> list[NamedMesh]:
-    """The nodes' meshes in the file's frame, without lines and points, which have no surface."""
+    """Return the nodes' meshes in the file's frame. Lines and points are left out."""
     meshes = []
     for node in scene.graph.nodes_geometry:
         transform, geometry_name = scene.graph[node]
@@ -232,7 +234,7 @@ def _meshes_of_nodes(scene: trimesh.Scene) -> list[NamedMesh]:
         transform = np.asarray(transform, dtype=np.float64)
         linear_part = transform[:3, :3]
         translation = transform[:3, 3]
-        if np.linalg.det(linear_part) < 0:  # a mirror turns every triangle over
+        if np.linalg.det(linear_part) < 0:  # a mirror image reverses the order of corners
             faces = faces[:, ::-1]
         name = str(node)
         if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
@@ -248,13 +250,13 @@ def _meshes_of_nodes(scene: trimesh.Scene) -> list[NamedMesh]:
 
 
 def _transform(vertices: Float, matrix: Float) -> Float:
-    """Vertices times a matrix; the same array for the identity, as in most files."""
+    """Multiply vertices by a matrix, (3, 3); for the identity, return the same array."""
     return vertices if (matrix == np.eye(3)).all() else vertices @ matrix.T
 
 
 @contextmanager
 def _silence_trimesh() -> Iterator[None]:
-    """Keep trimesh's log and warnings off stderr: what matters is raised."""
+    """Keep trimesh's log and warnings off stderr; its errors are still raised."""
     logger = logging.getLogger("trimesh")  # its modules' loggers take their level from it
     old_level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -267,9 +269,10 @@ def _silence_trimesh() -> Iterator[None]:
 
 
 def file_up_axis(path: Path) -> str | None:
-    """Return the axis that a mesh file states is up; None if it states none.
+    """Return the name of the axis that is up in a mesh file: y for glTF, the stated one for a DAE.
 
-    That is y for all glTF files; a DAE states its own.
+    Returns:
+        A name of `AXIS_VECTORS`; None if the file states none.
     """
     suffix = path.suffix.lower()
     if suffix == ".dae" and path.is_file():
@@ -279,14 +282,16 @@ def file_up_axis(path: Path) -> str | None:
 
 
 def rotation_to_z_up(up: Direction) -> Float:
-    """Return the rotation that turns a direction to +z by the least angle, (3, 3), exact for axes.
+    """Return the smallest rotation that turns a direction to +z, shape (3, 3).
+
+    For the directions of `AXIS_VECTORS`, its entries are exactly -1, 0 or 1.
 
     Source: Rodrigues' formula for the rotation between two unit vectors.
     """
     vector = AXIS_VECTORS[up] if isinstance(up, str) else up
     x, y, z = np.divide(vector, np.linalg.norm(vector)).tolist()
     if z < -0.5:
-        # Near -z no axis is the best, and the formula loses digits: first half a turn about x.
+        # Near -z the formula loses digits: first turn by 180° about x.
         rotation = rotation_to_z_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0])
         return np.asarray(rotation + 0.0)
     cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
@@ -347,7 +352,7 @@ def _to_world(meshes: list[NamedMesh], path: Path, up: Direction, scale: float) 
 
 
 def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
-    """Check a mesh's coordinates, and drop triangles without area.
+    """Check the coordinates of a mesh, and drop its triangles without area.
 
     Args:
         mesh: in the world frame [m].
@@ -363,8 +368,8 @@ def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
     if not np.isfinite(box).all():
         raise SceneError(f"mesh {mesh.name!r} in {path} has coordinates that are no numbers")
     if np.abs(box).max() > MAX_COORDINATE:
-        beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
-        raise SceneError(f"mesh {mesh.name!r} in {path} {beyond}")
+        problem = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
+        raise SceneError(f"mesh {mesh.name!r} in {path} {problem}")
     has_area = triangle_areas(mesh.vertices, mesh.faces) > MIN_TRIANGLE_AREA
     if has_area.all():
         return mesh
@@ -374,19 +379,21 @@ def check_mesh(mesh: NamedMesh, path: Path) -> NamedMesh:
 
 # ---------------------------------------------------------------- files
 
-STL_HEADER = 84  # [bytes]
-STL_TRIANGLE = 50  # [bytes]
-MAX_PLY_HEADER = 1 << 20  # where a PLY's header ends, at most [bytes]
-MIN_CHUNK = 1 << 16  # vertices or triangles of a plain file that a thread reads at once
+STL_HEADER = 84  # size of a binary STL's header, with the number of triangles [bytes]
+STL_TRIANGLE = 50  # size of a triangle in a binary STL [bytes]
+MAX_PLY_HEADER = 1 << 20  # largest size of a PLY's header [bytes]
+MIN_CHUNK = 1 << 16  # the fewest vertices or triangles that a thread reads at once
 
 
 def repair_obj(path: Path) -> bytes:
-    """Return an OBJ's text, rewritten so that trimesh reads it correctly.
+    """Read an OBJ and rewrite it so that trimesh reads it correctly.
 
-    It becomes UTF-8, without indents, and with absolute indices.
+    Returns:
+        The text in UTF-8, without indents; vertices of faces are counted from the start of the
+        file.
 
     Raises:
-        SceneError: a face refers to no vertex.
+        SceneError: an index of a face is 0, no integer, or before the first vertex.
     """
     text = _to_utf8(path.read_bytes()).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     text = text.replace(b"\\\n", b" ")
@@ -399,8 +406,8 @@ def repair_obj(path: Path) -> bytes:
     for number, line in enumerate(lines):
         num_vertices += line.startswith(b"v ")
         if line.startswith(b"f "):
-            # Vertices are counted from 1, or from the last one so far by negative numbers. Textures
-            # and normals don't matter here.
+            # 1 is the first vertex of the file, -1 the last one before this line. Indices of
+            # textures and normals aren't needed.
             words = [word.partition(b"/")[0] for word in line.partition(b"#")[0].split()[1:]]
             indices = [int(word) if re.fullmatch(rb"[-+]?\d{1,18}", word) else 0 for word in words]
             indices = [index + num_vertices + 1 if index < 0 else index for index in indices]
@@ -412,10 +419,13 @@ def repair_obj(path: Path) -> bytes:
 
 
 def repair_stl(path: Path) -> bytes:
-    """Return an STL's bytes, without what some writers append.
+    """Read an STL, and cut off the bytes that some writers append to its triangles.
+
+    Returns:
+        The bytes of a binary STL, or the text in UTF-8.
 
     Raises:
-        SceneError: it is cut off, or neither text nor binary.
+        SceneError: the file is cut off, or no STL.
     """
     content = path.read_bytes()
     may_be_text = content.lstrip()[:5].lower() == b"solid"
@@ -435,22 +445,25 @@ def repair_stl(path: Path) -> bytes:
 
 
 def repair_ply(path: Path) -> bytes:
-    """Return a PLY's bytes; text is converted to UTF-8."""
+    """Read a PLY. Its text form is converted to UTF-8."""
     content = path.read_bytes()
     return _to_utf8(content) if b"format ascii" in content[:200] else content
 
 
 def _to_utf8(text: bytes) -> bytes:
-    """Text that decodes; trimesh needs another package to guess at other encodings."""
+    """Replace bytes that aren't UTF-8, as trimesh needs another package to guess encodings."""
     return text.decode("utf-8-sig", errors="replace").encode()
 
 
+# A PLY's words for formats, and for types, -> numpy's codes
 PLY_FORMATS = {b"binary_little_endian": "<", b"binary_big_endian": ">"}
 PLY_TYPES = {b"uchar": "u1", b"uint8": "u1", b"int": "i4", b"int32": "i4", b"uint": "u4"}
 PLY_TYPES |= {b"uint32": "u4", b"float": "f4", b"float32": "f4", b"double": "f8", b"float64": "f8"}
 PLY_COORDINATES = {b"x", b"y", b"z"}
-# What a plain vertex may have; with texture coordinates, several may be the same vertex
-PLY_VERTEX = PLY_COORDINATES | {b"nx", b"ny", b"nz", b"red", b"green", b"blue", b"alpha"}
+# The properties of a plain vertex. Texture coordinates are not among them: where they differ, a
+# vertex is stored several times
+PLY_VERTEX_PROPERTIES = PLY_COORDINATES | {b"nx", b"ny", b"nz"}
+PLY_VERTEX_PROPERTIES |= {b"red", b"green", b"blue", b"alpha"}
 PLY_HEADER = re.compile(
     rb"ply\nformat (?P<format>\w+) 1\.0\n(?:comment [^\n]*\n)*"
     rb"element vertex (?P<vertices>\d{1,10})\n(?P<properties>(?:property \w+ \w+\n)+)"
@@ -460,9 +473,7 @@ PLY_HEADER = re.compile(
 
 
 def read_plain(path: Path) -> Triangles | None:
-    """Read a binary PLY or STL that holds nothing but vertices and triangles.
-
-    Each thread reads and converts ranges of them.
+    """Read a binary PLY or STL that holds only vertices and triangles, with several threads.
 
     Returns:
         The triangles; None for any other file.
@@ -506,8 +517,9 @@ def _read_plain_ply(path: Path) -> Triangles | None:
     properties = [line.split()[1:] for line in header["properties"].splitlines()]
     names = {name for _, name in properties}
     types = {*(type_name for type_name, _ in properties), header["count"], header["index"]}
-    has_plain_names = len(names) == len(properties) and PLY_COORDINATES <= names <= PLY_VERTEX
-    if not has_plain_names or not types <= PLY_TYPES.keys():
+    is_plain = PLY_COORDINATES <= names <= PLY_VERTEX_PROPERTIES
+    is_plain = is_plain and len(names) == len(properties) and types <= PLY_TYPES.keys()
+    if not is_plain:
         return None
     vertex_type = np.dtype(
         [(name.decode(), byte_order + PLY_TYPES[type_name]) for type_name, name in properties]
@@ -534,7 +546,7 @@ def _read_plain_ply(path: Path) -> Triangles | None:
         offset = faces_offset + first * face_type.itemsize
         records = np.fromfile(path, face_type, end - first, offset=offset)
         faces[first:end] = records["index"]  # an index too large for int32 becomes negative
-        # The number of its corners stands before each polygon. It has to be three for all.
+        # Each polygon begins with its number of corners, which has to be 3.
         np.not_equal(records["count"], 3, out=is_wrong[first:end])
         low = faces[first:end].min()
         high = faces[first:end].max()
@@ -546,29 +558,29 @@ def _read_plain_ply(path: Path) -> Triangles | None:
 
 
 def _write_float64(coordinates: Sequence[NDArray[np.floating]], out: Float) -> None:
-    """Write x, y and z into columns of an array."""
-    with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
+    """Write arrays of x, y and z into the three columns of an array."""
+    with np.errstate(invalid="ignore"):  # signalling NaNs; `check_mesh` refuses all NaNs later
         for axis, column in enumerate(coordinates):
             np.add(column, 0.0, out=out[:, axis], dtype=np.float64)  # no -0.0
 
 
-JSON_CHUNK = 0x4E4F534A
-TRIANGLE_FAN = 6
+JSON_CHUNK = 0x4E4F534A  # the type of a GLB's chunk of JSON
+TRIANGLE_FAN = 6  # a mode of glTF's primitives
 MESHOPT_HINT = "`gltfpack -i FILE -o unpacked.glb -noq` unpacks it (npm has gltfpack)"
-# Extensions of glTF that trimesh does not read, and what to do
+# Extensions of glTF that trimesh does not read -> what the user can do
 UNREAD_EXTENSIONS = {
     "EXT_mesh_gpu_instancing": "export its copies as nodes",
     "EXT_meshopt_compression": MESHOPT_HINT,
     "KHR_meshopt_compression": MESHOPT_HINT,
 }
-DRACO = "KHR_draco_mesh_compression"  # which trimesh reads by DracoPy
+DRACO = "KHR_draco_mesh_compression"  # trimesh reads it if DracoPy is installed
 
 
 def check_gltf(path: Path) -> None:
     """Check a glTF or GLB file for what trimesh would misread.
 
     Raises:
-        SceneError: it is broken, cut off, or uses what trimesh does not read.
+        SceneError: the file is broken, cut off, or uses a feature that trimesh doesn't read.
     """
     try:
         content = path.read_bytes()
@@ -586,7 +598,7 @@ def check_gltf(path: Path) -> None:
 
 
 def _json_of_glb(content: bytes) -> bytes:
-    """The first chunk of a GLB; raises a ValueError for a broken one."""
+    """Return the first chunk of a GLB, its JSON; raise a ValueError if it is broken."""
     if len(content) < 20 or not content.startswith(b"glTF"):
         raise ValueError("it has no GLB header")
     version, length, json_length, kind = struct.unpack_from("<4I", content, 4)
@@ -600,12 +612,12 @@ def _json_of_glb(content: bytes) -> bytes:
 
 
 def _find_problems(header: Json, size: int, folder: Path) -> Iterator[str]:
-    """What trimesh would misread in a glTF file, and what to do.
+    """Yield a message for each feature of a glTF file that trimesh would misread.
 
     Args:
         header: the file's JSON.
-        size: of the file [bytes].
-        folder: of the file.
+        size: size of the file [bytes].
+        folder: the folder that the file is in.
     """
     extensions = header.get("extensionsUsed", [])
     for extension in extensions:
@@ -647,10 +659,10 @@ def _find_problems_of_buffer(uri: str, folder: Path) -> Iterator[str]:
     files = [file for file in places if os.path.exists(file)]
     if not files:
         yield f"its buffer {uri[:80]!r} is missing"
-    # A device would never end.
+    # Reading a device would never end.
     if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BYTES for file in files):
         yield f"its buffer {uri[:80]!r} is no file of {MAX_BYTES >> 20} MiB at most"
 
 
-# How the content of a file is repaired before trimesh reads it
+# File suffix -> the function that returns the file's content as trimesh can read it
 REPAIR_FUNCTIONS = {".obj": repair_obj, ".stl": repair_stl, ".ply": repair_ply}

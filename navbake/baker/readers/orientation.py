@@ -1,4 +1,11 @@
-"""The orientation of a mesh: which way is up, by its flat surfaces and by what stands on them."""
+"""Finds which direction of a mesh is up: that of the flat surfaces with most furniture on them.
+
+In outline: triangles are sampled. The directions that most of their area faces are searched
+(`_find_axes`), and along each the largest flat surfaces (`_find_planes`). Floors are the large ones
+among these, and each direction that floors face may be up. Most things stand on floors and not on
+walls or ceilings, so the direction with most area a little above its floors is taken as up
+(`find_orientations`).
+"""
 
 from __future__ import annotations
 
@@ -22,39 +29,38 @@ from navbake.config.settings import SceneSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float
 
-MIN_PIECE_AREA = 0.1  # smaller pieces of a scan are left out [m²]
-MAX_TRIANGLES = 30_000  # that are sampled; of more, each second one, or third, …
-# A mesh that lies on its side has this many times as much area of floors and ceilings as of walls
-# of one direction.
+MIN_PIECE_AREA = 0.1  # smaller connected pieces of a scan are left out [m²]
+MAX_TRIANGLES = 30_000  # the most that are sampled, about; from more, every second, third, … one
+# A mesh may lie on its side if more than this many times as much area faces along y as along z
 ON_SIDE_RATIO = 1.5
 CEILING_WARNING = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
-NUM_AXES = 400  # directions of a hemisphere by which triangles are counted, 7° apart
-# How far a direction is from the nearest of these axes, at most; both of unit length
+NUM_AXES = 400  # how many directions of a hemisphere triangles are sorted into, about 7° apart
+# The largest distance of a unit vector, or its opposite, from the nearest of these directions
 AXIS_DISTANCE = 0.12
-# Cosines of the angles between a triangle's normal and its plane's (scans are noisy), and between
-# two axes that are searched for planes
+# A triangle belongs to a direction or a plane if the cosine between the normals is at least this
+# (scans are noisy)
 MIN_FACING_COSINE = np.cos(np.radians(30.0))
+# Directions nearer than this to one that was found are not searched again
 MAX_DISTINCT_COSINE = np.cos(np.radians(40.0))
 MAX_SEARCHED_AXES = 4
-MAX_PLANES = 4  # flat surfaces that are searched along an axis
-NUM_FITS = 4  # how many times an axis or a plane is fitted again
-PLANE_THICKNESS = 0.08  # of one flat surface, on both sides of its plane [m]
-# A plane is fitted where the variance of its triangles in the second direction is larger: a strip
-# says little of its normal [m²]
+MAX_PLANES = 4  # the most flat surfaces that are searched along an axis
+NUM_FITS = 4  # the number of iterations that fit an axis or a plane
+PLANE_THICKNESS = 0.08  # a flat surface lies within this distance of its plane, on both sides [m]
+# A plane's normal is only fitted if the plane's triangles have more variance than this along its
+# narrower direction: a strip says little about its normal [m²]
 MIN_PLANE_VARIANCE = 0.04
-# Heights over a floor at which most furniture is [m]
+# Heights above a floor between which a surface counts as furniture [m]
 MIN_FURNITURE_HEIGHT = 0.12
 MAX_FURNITURE_HEIGHT = 1.1
-# Shares of the largest flat surface: floors are at least as large, and what is larger than the
-# second is no furniture
-FLOOR_SHARE = 0.5
-WALL_SHARE = 0.25
-MAX_DOWN_SHARE = 0.2  # of a floor's surface that may face down, less what faces up
-SIZE_WEIGHT = 0.1  # of the area of a flat surface, beside the area that stands on it
-MIN_FLOOR_AREA = 4.0  # a mesh whose flat surfaces are smaller may be furniture [m²]
-# Up is clear where the furniture is more than this share of the floor, and more than this many
-# times the furniture in any other direction.
+FLOOR_SHARE = 0.5  # a floor has at least this share of the area of the largest flat surface
+WALL_SHARE = 0.25  # a flat surface of more than this share of it is no furniture
+# For a floor: the largest share of its area by which what faces down may exceed what faces up
+MAX_DOWN_SHARE = 0.2
+FLOOR_WEIGHT = 0.1  # weight of a floor's area, where the area of the furniture on it has weight 1
+MIN_FLOOR_AREA = 4.0  # a mesh whose largest flat surface is smaller may be furniture [m²]
+# It is clear which direction is up if the furniture's area is more than this share of the floor's …
 CLEAR_SHARE = 0.1
+# … and more than this many times the furniture's area in any other direction
 CLEAR_RATIO = 1.3
 
 
@@ -62,10 +68,10 @@ class Orientation(NamedTuple):
     """A direction of a mesh that may be up.
 
     Attributes:
-        direction: of unit length, in the frame of the mesh.
-        floor_area: area of the largest flat surface that faces in this direction [m²].
-        furniture_area: area of furniture on such surfaces [m²]: of surfaces that belong to no wall,
-            at heights from `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above.
+        direction: unit vector in the frame of the mesh, (3,).
+        floor_area: area of the largest floor that faces this direction [m²].
+        furniture_area: area that is `MIN_FURNITURE_HEIGHT` to `MAX_FURNITURE_HEIGHT` above such
+            floors and belongs to no large flat surface [m²].
     """
 
     direction: Float
@@ -79,7 +85,8 @@ class TriangleSample(NamedTuple):
     Attributes:
         center: the triangles' centres, (n, 3) [m].
         normal: the triangles' unit normals, (n, 3).
-        area: the area of each triangle and of those that it represents in the sample, (n,) [m²].
+        area: the triangles' areas, times the number of triangles of the mesh that each represents,
+            (n,) [m²].
     """
 
     center: Float
@@ -90,23 +97,25 @@ class TriangleSample(NamedTuple):
 def orient_meshes(
     read: Callable[..., list[NamedMesh]], settings: SceneSettings, warnings: list[str]
 ) -> list[NamedMesh]:
-    """Turn the meshes of a file into the world frame, as `scene.up` says.
+    """Read the meshes of a file, with the direction up that `scene.up` says.
 
-    `auto` is the axis that the file states, else z; or y where a file without one seems to lie on
-    its side, see `lies_on_side`, and `find_orientations` agrees. `level` is the direction that
-    `find_orientations` finds.
+    For ``auto``, that is the axis that the file states. If it states none, it is z; or an axis near
+    y, with a warning, if the mesh looks as if it lay on its side (`lies_on_side`) and
+    `find_orientations` finds that axis. For ``level``, and for ``auto`` with a scan that states no
+    axis, it is the direction that `find_orientations` finds.
 
     Args:
-        read: takes the direction that is up in the file as ``up``, and returns the meshes [m].
-        settings: `scene.up` and `scene.scan`, and the path.
-        warnings: the list to which a warning is added where the orientation looks wrong.
+        read: a function with the keyword ``up``, the direction in the file that is up; returns the
+            meshes in the world frame [m].
+        settings: `scene.up`, `scene.scan` and `scene.path` are used.
+        warnings: the list to which warnings are added, for example if the orientation looks wrong.
 
     Returns:
         The meshes in the world frame [m].
     """
     file_axis = file_up_axis(Path(settings.path)) if settings.up == "auto" else None
     is_auto_without_axis = settings.up == "auto" and file_axis is None
-    is_level = settings.up == "level" or (is_auto_without_axis and settings.scan)
+    is_up_searched = settings.up == "level" or (is_auto_without_axis and settings.scan)
     up = (file_axis or "z") if settings.up in ("auto", "level") else settings.up
     meshes = read(up=up)
     if settings.scan:
@@ -114,15 +123,20 @@ def orient_meshes(
     sample = sample_triangles(meshes)
     orientations, is_clear = find_orientations(sample)
     best = orientations[0]
-    if is_level:
+    if is_up_searched:
         if not is_clear:
             opposite = _name_direction(-best.direction)
             warnings.append(f"{CEILING_WARNING}: `scene.up: {opposite}` turns the mesh over")
         return _turn_up(meshes, best.direction)
-    to_file_frame = rotation_to_z_up(up).T
+    to_file_frame = rotation_to_z_up(up).T  # from the world frame
     best_in_file = to_file_frame @ best.direction
-    is_lying = settings.up == "auto" and lies_on_side(meshes, sample)
-    if is_clear and is_lying and file_axis is None and abs(best.direction[1]) > MIN_FACING_COSINE:
+    seems_on_side = settings.up == "auto" and lies_on_side(meshes, sample)
+    if (
+        is_clear
+        and seems_on_side
+        and file_axis is None
+        and abs(best.direction[1]) > MIN_FACING_COSINE
+    ):
         axis = _name_direction(best_in_file)
         warnings.append(
             f"the mesh lies on its side, and is taken with {axis} up, as things stand on what "
@@ -135,7 +149,7 @@ def orient_meshes(
             f"{best.furniture_area:.1f} m² hang from a surface like it above: "
             f"`scene.up: {_name_direction(best_in_file)}` turns the mesh over"
         )
-    elif is_lying:
+    elif seems_on_side:
         axis = _name_direction(np.abs(to_file_frame[:, 1]))
         warnings.append(
             f"the mesh is lowest along {axis}, and most of its surface faces along {axis}: if it "
@@ -147,14 +161,14 @@ def orient_meshes(
 def drop_small_pieces(meshes: list[NamedMesh], warnings: list[str]) -> list[NamedMesh]:
     """Drop connected pieces of a scan that are smaller than `MIN_PIECE_AREA`, with a warning.
 
-    Scanners see people, reflections and dust as small pieces that stand in mid-air.
+    Scans contain people, reflections and dust as small pieces in mid-air.
 
     Args:
-        meshes: in the world frame [m].
-        warnings: the list to which a warning is added where pieces are dropped.
+        meshes: the meshes of the scan, world frame [m].
+        warnings: the list to which a warning is added if pieces are dropped.
 
     Returns:
-        The meshes without these pieces; all meshes where nothing else would remain.
+        The meshes without these pieces; all meshes if nothing would be left.
     """
     from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
 
@@ -162,7 +176,7 @@ def drop_small_pieces(meshes: list[NamedMesh], warnings: list[str]) -> list[Name
     num_dropped = 0
     dropped_area = 0.0
     for mesh in meshes:
-        # Corners at one place are one point, whatever their indices.
+        # Vertices with the same coordinates are one point: pieces are connected through it.
         _, point_of_vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
         corners = point_of_vertex.reshape(-1)[mesh.faces]
         num_points = int(corners.max()) + 1
@@ -183,13 +197,13 @@ def drop_small_pieces(meshes: list[NamedMesh], warnings: list[str]) -> list[Name
             large_meshes.append(NamedMesh(mesh.name, vertices, faces))
     if not large_meshes or not num_dropped:
         return meshes
-    each = f"each smaller than {MIN_PIECE_AREA} m² and {dropped_area:.2f} m² in all"
-    warnings.append(f"{num_dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
+    areas_text = f"each smaller than {MIN_PIECE_AREA} m² and {dropped_area:.2f} m² in all"
+    warnings.append(f"{num_dropped} pieces of the scan, {areas_text}, are left out (`scene.scan`)")
     return large_meshes
 
 
 def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
-    """Meshes turned so that a direction of them becomes +z."""
+    """Rotate meshes so that the direction `up` becomes +z."""
     rotation = rotation_to_z_up(up)
     return [mesh._replace(vertices=mesh.vertices @ rotation.T) for mesh in meshes]
 
@@ -197,11 +211,11 @@ def _turn_up(meshes: list[NamedMesh], up: Direction) -> list[NamedMesh]:
 def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
     """Return whether a mesh in the world frame looks as if its y axis were vertical.
 
-    This is so if its bounding box is smallest along y, and the area that faces within 45° of y is
-    at least `ON_SIDE_RATIO` times the area that faces within 45° of z.
+    This is so if its bounding box is smallest along y, and the area whose normal is within 45° of
+    y (or -y) is more than `ON_SIDE_RATIO` times the area whose normal is within 45° of z (or -z).
 
     Args:
-        meshes: meshes in the world frame [m].
+        meshes: the meshes, world frame [m].
         sample: a sample of their triangles.
     """
     faces_along_y = np.abs(sample.normal[:, 1]) >= np.sqrt(0.5)
@@ -216,7 +230,7 @@ def lies_on_side(meshes: Collection[NamedMesh], sample: TriangleSample) -> bool:
 
 
 def _name_direction(direction: Float) -> str:
-    """A direction as `scene.up` takes it: the axis that it is near to, or its numbers."""
+    """Write a direction as a value of `scene.up`: an axis within 10°, or else its components."""
     name, axis = max(AXIS_VECTORS.items(), key=lambda item: float(np.dot(item[1], direction)))
     if np.dot(axis, direction) >= np.cos(np.radians(10.0)):
         return name
@@ -226,33 +240,35 @@ def _name_direction(direction: Float) -> str:
 def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
     """Find the directions of a mesh that may be up, the likeliest first.
 
-    They are the directions that large flat surfaces face, and the opposite ones, exact by fitted
-    planes. Up is where most furniture stands on these: things gather on floors. Of two directions
-    that are equally likely, that nearer to +z comes first.
+    They are the normals of the planes fitted to large flat surfaces, and the opposite directions,
+    unless most of the surface faces the other way. A direction is the likelier the more furniture
+    stands on its floors and, with less weight, the larger its largest floor is. Of equally likely
+    ones, the one nearer to +z comes first.
 
     Args:
-        sample: of the mesh's triangles.
+        sample: a sample of the mesh's triangles.
 
     Returns:
-        The directions; and whether the first is clearly up, as no other one has as much furniture.
+        The directions; and whether the first one is clearly up: its floor is large, there is much
+        furniture on it, and clearly more than for any other direction.
     """
     planes_of_axes = [_find_planes(axis, sample) for axis in _find_axes(sample.normal, sample.area)]
-    largest = max((planes[0].size for planes in planes_of_axes if planes), default=0.0)
+    largest_area = max((planes[0].area for planes in planes_of_axes if planes), default=0.0)
     may_be_furniture = np.ones(len(sample.area), dtype=np.bool_)
     for planes in planes_of_axes:
         for plane in planes:
-            if plane.size > WALL_SHARE * largest:
+            if plane.area > WALL_SHARE * largest_area:
                 may_be_furniture &= ~plane.is_member
     furniture_center = sample.center[may_be_furniture]
     furniture_area = sample.area[may_be_furniture]
     orientations = list[Orientation]()
     for planes in planes_of_axes:
-        large_planes = [plane for plane in planes if plane.size >= FLOOR_SHARE * largest]
+        large_planes = [plane for plane in planes if plane.area >= FLOOR_SHARE * largest_area]
         for sign in (1.0, -1.0):
             floors = [
                 plane
                 for plane in large_planes
-                if sign * plane.facing >= -MAX_DOWN_SHARE * plane.size
+                if sign * plane.net_facing_area >= -MAX_DOWN_SHARE * plane.area
             ]
             if not floors:
                 continue
@@ -266,11 +282,11 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
             orientations.append(
                 Orientation(
                     direction=up,
-                    floor_area=floors[0].size,
+                    floor_area=floors[0].area,
                     furniture_area=float(furniture_area[stands_on_floor].sum()),
                 )
             )
-    orientations.sort(key=_unlikeliness)
+    orientations.sort(key=_make_sort_key)
     best = orientations[0]
     other_areas = [CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
     needed_area = max([CLEAR_SHARE * best.floor_area, *other_areas])
@@ -278,13 +294,14 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
     return orientations, is_clear
 
 
-def _unlikeliness(orientation: Orientation) -> float:
-    area = orientation.furniture_area + SIZE_WEIGHT * orientation.floor_area
+def _make_sort_key(orientation: Orientation) -> float:
+    """Return a number that is lowest for the direction that is most likely up."""
+    area = orientation.furniture_area + FLOOR_WEIGHT * orientation.floor_area
     return float(-round(area, 3) - 1e-6 * orientation.direction[2])
 
 
 def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:
-    """Sample up to `MAX_TRIANGLES` triangles of meshes, at even distances in the file."""
+    """Sample about `MAX_TRIANGLES` triangles of meshes at most: every n-th one of each mesh."""
     num_triangles = sum(len(mesh.faces) for mesh in meshes)
     step = max(1, -(-num_triangles // MAX_TRIANGLES))
     descriptions = [describe_triangles(mesh.vertices, mesh.faces[::step].copy()) for mesh in meshes]
@@ -297,7 +314,10 @@ def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:
 
 
 def list_axes() -> Float:
-    """Return `NUM_AXES` directions of a hemisphere, by ascending z: Fibonacci's lattice."""
+    """Return `NUM_AXES` evenly spread unit vectors with z > 0, (n, 3), by ascending z.
+
+    They are a Fibonacci lattice.
+    """
     number = np.arange(NUM_AXES)
     z = (number + 0.5) / NUM_AXES
     angle = np.pi * (3.0 - np.sqrt(5.0)) * number
@@ -306,7 +326,17 @@ def list_axes() -> Float:
 
 
 def _find_axes(normal: Float, area: Float) -> list[Float]:
-    """Find up to `MAX_SEARCHED_AXES` directions that most of the surface faces, either way."""
+    """Find the directions that most of a mesh's area faces, up to `MAX_SEARCHED_AXES`.
+
+    A triangle counts for its normal and for the opposite direction.
+
+    Args:
+        normal: the triangles' unit normals, (n, 3).
+        area: the triangles' areas, (n,) [m²].
+
+    Returns:
+        Unit vectors, (3,) each.
+    """
     axes = list_axes()
     nearest_axis = np.zeros(len(normal), dtype=np.int64)
     run_in_chunks(
@@ -319,7 +349,7 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
         start = axes[facing_area.argmax()]
         direction = start
         for _ in range(NUM_FITS):
-            # to the mean direction of the triangles that face this way: the first principal axis
+            # The mean direction of the triangles near it: the eigenvector of the largest eigenvalue
             faces_along = np.abs(normal @ direction) >= MIN_FACING_COSINE
             weighted_normals = normal[faces_along] * area[faces_along, None]
             direction = np.linalg.eigh(weighted_normals.T @ normal[faces_along])[1][:, 2]
@@ -337,25 +367,34 @@ class _Plane(NamedTuple):
     """A flat surface of a mesh.
 
     Attributes:
-        size: its area [m²].
-        facing: the area of it that faces along the normal, less what faces away [m²].
-        center: (3,) [m].
-        normal: of unit length, (3,).
-        is_member: by triangle of the sample, whether it is part of the surface.
+        area: the area of its triangles [m²].
+        net_facing_area: the area of those that face along `normal`, less the area of the others
+            [m²].
+        center: the triangles' mean centre, (3,) [m].
+        normal: the plane's normal, a unit vector, (3,).
+        is_member: for each triangle of the sample, whether it is part of the surface, (n,).
     """
 
-    size: float
-    facing: float
+    area: float
+    net_facing_area: float
     center: Float
     normal: Float
     is_member: Bool
 
 
 def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
-    """Find the largest flat surfaces that face along an axis, the largest first.
+    """Find the largest flat surfaces perpendicular to an axis, the largest first.
 
-    The slot of the axis with the most area gives a plane, which is fitted to the triangles near it.
-    These are removed, and the next plane is searched among the others.
+    The axis is divided into slots of `PLANE_THICKNESS`. The slot with the most area is the first
+    guess of a plane, which is then fitted to the triangles near it. They are removed, and the next
+    plane is searched among the remaining triangles.
+
+    Args:
+        axis: a unit vector, (3,).
+        sample: a sample of the mesh's triangles.
+
+    Returns:
+        Up to `MAX_PLANES` flat surfaces.
     """
     remaining = np.flatnonzero(np.abs(sample.normal @ axis) >= MIN_FACING_COSINE)
     planes = list[_Plane]()
@@ -375,7 +414,7 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
             total_area = area[is_member].sum()
             center = area[is_member] @ centers[is_member] / total_area
             offsets = centers[is_member] - center
-            # The principal axes of the triangles' centers: the first is the plane's normal.
+            # The centres' principal axes, by ascending variance: the first is the plane's normal.
             variances, principal_axes = np.linalg.eigh(
                 (offsets * area[is_member, None]).T @ offsets
             )
@@ -390,8 +429,8 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
         is_member_of_sample[remaining[is_member]] = True
         planes.append(
             _Plane(
-                size=float(area[is_member].sum()),
-                facing=float(area[is_member] @ signs),
+                area=float(area[is_member].sum()),
+                net_facing_area=float(area[is_member] @ signs),
                 center=center,
                 normal=normal,
                 is_member=is_member_of_sample,
@@ -399,4 +438,4 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
         )
         remaining = remaining[~is_member]
         slot_of_triangle = slot_of_triangle[~is_member]
-    return sorted(planes, key=lambda plane: -plane.size)
+    return sorted(planes, key=lambda plane: -plane.area)

@@ -1,12 +1,12 @@
-"""Scenes as a reader parses them, and how models of MuJoCo are built of them and compiled.
+"""Parsed scenes, which readers return, and how MuJoCo's models are built from them and compiled.
 
-USD, SDF and buildings become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates,
-checks and batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that
-never move are kept exact beside the model, see `model_of_meshes`.
+USD, SDF and building files become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates,
+checks and batches work with them like with MJCF. Solids and height fields are MuJoCo's own. Meshes
+that never move are stored exactly, outside of the model, which has a tetrahedron for each.
 
-MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
-So of more than `MERGE_ABOVE` geoms, static ones that stand together become one mesh, until
-`MERGE_DOWN_TO` are left.
+The time that MjSpec takes to add a body grows with the number of bodies: 10,000 bodies take 1.4 s,
+100,000 take minutes. So if a scene has more than `MERGE_ABOVE` geoms, static geoms with a common
+parent are merged into one mesh, until about `MERGE_DOWN_TO` are left.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from navbake.known_names import unique_name
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int, Int32
 
-# Stands in the model for a mesh that is kept exact beside it; counter-clockwise from outside
+# The model has this mesh in place of each that is stored exactly outside of the model
 TETRAHEDRON = Mesh(
     vertices=np.eye(4, 3),
     faces=np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], dtype=np.int32),
 )
-PLACEHOLDER_NAME = "mesh"  # of the tetrahedron
-MUJOCO_PREFIX = "MuJoCo: "  # what MuJoCo's warnings begin with
-_WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
-MERGE_ABOVE = 10_000
-MERGE_DOWN_TO = 3000
-MAX_GEOMS = 2_000_000  # of a scene, instances counted each
-# MuJoCo's types by the names that they have in its XML
+PLACEHOLDER_NAME = "mesh"  # the name of the tetrahedron
+MUJOCO_PREFIX = "MuJoCo: "  # navbake puts this before MuJoCo's warnings
+_WARNING_LOCK = threading.Lock()  # all threads share MuJoCo's one hook for warnings
+MERGE_ABOVE = 10_000  # static geoms are merged if a scene has more geoms than this
+MERGE_DOWN_TO = 3000  # merging stops at this number of groups
+MAX_GEOMS = 2_000_000  # the most geoms in a scene, where each instance counts
+# Names in MuJoCo's XML -> MuJoCo's constants
 GEOM_TYPES = {
     name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
     for name in ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
@@ -56,16 +56,16 @@ class ParsedGeom(NamedTuple):
     """A shape of a scene file, which becomes one geom of MuJoCo's model.
 
     Attributes:
-        name: the shape's name; it need not be unique.
+        name: the shape's name, not necessarily unique.
         body: the name of the body that it belongs to.
         kind: one of `GEOM_TYPES`.
         size: the size as MuJoCo states it [m]; empty for a mesh.
-        pose: (4, 4), from its own frame to the world [m]; rigid unless it is a mesh.
+        pose: from the geom's frame to the world, (4, 4) [m]; a mesh's may also scale.
         mesh: the triangles of a mesh, in the geom's frame; None for a solid.
-        heights: the heights of a height field, from 0 to 1, row 0 at the smallest y.
-        mode: how `scene.meshes: auto` represents a mesh: ``surface`` or ``hull``.
-        collides: whether it can collide.
-        drawn: whether it is drawn.
+        heights: the heights of a height field, from 0 to 1, row 0 at the smallest y; else None.
+        mode: what a mesh counts as with `scene.meshes: auto`: ``surface`` or ``hull``.
+        collides: whether the geom can collide.
+        drawn: whether the geom is drawn.
     """
 
     name: str
@@ -81,15 +81,15 @@ class ParsedGeom(NamedTuple):
 
 
 class ParsedJoint(NamedTuple):
-    """How a body moves relative to its parent, in the world frame of the scene's initial pose.
+    """How a body moves relative to its parent. Coordinates: world frame, in the initial pose.
 
     Attributes:
-        name: of the joint.
+        name: the joint's name.
         kind: one of `JOINT_TYPES`.
         anchor: a point on the axis of rotation, (3,) [m].
         axis: the axis that the body rotates about, or slides along, (3,).
-        limits: lowest and highest position [m or rad]; None for none.
-        position: the position in the scene's initial pose [m or rad].
+        limits: lowest and highest position [m or rad]; None if there are no limits.
+        position: the joint's position in the initial pose [m or rad].
     """
 
     name: str
@@ -101,13 +101,13 @@ class ParsedJoint(NamedTuple):
 
 
 class ParsedBody(NamedTuple):
-    """A body that moves, or hangs on one that does.
+    """A body that moves, or is fixed to one that does.
 
     Attributes:
-        name: of the body.
-        parent: another body's name, or empty for the world.
-        pose: (4, 4), rigid, world frame [m].
-        joint: how it moves relative to its parent; None if it does not.
+        name: the body's name.
+        parent: the parent body's name; empty for the world.
+        pose: from the body's frame to the world, rigid, (4, 4) [m].
+        joint: how the body moves relative to its parent; None if it is fixed to it.
     """
 
     name: str
@@ -122,10 +122,12 @@ class ParsedScene:
 
     Attributes:
         geoms: all shapes.
-        bodies: the bodies that move, by name, parents first; all others never move.
-        warnings: one line each.
-        decimals: the decimals that coordinates are rounded to [m]; None for all.
-        named_leaves: the names of bodies that the file says are doors.
+        bodies: name -> body, for those that move or are fixed to one that does, parents first. All
+            other bodies never move.
+        warnings: messages of one line.
+        decimals: the number of decimals that coordinates in metres are rounded to; None to keep
+            all.
+        named_leaves: names of the bodies that are leaves of doors, as the file says.
     """
 
     geoms: list[ParsedGeom] = field(default_factory=list)
@@ -136,26 +138,28 @@ class ParsedScene:
 
 
 def check_count(count: int, path: Path) -> None:
-    """Refuse scenes with too many geoms, as a few lines of nested instances may make.
+    """Raise an error if a scene has too many geoms; a few nested instances can make millions.
 
     Args:
-        count: the number of geoms, and of models that contain them.
+        count: the number of geoms, plus that of the models that contain them.
         path: the scene's path, for the error.
 
     Raises:
         SceneError: there are more than `MAX_GEOMS`.
     """
     if count > MAX_GEOMS:
-        most = f"more than {MAX_GEOMS:,} pieces and models, each instance counted"
-        raise SceneError(f"{path} has {most}, the most that navbake reads: bake a part of it")
+        excess = f"more than {MAX_GEOMS:,} pieces and models, each instance counted"
+        raise SceneError(f"{path} has {excess}, the most that navbake reads: bake a part of it")
 
 
 @contextmanager
-def reading(what: str) -> Iterator[None]:
-    """Convert all errors inside a with statement to SceneErrors that name what was read.
+def reading(source_text: str) -> Iterator[None]:
+    """Convert errors inside a with statement to SceneErrors that say what was being read.
+
+    navbake's own errors, OSError and MemoryError are not converted.
 
     Args:
-        what: the file or the part of it, such as ``prim /World of room.usda``.
+        source_text: what is read, such as ``prim /World of room.usda``.
     """
     try:
         yield
@@ -163,21 +167,19 @@ def reading(what: str) -> Iterator[None]:
         raise
     except Exception as error:  # a value of the wrong type, a solver that fails, …
         reason = " ".join(f"{type(error).__name__} {error}".split())[:300]
-        raise SceneError(f"cannot read {what}: {reason}") from error
+        raise SceneError(f"cannot read {source_text}: {reason}") from error
 
 
 class JointTree:
     """A tree of bodies and the joints between them.
 
-    A body that several joints attach is the child of the first one's parent.
-
     Args:
-        poses: poses of all bodies that may move, by name, (4, 4), rigid [m].
+        poses: name -> rigid pose in the world, (4, 4) [m], for all bodies that may move.
     """
 
     def __init__(self, poses: Mapping[str, Float]) -> None:
         self._poses = poses
-        # by the child's name: its parent's, empty for the world, and the joint
+        # Child's name -> its parent's name (empty for the world), and -> the joint between them
         self._parents: dict[str, str] = {}
         self._joints: dict[str, ParsedJoint | None] = {}
 
@@ -187,11 +189,11 @@ class JointTree:
         Args:
             parent: the parent's name; empty for the world.
             child: the body's name.
-            joint: how the child moves relative to the parent; None where both are one piece.
+            joint: how the child moves relative to the parent; None if it is fixed to it.
 
         Returns:
-            Whether the body was attached. It isn't if it has a parent already, or if the parent is
-            one of its descendants.
+            Whether the child was attached. It is not attached if it has a parent already, or if it
+            is the parent or one of the parent's ancestors.
         """
         ancestor = parent
         while ancestor and ancestor != child:
@@ -207,12 +209,12 @@ class JointTree:
         return name in self._parents
 
     def make_bodies(self, fixed: Collection[str] = ()) -> dict[str, ParsedBody]:
-        """Return all bodies that move, by name, parents first.
+        """Return name -> body, for those that move or are fixed to one that does, parents first.
 
-        A body without a parent is free to move, unless it is fixed.
+        A body that was not attached gets a free joint, unless `fixed` names it.
 
         Args:
-            fixed: the names of bodies that don't move if they have no parent.
+            fixed: names of bodies that don't move if they are not attached.
         """
         zero = np.zeros(3)
         for name in self._poses:
@@ -244,12 +246,12 @@ def build_model(
     Args:
         parsed_scene: the scene that a reader parsed.
         path: the scene's path, for errors.
-        ground: the height of `scene.ground` [m]; None for none.
+        ground: z of the endless ground that `scene.ground` adds [m]; None for no ground.
         warnings: the list to which warnings are added.
 
     Returns:
-        The model; and the meshes that never move, by geom id, world frame. The model has a
-        tetrahedron in place of each of these.
+        The model; and geom id -> exact mesh in the world frame, for the meshes that never move. The
+        model has a tetrahedron in place of each of these.
 
     Raises:
         SceneError: there is no geometry, or MuJoCo can't compile the model.
@@ -264,10 +266,10 @@ def build_model(
         geom = geom._replace(name=unique_name(geom.name, used_names))
         body = bodies.get(geom.body)
         if geom.kind == "plane" and any(geom.size) and body is not None:
-            # MuJoCo has planes on static bodies only.
+            # MuJoCo allows planes on static bodies only.
             geom = geom._replace(kind="mesh", size=(), mesh=tessellate("plane", geom.size))
         if geom.mesh is not None:
-            # A mesh that moves is in the frame of its body.
+            # The vertices of a moving mesh are stored in the frame of its body.
             pose = _pose_in_body(geom.pose, body)
             mesh = _join_at_poses([geom.mesh], pose[None], parsed_scene.decimals)
             named_mesh = NamedMesh(geom.name, mesh.vertices, mesh.faces, geom.mode)
@@ -318,14 +320,14 @@ def build_model(
 def _add_body(
     spec_parent: mujoco.MjsBody, body: ParsedBody, bodies: Mapping[str, ParsedBody]
 ) -> mujoco.MjsBody:
-    """Add a body to its parent, with its joint."""
+    """Add a body and its joint to the parent's body in a spec."""
     pose = _pose_in_body(body.pose, bodies.get(body.parent))
     spec_body = spec_parent.add_body(name=body.name, pos=pose[:3, 3], quat=_quaternion(pose))
     joint = body.joint
     if joint is None:
         return spec_body
     spec_joint = spec_body.add_joint(name=joint.name, type=JOINT_TYPES[joint.kind])
-    if joint.kind != "free":  # the others are in the body's frame
+    if joint.kind != "free":  # MuJoCo states position and axis in the body's frame
         rotation = body.pose[:3, :3]
         spec_joint.pos = (joint.anchor - body.pose[:3, 3]) @ rotation
         spec_joint.axis = joint.axis @ rotation
@@ -339,13 +341,13 @@ def _add_body(
 def _set_solid(
     spec: mujoco.MjSpec, spec_geom: mujoco.MjsGeom, geom: ParsedGeom, body: ParsedBody | None
 ) -> None:
-    """Set pose and size of a solid, a plane or a height field."""
+    """Set the pose and the size of a spec's geom: a solid, a plane or a height field."""
     pose = _pose_in_body(geom.pose, body)
     spec_geom.pos = pose[:3, 3]
     spec_geom.quat = _quaternion(pose)
     if geom.heights is None:
-        last = float(geom.kind == "plane")  # MuJoCo wants the spacing of a plane's lines
-        spec_geom.size = (*geom.size, last, 0.0)[:3]
+        line_spacing = float(geom.kind == "plane")  # MuJoCo wants it for a plane's grid lines
+        spec_geom.size = (*geom.size, line_spacing, 0.0)[:3]
         return
     num_rows, num_cols = geom.heights.shape
     height_field = spec.add_hfield(name=geom.name, nrow=num_rows, ncol=num_cols)
@@ -355,7 +357,7 @@ def _set_solid(
 
 
 def _pose_in_body(pose: Float, body: ParsedBody | None) -> Float:
-    """A pose in the frame of a body; in the world's without."""
+    """Convert a pose from the world frame to the frame of a body; unchanged if body is None."""
     return pose if body is None else np.asarray(np.linalg.solve(body.pose, pose))
 
 
@@ -366,19 +368,25 @@ def _quaternion(pose: Float) -> Float:
 
 
 def _join_at_poses(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
-    """Join meshes at poses, shape (n, 4, 4), to one mesh; its arrays are new."""
+    """Join meshes, each moved by its pose, to one mesh.
+
+    Args:
+        meshes: n meshes, which are not changed.
+        poses: transforms of the meshes; they may scale, mirror or skew, (n, 4, 4).
+        decimals: the number of decimals that coordinates are rounded to; None to keep all.
+    """
     vertex_counts = [len(mesh.vertices) for mesh in meshes]
     face_counts = [len(mesh.faces) for mesh in meshes]
-    rotations = poses[:, :3, :3]
+    matrices = poses[:, :3, :3]
     mesh_of_vertex = np.repeat(np.arange(len(meshes)), vertex_counts)
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    vertices = (rotations[mesh_of_vertex] @ vertices[:, :, None])[:, :, 0]
+    vertices = (matrices[mesh_of_vertex] @ vertices[:, :, None])[:, :, 0]
     vertices = vertices + poses[mesh_of_vertex, :3, 3]
     if decimals is not None:
         vertices = np.round(vertices, decimals) + 0.0  # no -0.0
     mesh_of_face = np.repeat(np.arange(len(meshes)), face_counts)
     faces = np.concatenate([mesh.faces for mesh in meshes])
-    is_mirrored = np.linalg.det(rotations)[mesh_of_face] < 0  # which turns every triangle over
+    is_mirrored = np.linalg.det(matrices)[mesh_of_face] < 0  # this reverses the order of corners
     faces[is_mirrored] = faces[is_mirrored, ::-1]
     first_vertices = (np.cumsum(vertex_counts) - vertex_counts).astype(np.int32)
     return Mesh(vertices, faces + first_vertices[mesh_of_face, None])
@@ -388,27 +396,27 @@ def _join_at_poses(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -
 
 
 def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> list[ParsedGeom]:
-    """Merge static geoms of large scenes into meshes, so that fewer geoms remain.
+    """Merge static geoms of a scene with more than `MERGE_ABOVE` geoms into meshes.
 
-    Geoms of one body, or below one path, are merged, starting with the largest groups. A merged
-    mesh has the name of that body or path. Geoms that move, planes and height fields are not
-    merged.
+    Geoms of the same body, or whose bodies' names begin with the same path, are merged, the largest
+    groups first. A merged mesh has the name of the body or path. Moving geoms, planes and height
+    fields are not merged.
 
     Args:
         parsed_scene: the scene that a reader parsed.
         path: the scene's path, for the warning.
-        warnings: the list to which a warning is added where geoms are merged.
+        warnings: the list to which a warning is added if geoms are merged.
 
     Returns:
-        The geoms; all geoms of the scene, unchanged, where there are no more than `MERGE_ABOVE`.
+        The geoms after merging; the scene's own list if there are at most `MERGE_ABOVE`.
     """
     geoms = parsed_scene.geoms
     if len(geoms) <= MERGE_ABOVE:
         return geoms
     groups: dict[tuple[object, ...], list[ParsedGeom]] = {}
     for number, (geom, group_name) in enumerate(zip(geoms, _find_group_names(geoms), strict=True)):
-        is_kept = geom.body in parsed_scene.bodies or geom.kind in ("plane", "hfield")
-        is_alone = is_kept or "\0" in group_name
+        is_unmergeable = geom.body in parsed_scene.bodies or geom.kind in ("plane", "hfield")
+        is_alone = is_unmergeable or "\0" in group_name
         key: tuple[object, ...] = (group_name, geom.collides, geom.drawn)
         if is_alone:
             key = (number,)
@@ -427,9 +435,10 @@ def merge_geoms(parsed_scene: ParsedScene, path: Path, warnings: list[str]) -> l
 
 
 def _find_group_names(geoms: Sequence[ParsedGeom]) -> list[str]:
-    """The name of the group that each geom is merged into; with a null byte for a group of one.
+    r"""Return the name of the group that each geom is merged into.
 
-    A geom stands in its body, a body in what its path names before the last slash.
+    At first, each geom is a group of its own, named ``body\0number``. Then groups are merged into
+    their parents: a geom's is its body, that of ``a/b`` is ``a``.
     """
     names = [f"{geom.body}\0{number}" for number, geom in enumerate(geoms)]
     distinct_names = set(names)
@@ -458,7 +467,13 @@ def _parent_of(name: str) -> str:
 
 
 def _merge_group(name: str, group: Sequence[ParsedGeom], decimals: int | None) -> ParsedGeom:
-    """Merge geoms to one mesh."""
+    """Merge geoms into one geom, a mesh in the world frame.
+
+    Args:
+        name: the name of the merged geom and of its body.
+        group: the geoms, which all have the same `collides` and `drawn`.
+        decimals: the number of decimals that coordinates are rounded to; None to keep all.
+    """
     mesh_of_shape: dict[tuple[object, ...], Mesh] = {}
     meshes = list[Mesh]()
     for geom in group:
@@ -487,19 +502,19 @@ def _merge_group(name: str, group: Sequence[ParsedGeom], decimals: int | None) -
 def model_of_meshes(
     meshes: list[NamedMesh], path: Path, ground: float | None, warnings: list[str]
 ) -> tuple[mujoco.MjModel, dict[int, NamedMesh]]:
-    """Compile a model with the names of meshes, which are kept exact beside it.
+    """Compile a model that has a body and a geom for each mesh, with the mesh's name.
 
-    Each mesh is a static body with one geom, which can't collide. That is a tetrahedron, as MuJoCo
-    would compile the mesh's triangles for many seconds.
+    The geoms can't collide, and their shape is a tetrahedron: MuJoCo would need many seconds to
+    compile the triangles of the meshes.
 
     Args:
         meshes: the meshes, which have unique names.
         path: the scene's path, for errors.
-        ground: the height of `scene.ground` [m]; None for none.
+        ground: z of the endless ground that `scene.ground` adds [m]; None for no ground.
         warnings: the list to which warnings are added.
 
     Returns:
-        The model, and the meshes by geom id.
+        The model; and geom id -> mesh.
     """
 
     def build() -> mujoco.MjModel:
@@ -520,13 +535,16 @@ def model_of_meshes(
 def compile_model(
     path: Path, warnings: list[str], load: Callable[[], mujoco.MjModel], hint: str = ""
 ) -> mujoco.MjModel:
-    """Call a function that compiles a model; raise MuJoCo's error as a SceneError.
+    """Call a function that compiles a model, and convert MuJoCo's errors to SceneErrors.
 
     Args:
         path: the scene's path, for the error.
-        warnings: MuJoCo's warnings so far, which the error quotes.
-        load: the function.
-        hint: added to the error, unless memory was lacking.
+        warnings: warnings so far, which the error quotes.
+        load: the function, which returns the model.
+        hint: text to add to the error, unless memory was lacking.
+
+    Returns:
+        The model.
 
     Raises:
         SceneError: MuJoCo can't compile the model.
@@ -539,7 +557,7 @@ def compile_model(
         messages = str(error).splitlines()
         messages += [warning.removeprefix(MUJOCO_PREFIX) for warning in warnings]
         messages = messages or [type(error).__name__]
-        # each once, in order
+        # without repetitions, in order
         lines = dict.fromkeys(" ".join(message.split()) for message in messages)
         reason = "; ".join(line for line in lines if line)
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
@@ -548,30 +566,29 @@ def compile_model(
 
 
 def compile_spec(spec: mujoco.MjSpec, ground: float | None, warnings: list[str]) -> mujoco.MjModel:
-    """Compile a spec, and collect what MuJoCo warns of.
+    """Compile a spec, and collect MuJoCo's warnings.
 
     Args:
         spec: the spec, which is changed.
-        ground: the height of endless ground to add, under a name that nothing else has [m]; None
-            for none.
+        ground: z of an endless ground to add, with a name not yet used [m]; None for no ground.
         warnings: the list to which MuJoCo's warnings are added.
 
     Returns:
         The compiled model.
     """
     for mesh in spec.meshes:
-        # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
-        # to fill. They count by their triangles here. Older MuJoCos fill it always.
+        # For geoms of type sdf, MuJoCo computes an octree of distances, 0.2 s for each mesh.
+        # navbake needs their triangles only. Older versions of MuJoCo have no such option.
         if hasattr(mesh, "octree_maxdepth"):
             mesh.octree_maxdepth = 0
     if ground is not None:
         used_names = {element.name for element in (*spec.geoms, *spec.bodies)}
         name = unique_name("ground", used_names)
         body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
-        # It collides with nothing, so that `scene.geoms: auto` goes by the scene's own geoms.
+        # It collides with nothing, so that `scene.geoms: auto` depends on the scene's own geoms.
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
-    # MjSpec warns by Python's means.
+    # MjSpec uses Python's warnings.
     with python_warnings.catch_warnings(record=True) as recorded:
         python_warnings.simplefilter("always")
         model = spec.compile()
@@ -583,12 +600,17 @@ def compile_spec(spec: mujoco.MjSpec, ground: float | None, warnings: list[str])
 def compile_geometry(
     spec: mujoco.MjSpec, ground: float | None, warnings: list[str]
 ) -> mujoco.MjModel:
-    """Compile a spec with any masses and inertias, which a bake does not need.
+    """Compile a spec, with masses and inertias corrected where they are invalid.
+
+    A bake doesn't use them.
 
     Args:
         spec: the spec, which is changed.
         ground: see `compile_spec`.
         warnings: see `compile_spec`.
+
+    Returns:
+        The compiled model.
     """
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
@@ -597,10 +619,10 @@ def compile_geometry(
 
 
 def fill_mesh(mesh: mujoco.MjsMesh, vertices: Float, faces: Int | Int32) -> None:
-    """Set the triangles of a mesh of a spec, which need not be closed.
+    """Set the triangles of a spec's mesh. They need not form a closed surface.
 
     Args:
-        mesh: the mesh.
+        mesh: the spec's mesh, which is changed.
         vertices: shape (n, 3) [m].
         faces: indices of vertices, shape (m, 3).
     """
@@ -608,14 +630,15 @@ def fill_mesh(mesh: mujoco.MjsMesh, vertices: Float, faces: Int | Int32) -> None
     padding = np.repeat(vertices[-1:], num_missing, axis=0)
     mesh.uservert = np.concatenate([vertices, padding]).astype(np.float32).ravel()
     mesh.userface = faces.astype(np.int32).ravel()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # which needs no closed mesh
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # the mesh need not be closed
 
 
 @contextmanager
 def catch_warnings() -> Iterator[list[str]]:
-    """Yield a list that receives MuJoCo's warnings, each after `MUJOCO_PREFIX`.
+    """Collect MuJoCo's warnings inside a with statement, instead of in ./MUJOCO_LOG.TXT.
 
-    Without this, MuJoCo writes them to ./MUJOCO_LOG.TXT.
+    Yields:
+        A list that receives the warnings, each with `MUJOCO_PREFIX` before it.
     """
     with _WARNING_LOCK:
         old_hook = mujoco.get_mju_user_warning()

@@ -1,9 +1,9 @@
 """Reads worlds and models of Gazebo (SDF): collisions, visuals, and joints of links.
 
-Collisions collide and aren't drawn, visuals are drawn and don't collide. Lights, plugins, sensors
-and populations are not read. Meshes count by their triangles, as Gazebo collides them. A static
-model is one body by its name. Of other models, the canonical link has the model's name, and further
-links are called ``model::link``.
+A ``<collision>`` becomes a geom that collides and isn't drawn, a ``<visual>`` one that is drawn and
+doesn't collide. Lights, plugins, sensors and populations are not read. Meshes count by their
+triangles, as in Gazebo. A static model is one body with the model's name. In other models, the
+canonical link is a body with the model's name, and each further link is a body ``model::link``.
 
 Source: SDFormat specification 1.12, sdformat.org.
 """
@@ -46,26 +46,26 @@ from navbake.formats.scene_files import find_model_file, list_sdf_paths
 from navbake.formats.source import read_pixels
 from navbake.types import Float
 
-HEIGHT_FIELD_BASE = 0.1  # of a height field, below its lowest point [m]
-MIN_HEIGHT_RANGE = 1e-6  # of a height field [m]
-# A joint's limit from here on is none; SDF states it as 1e16 [m or rad].
+HEIGHT_FIELD_BASE = 0.1  # thickness of a height field below its lowest point [m]
+MIN_HEIGHT_RANGE = 1e-6  # least difference between a height field's highest and lowest point [m]
+# A joint with a larger limit counts as unlimited; SDF writes 1e16 for no limit [m or rad]
 MAX_JOINT_LIMIT = 1e10
 HINGE_TYPES = ("revolute", "continuous")
-MAX_NESTING = 50  # models in models
-# The last version of SDF whose axes are in the frame of the model
+MAX_NESTING = 50  # levels of models in models, and of frames attached to frames
+# The last version of SDF whose joint axes are in the frame of the model
 LAST_VERSION_WITH_MODEL_AXES = (1, 4)
-# Models that come with Gazebo itself, where they aren't found
+# Models that come with Gazebo: they need not be found
 SUN_MODEL = "sun"
 GROUND_MODEL = "ground_plane"
 
 
 class SolidSize(NamedTuple):
-    """How SDF states the size of a solid.
+    """How SDF states the size of a kind of solid.
 
     Attributes:
-        element: the XML element that has the numbers.
+        element: the name of the XML element with the values.
         num_values: the number of values in the element.
-        factor: factor from these values to MuJoCo's sizes.
+        factor: what the values are multiplied by to be MuJoCo's sizes.
     """
 
     element: str
@@ -84,10 +84,10 @@ class HeightField(NamedTuple):
     """A height field that is read from an image.
 
     Attributes:
-        heights: from 0 to 1, row 0 at the smallest y.
-        size: the size as MuJoCo states it: half of the width, half of the depth, the range of the
-            heights, and the thickness of the base [m].
-        lowest: its lowest height [m].
+        heights: the heights, scaled to 0 to 1; row 0 is at the smallest y.
+        size: the size as MuJoCo states it: half of the width, half of the depth, the difference
+            between the highest and lowest point, and the thickness of the base [m].
+        lowest: the lowest height [m].
     """
 
     heights: Float
@@ -96,12 +96,12 @@ class HeightField(NamedTuple):
 
 
 class MeshKey(NamedTuple):
-    """The key by which meshes that were read are cached.
+    """The key of a mesh in the cache of meshes.
 
     Attributes:
         file: the mesh's file.
-        submesh: the name of the part of it that counts; empty for all.
-        is_centered: whether the part is moved to the origin.
+        submesh: the name of the part of the file that is used; empty for all.
+        is_centered: whether the part is moved so that its bounding box is centred at the origin.
     """
 
     file: Path
@@ -117,14 +117,14 @@ class JointOfScope(NamedTuple):
 
 
 def read_world(path: Path, settings: SceneSettings) -> ParsedScene:
-    """Read the first world of an .sdf or .world file, or its models.
+    """Read the first world of an .sdf or .world file; if it has none, the models in the file.
 
-    A mesh or height field that is missing is an error where it collides, and a warning where it is
-    only drawn. Models are searched for as `navbake.formats.scene_files.list_sdf_paths` says.
+    A missing file of a mesh or height field is an error if the geom collides, and a warning if it
+    is only drawn. `navbake.formats.scene_files.list_sdf_paths` lists where models are searched for.
 
     Args:
         path: the file.
-        settings: `scene.model_path`.
+        settings: `scene.model_path` is used: folders with models.
 
     Returns:
         The parsed scene.
@@ -136,19 +136,21 @@ def read_world(path: Path, settings: SceneSettings) -> ParsedScene:
 
 
 class _WorldReader:
-    """Reads a file, and those that it includes."""
+    """Reads a file, and the files that it includes."""
 
     def __init__(self, path: Path, settings: SceneSettings) -> None:
         self._path = path
         self._model_folders = settings.model_path
         self._parsed_scene = ParsedScene()
-        self._body_poses: dict[str, Float] = {}  # of bodies that may move, by name
-        self._body_of_link: dict[str, str] = {}  # by full name; empty for a static model's
+        # Name -> world pose, of bodies that may move
+        self._body_poses: dict[str, Float] = {}
+        # Full name of a link -> name of its body; empty if its model is static
+        self._body_of_link: dict[str, str] = {}
         self._joints: list[JointOfScope] = []
         self._meshes: dict[MeshKey, Mesh] = {}
         self._parse = cache(parse_sdf)
         self._find_model = cache(self._search_model)
-        self._count = 0  # of models and geoms
+        self._count = 0  # models and geoms so far
 
     def read(self) -> ParsedScene:
         """Read the world with all models in it."""
@@ -181,7 +183,7 @@ class _WorldReader:
         check_count(self._count, self._path)
 
     def _find_models(self, scope: Scope) -> list[Scope]:
-        """The models in a world or a model, in order."""
+        """List the models directly in a world or a model, in their order in the file."""
         if scope.depth > MAX_NESTING:
             raise SceneError(f"{scope.file} includes itself, by model {scope.name!r}")
         models = []
@@ -197,7 +199,7 @@ class _WorldReader:
         return models
 
     def _search_model(self, uri: str, file: Path) -> Path | None:
-        """The file of an included model; None where Gazebo has it itself."""
+        """Find the file of an included model; None if it isn't found, but comes with Gazebo."""
         places = list(list_sdf_paths(uri, file, self._model_folders))
         for place in places:
             candidate = find_model_file(place)
@@ -208,7 +210,7 @@ class _WorldReader:
         return None
 
     def _read_models(self, scope: Scope) -> None:
-        """Read the models in a world or a model."""
+        """Read the models in a world or a model; Gazebo's own ground becomes a plane."""
         for element in scope.element:
             if element.tag == "population":
                 name = element.get("name")
@@ -255,11 +257,11 @@ class _WorldReader:
         """Read the geometry of a ``<collision>`` or a ``<visual>``.
 
         Args:
-            scope: the model that it stands in.
+            scope: the model that contains the element.
             element: the ``<collision>`` or ``<visual>``.
-            name: of the geom.
+            name: the geom's name.
             body: the name of the geom's body.
-            pose: of the element, (4, 4) [m].
+            pose: from the element's frame to the world, (4, 4) [m].
         """
         is_visual = element.tag == "visual"
         geometry = element.find("geometry")
@@ -283,14 +285,14 @@ class _WorldReader:
             size = tuple(value * stated_size.factor for value in values)
         elif kind in ("cylinder", "capsule"):
             size = (numbers("radius")[0], numbers("length")[0] / 2)
-        elif kind == "cone":  # which MuJoCo has not
+        elif kind == "cone":  # MuJoCo has no cones
             mesh = tessellate("cone", (numbers("radius")[0], numbers("length")[0] / 2))
             kind = "mesh"
         elif kind == "plane":
             normal = np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))
             pose = pose.copy()
             pose[:3, :3] = pose[:3, :3] @ rotation_to_z_up(normal).T
-            # A plane that collides is endless, one that is drawn has a size.
+            # A plane that collides is endless; only one that is drawn has a size.
             sides = numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
             size = (sides[0] / 2, sides[1] / 2)
         elif kind in ("mesh", "heightmap"):
@@ -327,7 +329,17 @@ class _WorldReader:
         )
 
     def _find_file(self, uri: str, file: Path, where: str, *, is_required: bool) -> Path | None:
-        """The file of a mesh or image; None, with a warning, for a missing one not required."""
+        """Find the file of a mesh or image.
+
+        Args:
+            uri: the file as the scene names it.
+            file: the file of the scene or model that names it.
+            where: the element that names it, for messages.
+            is_required: whether a missing file is an error; else it is a warning.
+
+        Returns:
+            The file; None if it is missing and not required.
+        """
         places = list(list_sdf_paths(uri, file, self._model_folders))
         for place in places:
             if place.is_file():
@@ -338,7 +350,16 @@ class _WorldReader:
         return None
 
     def _read_mesh(self, file: Path, shape: Element, where: str) -> Mesh:
-        """A mesh in metres, z up: a DAE by its own unit and axis, glTF y up, others as they are."""
+        """Read a mesh, in metres with z up.
+
+        The unit and up axis that a DAE states are applied; glTF has y up. All other files are taken
+        to be in metres with z up.
+
+        Args:
+            file: the mesh's file.
+            shape: the ``<mesh>`` element.
+            where: the ``<collision>`` or ``<visual>``, for errors.
+        """
         submesh = text_of(shape, "submesh/name")
         is_centered = is_true(text_of(shape, "submesh/center"))
         key = MeshKey(file, submesh, is_centered)
@@ -360,7 +381,15 @@ class _WorldReader:
     # ------------------------------------------------------------ joints
 
     def _find_body(self, scope: Scope, name: str) -> str:
-        """The body that a joint's end belongs to, by a link's or a frame's name; empty for none."""
+        """Find the body that a link or frame belongs to.
+
+        Args:
+            scope: the world or model in which a joint uses the name.
+            name: the name of the link or frame.
+
+        Returns:
+            The body's name; empty for the world and for static models.
+        """
         frame_scope = scope
         frame_name = name
         for _ in range(MAX_NESTING):  # frames may be attached to frames
@@ -392,7 +421,17 @@ class _WorldReader:
     def _read_joint(
         self, scope: Scope, element: Element, name: str, where: str
     ) -> ParsedJoint | None:
-        """A joint in the world frame; None for a fixed one, and for one of unknown type."""
+        """Read a ``<joint>``.
+
+        Args:
+            scope: the world or model that contains the joint.
+            element: the ``<joint>``.
+            name: the joint's full name.
+            where: the joint and its file, for messages.
+
+        Returns:
+            The joint; None if it is fixed, or of a type that navbake doesn't know.
+        """
         kind = str(element.get("type"))
         pose = scope.pose_of(str(element.get("name")))
         axis = element.find("axis")
@@ -427,7 +466,7 @@ class _WorldReader:
 
 
 def parse_sdf(file: Path) -> Element:
-    """Parse a file, and return its <sdf> element.
+    """Parse an XML file, and return its ``<sdf>`` element.
 
     Raises:
         SceneError: the XML is broken, or no SDF.
@@ -442,7 +481,7 @@ def parse_sdf(file: Path) -> Element:
 
 
 def _version_of(root: Element) -> tuple[int, ...]:
-    """The version of SDF that a file is in; the latest where it says none."""
+    """Return the version of SDF that a file states; (2,), later than all, if it states none."""
     words = (root.get("version") or "").split(".")
     return tuple(map(int, words)) if all(word.isdecimal() for word in words) else (2,)
 
@@ -452,13 +491,13 @@ def _model_name(uri: str) -> str:
 
 
 def _read_heights(file: Path, sides: list[float]) -> HeightField:
-    """Read a height field of an image.
+    """Read a height field from an image: the brighter a pixel, the higher the ground.
 
-    The brightest pixel is as high as `sides` say; the first row of pixels is at the largest y.
+    The first row of pixels is at the largest y.
 
     Args:
         file: the image.
-        sides: its width, depth and height [m].
+        sides: the height field's width, depth and height, which is that of the brightest pixel [m].
     """
     try:
         brightness = read_pixels(file).light[::-1].astype(np.float64)
@@ -475,8 +514,8 @@ def _read_heights(file: Path, sides: list[float]) -> HeightField:
     )
 
 
-def _not_found_error(what: str, places: list[Path]) -> SceneError:
-    """The error of a file or model that is in none of its possible places."""
+def _not_found_error(item: str, places: list[Path]) -> SceneError:
+    """Make the error that says in which places a file or model was searched for, in vain."""
     folders = list(dict.fromkeys(str(place) for place in places))
     listed = ", ".join(folders[:4]) + (", …" if len(folders) > 4 else "")
     existing_folder = next((place for place in places if place.is_dir()), None)
@@ -484,6 +523,6 @@ def _not_found_error(what: str, places: list[Path]) -> SceneError:
     if existing_folder is not None:
         hint = f" ({existing_folder} has no {find_model_file(existing_folder).name})"
     return SceneError(
-        f"{what} not found in {listed}{hint}: name the folder that holds it by `--model-path`, "
+        f"{item} not found in {listed}{hint}: name the folder that holds it by `--model-path`, "
         "`scene.model_path` or GZ_SIM_RESOURCE_PATH"
     )

@@ -1,4 +1,4 @@
-"""The frames of SDF files: worlds and models as scopes of names, and the poses in them.
+"""The frames of SDF files: `Scope` resolves the names of frames in a world or a model to poses.
 
 Source: SDFormat specification 1.12, sdformat.org, its chapter on the semantics of poses.
 """
@@ -18,12 +18,12 @@ import numpy as np
 from navbake.errors import SceneError
 from navbake.types import Float
 
-WORLD_NAMES = ("world", "__root__")  # of the world's own frame
+WORLD_NAMES = ("world", "__root__")  # names of the world's frame
 Element = ElementTree.Element
 
 
 class FrameInScope(NamedTuple):
-    """A frame of a scope.
+    """A frame, and the scope that it belongs to.
 
     Attributes:
         scope: the world or model that the frame belongs to.
@@ -37,24 +37,27 @@ class FrameInScope(NamedTuple):
 class Scope:
     """A world or a model: its named frames, and their poses.
 
-    Poses are computed when they are first read, so that an element may name a later one.
+    Poses are computed when they are first read, because an element may refer to a later one.
 
     Args:
-        find_models: returns the models in a world or a model, in order.
+        find_models: a function that returns the models directly in a world or model, in order.
         element: the ``<world>`` or ``<model>``.
-        placement: the element with the scope's name and pose: the ``<include>``, or `element`.
-        file: the file that the element stands in.
-        parent: the world or model that it stands in; None for a world.
+        placement: the element with the scope's name and pose: the ``<include>`` of an included
+            model, else `element`.
+        file: the file that contains the element.
+        parent: the world or model that contains this one; None for a world.
 
     Attributes:
         element: the argument.
         file: the argument.
         parent: the argument.
-        name: with the names of the models around it, as ``house::door``; empty for a world.
-        local_name: its name alone; empty for a world.
-        depth: how many models and worlds contain it.
-        is_static: whether it, or a model around it, never moves.
-        is_merged: whether it is part of the model around it, by ``<include merge="true">``.
+        name: the full name, with those of the enclosing models, such as ``house::door``; empty for
+            a world.
+        local_name: the name without those of enclosing models; empty for a world.
+        depth: how many models and worlds contain this one.
+        is_static: whether the model, or an enclosing one, is static.
+        is_merged: whether the model is merged into the enclosing one, by ``<include
+            merge="true">``.
     """
 
     def __init__(
@@ -84,7 +87,7 @@ class Scope:
         self._pending: list[str] = []  # frames whose poses are being computed
         if parent is None:
             return
-        # A model's name, pose and static are those of an include, where it has them.
+        # Where an <include> states a name, a pose or <static>, that counts instead of the model's.
         self.local_name = str(element.get("name", "model"))
         if placement is not element:
             self.local_name = text_of(placement, "name") or self.local_name
@@ -107,29 +110,33 @@ class Scope:
 
     @cached_property
     def _named_models(self) -> dict[str, Scope]:
-        """The models in it that have a name of their own."""
+        """Local name -> scope, of the models directly in this scope that are not merged into it."""
         return {model.local_name: model for model in self.models if not model.is_merged}
 
     def full_name(self, name: str) -> str:
-        """Return a name of this scope with the names of the enclosing models before it."""
+        """Return the full name of something in this scope, such as ``house::door::leaf``.
+
+        Args:
+            name: its name in this scope, such as ``leaf``.
+        """
         return f"{self.name}::{name}" if self.name else name
 
     def frame(self, name: str) -> Element:
-        """Return the element of a frame in this scope."""
+        """Return the element of a frame of this scope: a link, a joint or a frame."""
         return self._frames[name]
 
     def resolve(self, name: str) -> FrameInScope:
-        """Find the scope that a frame stands in, and the frame's name there.
+        """Find the scope that a frame belongs to, and the frame's name there.
 
         Args:
-            name: as it is used in this scope, such as ``door::leaf``.
+            name: the frame's name as elements of this scope write it, such as ``door::leaf``.
 
         Raises:
             SceneError: there is no such frame.
         """
-        first, _, remainder = name.partition("::")
-        if first == "__parent__" and self.parent is not None:
-            return self.parent.resolve(remainder)
+        first_name, _, inner_name = name.partition("::")
+        if first_name == "__parent__" and self.parent is not None:
+            return self.parent.resolve(inner_name)
         frame = self._find_frame("" if name == "__model__" else name)
         if frame is not None:
             return frame
@@ -139,12 +146,12 @@ class Scope:
         raise SceneError(f"no frame {name!r} {self._where}: it has {names}")
 
     def _find_frame(self, name: str) -> FrameInScope | None:
-        """As `resolve`, in this scope, in models in it, and in models that are merged with it."""
+        """Search for a frame like `resolve`, but not in enclosing scopes; None if there is none."""
         if not name or name in self._frames:
             return FrameInScope(self, name)
-        first, _, remainder = name.partition("::")
-        if first in self._named_models:
-            return self._named_models[first].resolve(remainder)
+        first_name, _, inner_name = name.partition("::")
+        if first_name in self._named_models:
+            return self._named_models[first_name].resolve(inner_name)
         for model in self.models:
             if model.is_merged:
                 frame = model._find_frame(name)
@@ -153,9 +160,9 @@ class Scope:
         return None
 
     def canonical_link(self) -> str:
-        """Return the link that stands for the model: the one it names, or its first one.
+        """Return the name of the model's canonical link: the one that it states, or its first one.
 
-        Empty for none.
+        Empty if it has no link.
         """
         if self.is_merged and self.parent is not None:
             return self.parent.canonical_link()
@@ -175,7 +182,7 @@ class Scope:
         """Return the pose of a frame in the world, (4, 4) [m].
 
         Args:
-            name: as it is used in this scope; empty for the scope's own frame.
+            name: the frame's name as elements of this scope write it; empty for the scope's frame.
 
         Raises:
             SceneError: there is no such frame, or it is relative to itself.
@@ -188,8 +195,8 @@ class Scope:
         name = frame.name
         if name not in self._poses:
             if name in self._pending:
-                by = f"is relative to itself, by {self._pending}"
-                raise SceneError(f"frame {name!r} {self._where} {by}")
+                problem = f"is relative to itself, by {self._pending}"
+                raise SceneError(f"frame {name!r} {self._where} {problem}")
             self._pending.append(name)
             self._poses[name] = self._compute_pose(name)
             self._pending.pop()
@@ -206,8 +213,8 @@ class Scope:
         pose = self.parent.pose_of_element(self._placement if is_placed else self.element)
         anchor = text_of(self._placement, "placement_frame")
         anchor = anchor or self.element.get("placement_frame", "")
-        if anchor:  # the frame that is to be where the pose says
-            # The anchor's pose in the model's frame: that of a model at the origin.
+        if anchor:  # the stated pose is that of this frame, not of the model's
+            # A copy of the model at the origin gives the anchor's pose in the model's frame.
             model_at_origin = Scope(
                 self._find_models, self.element, self._placement, self.file, self.parent
             )
@@ -220,11 +227,11 @@ class Scope:
         return f"of {self.name or 'the world'} in {self.file}"
 
     def pose_of_element(self, element: Element, base: str = "") -> Float:
-        """Return the pose of an element with a ``<pose>`` in the world, (4, 4) [m].
+        """Return the pose of an element in the world, by its ``<pose>``, (4, 4) [m].
 
         Args:
             element: the element.
-            base: the frame that its pose is relative to, unless it names another one.
+            base: name of the frame that the ``<pose>`` is relative to if it has no ``relative_to``.
         """
         pose = element.find("pose")
         if pose is not None:
@@ -233,7 +240,7 @@ class Scope:
 
 
 def is_true(text: str) -> bool:
-    """Return whether a text means true in SDF: ``1`` or ``true``."""
+    """Return whether a text is SDF's ``1`` or ``true``."""
     return text.strip().lower() in ("1", "true")
 
 
@@ -242,7 +249,7 @@ def text_of(element: Element, path: str) -> str:
 
     Args:
         element: the element.
-        path: the path to the descendant, as in ElementTree.
+        path: the path from the element to the descendant, in ElementTree's syntax.
     """
     return (element.findtext(path) or "").strip()
 
@@ -252,7 +259,7 @@ def numbers_of(text: str, count: int, where: str) -> list[float]:
 
     Args:
         text: the numbers.
-        count: how many there have to be.
+        count: how many numbers there have to be.
         where: the place in the file, for errors.
 
     Raises:
@@ -276,10 +283,10 @@ def read_pose(element: Element | None, file: Path) -> Float:
         file: its file, for errors.
 
     Returns:
-        The pose, (4, 4) [m]; the identity for none.
+        The pose, (4, 4) [m]; the identity if the element is None or empty.
 
     Raises:
-        SceneError: the element has not as many finite numbers as such a pose.
+        SceneError: the element does not contain six finite numbers, or seven for a quaternion.
     """
     pose = np.eye(4)
     text = "" if element is None else (element.text or "").strip()
@@ -308,4 +315,4 @@ def read_pose(element: Element | None, file: Path) -> Float:
 
 
 FindModels = Callable[[Scope], list[Scope]]
-"""Returns the models in a world or a model, in order."""
+"""A function that returns the models directly in a world or a model, in order."""

@@ -1,12 +1,12 @@
 """Reads a USD stage: prims that are drawn or collide, and bodies with their joints.
 
-pxr comes with the extra [usd]. MuJoCo's own plugin for USD is not used: it leaves out units, the up
+pxr comes with the extra [usd]. MuJoCo's own plugin for USD is not used: it ignores units, the up
 axis, instancers, visibility and purpose.
 
-A prim is drawn unless it, or one above it, is invisible, a guide, or a proxy beside render prims.
-It collides where the collision API is applied to it, or to one above it, drawn or not. A prim that
-neither is drawn nor collides is left out. Coordinates are rounded to `DECIMALS`: USD's are 32-bit
-floats, in which 3.7 m are 3.7000000477 and 370 cm are exact.
+A prim is drawn unless it or one of its ancestors is invisible, a guide, or a proxy (if the stage
+has render prims). It collides if the collision API is applied to it or to an ancestor, whether it
+is drawn or not. A prim that is neither drawn nor collides is left out. Coordinates are rounded to
+`DECIMALS`, because USD stores 32-bit floats: 3.7 m become 3.7000000477.
 
 Source: Pixar, Universal Scene Description, schemas UsdGeom and UsdPhysics.
 """
@@ -49,12 +49,12 @@ else:
     UsdPhysics = lazy("pxr.UsdPhysics")
     UsdUtils = lazy("pxr.UsdUtils")
 
-DECIMALS = 6  # that lengths are rounded to [m]
-ROTATION_DECIMALS = 9  # that rotations are rounded to [rad, or without unit]
-# The frames of solids whose axis is x, y or z, as columns: their third one is the axis
+DECIMALS = 6  # decimals that lengths in metres are rounded to
+ROTATION_DECIMALS = 9  # decimals that angles in radians, and rotation matrices, are rounded to
+# The axis of a solid -> the rotation matrix that turns z to it
 AXIS_FRAMES = {"X": np.eye(3)[:, [1, 2, 0]], "Y": np.eye(3)[:, [2, 0, 1]], "Z": np.eye(3)}
 AXIS_ORDERS = np.array(list(permutations(range(3))))
-MAX_SKEW = 1e-6  # by which the axes of a rotation may be off a right angle, as cosines
+MAX_SKEW = 1e-6  # the largest cosine between two axes of a frame that counts as not skewed
 SOLID_TYPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone", "Plane")
 JOINT_KINDS = {
     "PhysicsRevoluteJoint": "hinge",
@@ -65,16 +65,16 @@ JOINT_KINDS = {
 
 
 class _PrimState(NamedTuple):
-    """What a prim inherits from those above it, and passes on.
+    """What a prim inherits from its ancestors, and passes on to its descendants.
 
     Attributes:
-        matrix: from the prim's frame to the stage's.
-        visible: whether no prim is invisible.
-        purpose: USD's: default, render, proxy or guide.
-        body: the rigid body that it is part of; empty for none.
-        component: the model that it is part of; empty for none.
-        collides: whether the collision API is on.
-        approximation: the shape that stands for a mesh in collisions.
+        matrix: from the prim's frame to the stage's; points are row vectors.
+        visible: whether neither the prim nor an ancestor is invisible.
+        purpose: USD's purpose: default, render, proxy or guide.
+        body: name of the rigid body that the prim is part of; empty for none.
+        component: name of the prim of kind ``component`` that it is part of; empty for none.
+        collides: whether the collision API is applied and enabled.
+        approximation: USD's name of the shape that replaces a mesh in collisions.
     """
 
     matrix: Gf.Matrix4d
@@ -90,10 +90,10 @@ class _PrimShape(NamedTuple):
     """The shape of a prim, in its own frame and unit.
 
     Attributes:
-        kind: as in `ParsedGeom`; or cone.
-        size: as in `ParsedGeom`; empty for a mesh.
-        frame: of a solid, as columns, (3, 3).
-        mesh: None for a solid.
+        kind: one of `GEOM_TYPES`, or cone.
+        size: the size as MuJoCo states it; empty for a mesh.
+        frame: from the solid's frame to the prim's, (3, 3); the identity for a mesh.
+        mesh: the triangles of a mesh; None for a solid.
     """
 
     kind: str
@@ -106,13 +106,13 @@ class _PrimGeometry(NamedTuple):
     """A prim's geometry, before it is placed in the world.
 
     Attributes:
-        name: of the geom.
+        name: the geom's name.
         body: the name of its body.
-        shape: in the prim's frame.
-        matrix: from the prim's frame to the stage's.
-        mode: as what a mesh counts, see `ParsedGeom`.
-        collides: whether it can collide.
-        purpose: USD's, of a prim that is drawn; else empty.
+        shape: the shape, in the prim's frame.
+        matrix: from the prim's frame to the stage's; points are row vectors.
+        mode: what a mesh counts as, see `ParsedGeom`.
+        collides: whether the geom can collide.
+        purpose: USD's purpose, if the prim is drawn; else empty.
     """
 
     name: str
@@ -125,23 +125,23 @@ class _PrimGeometry(NamedTuple):
 
 
 class _MeshKey(NamedTuple):
-    """The key by which meshes that were read are cached.
+    """The key of a mesh in the cache of meshes.
 
     Attributes:
-        path: of the prim, in its prototype where it is an instance.
-        is_box: whether its box stands for it.
+        path: the prim's path; for a prim of an instance, its path in the prototype.
+        as_bounding_box: whether the mesh is replaced by its bounding box.
     """
 
     path: Sdf.Path
-    is_box: bool
+    as_bounding_box: bool
 
 
 class _JointEnd(NamedTuple):
-    """One of the two frames that a joint holds together, world frame.
+    """The frame of a joint on one of the two bodies that it connects, in the world.
 
     Attributes:
-        position: (3,) [m].
-        rotation: (3, 3).
+        position: the frame's origin, (3,) [m].
+        rotation: the frame's axes as columns, (3, 3).
     """
 
     position: Float
@@ -151,19 +151,19 @@ class _JointEnd(NamedTuple):
 def read_stage(path: Path, settings: SceneSettings) -> ParsedScene:
     """Read a .usd, .usda, .usdc or .usdz file.
 
-    Lengths and the up axis are the stage's own, unless `scene.unit` or `scene.up` say otherwise.
-    Names are paths of prims. References that can't be resolved are warned of.
+    The unit and the up axis are those that the stage states, unless `scene.unit` or `scene.up` say
+    otherwise. Names are paths of prims. A reference that can't be resolved is a warning.
 
     Args:
         path: the file.
-        settings: `scene.unit` and `scene.up`.
+        settings: `scene.unit` and `scene.up` are used.
 
     Returns:
         The parsed scene.
 
     Raises:
         MissingDependencyError: usd-core is not installed.
-        SceneError: the stage is broken, or one of its prims is.
+        SceneError: the stage or one of its prims is broken.
     """
     import_extra("pxr.Usd", "usd", f"{path}, a USD scene,")
     diagnostics = UsdUtils.CoalescingDiagnosticDelegate()  # else pxr writes to stderr
@@ -188,15 +188,16 @@ class _StageReader:
         self._unit, self._to_world = _find_stage_frame(stage, path, settings)
         self._parsed_scene = ParsedScene(decimals=DECIMALS)
         self._geometry: list[_PrimGeometry] = []
-        self._rigid_bodies: dict[str, Gf.Matrix4d] = {}  # their matrices, by path
+        self._rigid_bodies: dict[str, Gf.Matrix4d] = {}  # path -> matrix to the stage's frame
         self._kinematic_bodies: set[str] = set()
         self._joints: list[Usd.Prim] = []
         self._meshes: dict[_MeshKey, Mesh | None] = {}
-        self._open_instancers: list[Sdf.Path] = []  # whose prototypes are being read
-        self._left_out: dict[str, list[str]] = {}  # names of prims, by the reason
+        # Point instancers whose prototypes are being read
+        self._open_instancers: list[Sdf.Path] = []
+        self._left_out: dict[str, list[str]] = {}  # reason -> names of prims
 
     def read(self) -> ParsedScene:
-        """Read all prims, then make bodies of the rigid ones and geoms of the geometry."""
+        """Read all prims, then make the bodies and the geoms of the parsed scene."""
         for error in self._stage.GetCompositionErrors():
             prims = re.findall(r"<([^>]*)>", str(error.rootSite))
             text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))[:300]
@@ -214,7 +215,13 @@ class _StageReader:
     # ------------------------------------------------------------ prims
 
     def _read_prims_below(self, root: Usd.Prim, state: _PrimState, prefix: str = "") -> None:
-        """Read a prim and those below it, in their order, with names less a prefix."""
+        """Read a prim and its descendants, in their order.
+
+        Args:
+            root: the prim.
+            state: what the prim inherits.
+            prefix: what is removed from the start of the prims' paths to make their names.
+        """
         with_instances = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
         pending = [(root, state)]
         while pending:
@@ -228,17 +235,17 @@ class _StageReader:
                 pending += [(child, prim_state) for child in children]
 
     def _read_prim(self, prim: Usd.Prim, name: str, state: _PrimState) -> bool:
-        """Read one prim; returns whether those below it are to be read."""
+        """Read one prim; return whether its children are to be read."""
         kind = str(prim.GetTypeName())
         if kind == "PointInstancer":
             self._read_instancer(prim, name, state)
-            return False  # the prototypes below it aren't drawn by themselves
+            return False  # its children are prototypes, which only its points show
         if kind in (*SOLID_TYPES, "Mesh"):
             self._read_geometry(prim, name, kind, state)
         elif kind.startswith("Physics") and kind.endswith("Joint"):
             self._joints.append(prim)
         elif kind.startswith(("Cylinder", "Capsule")) and prim.IsA(UsdGeom.Gprim):
-            self._read_geometry(prim, name, kind.partition("_")[0], state)  # as Cylinder_1
+            self._read_geometry(prim, name, kind.partition("_")[0], state)  # such as Cylinder_1
         elif kind and prim.IsA(UsdGeom.Gprim):
             self._leave_out(f"{kind} is no surface that navbake reads", name)
         return True
@@ -251,7 +258,7 @@ class _StageReader:
         component = parent_state.component
         collides = parent_state.collides
         approximation = parent_state.approximation
-        names = prim.GetAuthoredPropertyNames()  # one call, where most prims have few
+        names = prim.GetAuthoredPropertyNames()  # one call, as most prims have few properties
         if "visibility" in names:
             visible = visible and self._get(prim, "visibility") != "invisible"
         if "purpose" in names:
@@ -330,7 +337,9 @@ class _StageReader:
             )
 
     def _read_solid(self, prim: Usd.Prim, kind: str, state: _PrimState) -> _PrimShape:
-        """A solid; of two radii, the larger one; a plane is endless where it collides."""
+        """Make the shape of a solid: a plane that collides is endless, and the larger of two radii
+        counts.
+        """
         if kind == "Cube":
             half = self._get_number(prim, "size") / 2
             return _PrimShape("box", (half, half, half), np.eye(3), None)
@@ -354,17 +363,20 @@ class _StageReader:
         return _PrimShape(kind.lower(), size, frame, None)
 
     def _read_mesh(self, prim: Usd.Prim, state: _PrimState) -> _PrimShape | None:
-        """A mesh; None for an empty one."""
+        """Read the shape of a mesh, or get it from the cache; None if it is empty."""
         shared_prim = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        is_box = state.collides and state.approximation == "boundingCube"
-        key = _MeshKey(shared_prim.GetPath(), is_box)
+        as_bounding_box = state.collides and state.approximation == "boundingCube"
+        key = _MeshKey(shared_prim.GetPath(), as_bounding_box)
         if key not in self._meshes:
-            self._meshes[key] = self._read_triangles(prim, is_box=is_box)
+            self._meshes[key] = self._read_triangles(prim, as_bounding_box=as_bounding_box)
         mesh = self._meshes[key]
         return None if mesh is None else _PrimShape("mesh", (), np.eye(3), mesh)
 
-    def _read_triangles(self, prim: Usd.Prim, *, is_box: bool) -> Mesh | None:
-        """A mesh in its own frame, counter-clockwise; None for an empty one."""
+    def _read_triangles(self, prim: Usd.Prim, *, as_bounding_box: bool) -> Mesh | None:
+        """Read the triangles of a mesh, or of its bounding box, in the prim's frame.
+
+        Corners are counter-clockwise from outside. Returns None for an empty mesh.
+        """
         points = prim.GetAttribute("points").Get(self._time)
         face_counts = prim.GetAttribute("faceVertexCounts").Get(self._time)
         face_indices = prim.GetAttribute("faceVertexIndices").Get(self._time)
@@ -381,7 +393,7 @@ class _StageReader:
             expected = f"expected faceVertexIndices from 0 to {len(vertices) - 1}"
             got = f"got {indices.min()} to {indices.max()}"
             raise SceneError(f"{where} is broken: {expected}, {got}")
-        if is_box:
+        if as_bounding_box:
             unit_box = tessellate("box", (0.5, 0.5, 0.5))
             low = vertices.min(axis=0)
             high = vertices.max(axis=0)
@@ -395,7 +407,10 @@ class _StageReader:
     # ------------------------------------------------------------ point instancers
 
     def _read_instancer(self, prim: Usd.Prim, name: str, state: _PrimState) -> None:
-        """Read the prototypes of a point instancer at its points, named ``instancer/number/…``."""
+        """Add the geometry of a point instancer: a copy of a prototype at each of its points.
+
+        Names are ``instancer/number/…``.
+        """
         instancer = UsdGeom.PointInstancer(prim)
         prototype_paths = instancer.GetPrototypesRel().GetForwardedTargets()
         prototype_of_point = instancer.GetProtoIndicesAttr().Get(self._time)
@@ -414,7 +429,7 @@ class _StageReader:
                 f"expected protoIndices of {name} in {self._path} from 0 to "
                 f"{len(prototypes) - 1}, got {first} to {last}"
             )
-        # A prototype's own transform comes with its geometry.
+        # The prototypes' own transforms are excluded: their geometry includes them.
         point_matrices = instancer.ComputeInstanceTransformsAtTime(
             self._time, self._time, UsdGeom.PointInstancer.ExcludeProtoXform,
             UsdGeom.PointInstancer.IgnoreMask,
@@ -454,7 +469,10 @@ class _StageReader:
         self._open_instancers.pop()
 
     def _read_prototype(self, root: Usd.Prim, state: _PrimState) -> list[_PrimGeometry]:
-        """The geometry of a prototype, by names below it; it is one body, without joints."""
+        """Read the geometry of a prototype, at the origin, with names relative to the prototype.
+
+        Its rigid bodies and joints are ignored.
+        """
         outer_geometry = self._geometry
         outer_bodies = dict(self._rigid_bodies)
         outer_joints = list(self._joints)
@@ -470,7 +488,11 @@ class _StageReader:
     # ------------------------------------------------------------ bodies and joints
 
     def _make_bodies(self) -> None:
-        """Make bodies of rigid prims: each hangs on another by one joint, or is free, or stays."""
+        """Make the parsed scene's bodies from rigid prims.
+
+        Each is attached to another body by one joint; or it moves freely, or, if it is kinematic,
+        not at all.
+        """
         poses = {
             name: _rigid_pose(self._matrix_to_world(matrix))
             for name, matrix in self._rigid_bodies.items()
@@ -482,7 +504,7 @@ class _StageReader:
         self._parsed_scene.bodies = joint_tree.make_bodies(fixed=self._kinematic_bodies)
 
     def _attach(self, joint_tree: JointTree, prim: Usd.Prim, frames: UsdGeom.XformCache) -> None:
-        """Attach one body of a joint's prim to the other one."""
+        """Attach one of the two bodies that a joint's prim connects to the other one."""
         joint = UsdPhysics.Joint(prim)
         name = str(prim.GetPath())
         kind = JOINT_KINDS.get(str(prim.GetTypeName()), "")
@@ -490,7 +512,7 @@ class _StageReader:
             return
         parent = self._find_body(joint.GetBody0Rel().GetForwardedTargets())
         child = self._find_body(joint.GetBody1Rel().GetForwardedTargets())
-        # The second body hangs on the first one, unless it stays or hangs elsewhere.
+        # The second body is the child, unless it never moves or already has a parent.
         may_be_parent = bool(parent) and not joint_tree.is_attached(parent)
         is_swapped = not child or (joint_tree.is_attached(child) and may_be_parent)
         if is_swapped:
@@ -507,7 +529,7 @@ class _StageReader:
             self._leave_out("its bodies hang on other joints already", name)
 
     def _find_body(self, targets: list[Sdf.Path]) -> str:
-        """The rigid body that the end of a joint belongs to; empty for what never moves."""
+        """Find the rigid body that a joint's target belongs to; empty if it never moves."""
         prim = self._stage.GetPrimAtPath(targets[0]) if targets else None
         while prim and str(prim.GetPath()) not in self._rigid_bodies:
             prim = prim.GetParent()
@@ -517,13 +539,16 @@ class _StageReader:
     def _read_joint(
         self, prim: Usd.Prim, kind: str, frames: UsdGeom.XformCache, is_swapped: bool
     ) -> ParsedJoint | None:
-        """A joint in the world frame; None for a fixed one.
+        """Read a joint.
 
         Args:
-            prim: of the joint.
+            prim: the joint's prim.
             kind: hinge, slide, ball or fixed.
-            frames: of the stage's prims.
-            is_swapped: whether the first body hangs on the second one.
+            frames: the cache of the transforms of the stage's prims.
+            is_swapped: whether the joint's first body is the child of its second one.
+
+        Returns:
+            The joint in the world frame; None if it is fixed.
         """
         if kind == "fixed":
             return None
@@ -553,7 +578,7 @@ class _StageReader:
         )
 
     def _read_limits(self, prim: Usd.Prim, kind: str) -> tuple[float, float] | None:
-        """Lowest and highest position of a joint [m or rad]; None for none."""
+        """Read the lowest and highest position of a joint [m or rad]; None if it has no limits."""
         stated_limits = [
             self._get_number(prim, "physics:lowerLimit"),
             self._get_number(prim, "physics:upperLimit"),
@@ -567,7 +592,14 @@ class _StageReader:
     def _find_joint_end(
         self, prim: Usd.Prim, number: int, body: Usd.Relationship, frames: UsdGeom.XformCache
     ) -> _JointEnd:
-        """The frame of a joint at one of its bodies, 0 or 1, in the world."""
+        """Find the frame of a joint on one of its two bodies.
+
+        Args:
+            prim: the joint's prim.
+            number: 0 for the first body, 1 for the second.
+            body: the joint's relationship to this body.
+            frames: the cache of the transforms of the stage's prims.
+        """
         targets = body.GetForwardedTargets()
         body_prim = self._stage.GetPrimAtPath(targets[0]) if targets else None
         matrix = frames.GetLocalToWorldTransform(body_prim) if body_prim else Gf.Matrix4d(1.0)
@@ -582,13 +614,15 @@ class _StageReader:
     # ------------------------------------------------------------ places
 
     def _matrix_to_world(self, matrix: Gf.Matrix4d) -> Float:
-        """A prim's matrix as it places points in the world, (4, 4) [m]."""
+        """Convert a matrix from a prim's to the stage's frame into one from the prim's frame to the
+        world, (4, 4) [m]. It is multiplied by column vectors.
+        """
         return np.asarray(self._to_world @ np.array(matrix).T)
 
     def _place_geometry(self) -> None:
-        """Make geoms of the prims' geometry, in the world frame.
+        """Add the geometry of all prims to the parsed scene, as geoms in the world frame.
 
-        A solid that its matrix skews, or scales unevenly, may become a mesh.
+        A solid becomes a mesh if its matrix skews it, or scales it so that it is no such solid.
         """
         has_render_prims = any(geometry.purpose == "render" for geometry in self._geometry)
         if has_render_prims:
@@ -647,37 +681,37 @@ class _StageReader:
             )
 
     def _drop_proxies(self) -> None:
-        """Leave out proxies that don't collide, as render prims are drawn in their place."""
-        geometry_but_proxies = []
+        """Leave out proxies that don't collide: render prims are drawn instead of them."""
+        remaining_geometry = []
         for geometry in self._geometry:
             if geometry.purpose == "proxy" and not geometry.collides:
                 self._leave_out("it is a proxy beside render prims", geometry.name)
             else:
-                geometry_but_proxies.append(geometry)
-        self._geometry = geometry_but_proxies
+                remaining_geometry.append(geometry)
+        self._geometry = remaining_geometry
 
 
 def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tuple[Float, Float]:
-    """Choose, of the frames in which a solid is the same, the one nearest to the world's.
+    """Permute and flip the axes of symmetric solids so that they are near the world's axes.
 
-    So a box is the same whether the stage is y or z up.
+    So a box has the same pose and size whether the stage is y up or z up.
 
     Args:
-        kinds: of solids, (n,); empty for meshes.
-        rotations: frames as columns, (n, 3, 3).
-        scales: along the axes of the frames, (n, 3).
+        kinds: the kinds of the solids, (n,); empty for meshes.
+        rotations: the solids' frames: axes as columns, (n, 3, 3).
+        scales: the scales along the axes of the frames, (n, 3).
 
     Returns:
-        The chosen frames, and the scales along their axes.
+        The frames and scales after this, with the same shapes.
     """
     order = np.tile(np.arange(3), (len(rotations), 1))
     boxes = np.flatnonzero((kinds == "box") | (kinds == "ellipsoid"))
-    # how well each order of the axes matches the world's
+    # How well each order of the axes matches the world's axes
     match = np.abs(rotations[boxes][:, np.arange(3)[None], AXIS_ORDERS]).sum(axis=2)
     order[boxes] = AXIS_ORDERS[match.argmax(axis=1)]
     rotations = np.take_along_axis(rotations, order[:, None, :], axis=2)
     scales = np.take_along_axis(scales, order, axis=1)
-    is_symmetric: Bool = kinds != "plane"  # the same in a mirror
+    is_symmetric: Bool = kinds != "plane"  # unchanged if an axis is flipped
     for axis in range(3):
         rotations[is_symmetric & (rotations[:, axis, axis] < 0), :, axis] *= -1
     is_upright = np.isin(kinds, ("cylinder", "capsule")) & (rotations[:, 2, 2] == 1.0)
@@ -689,7 +723,17 @@ def _straighten(kinds: NDArray[np.str_], rotations: Float, scales: Float) -> tup
 def _scale_size(
     kind: str, size: tuple[float, ...], scales: list[float], is_skewed: bool
 ) -> tuple[float, ...] | None:
-    """The size of a solid that is scaled along its axes [m]; None where it is no such solid now."""
+    """Scale the size of a solid.
+
+    Args:
+        kind: the solid's kind, see `_PrimShape`.
+        size: the size before scaling.
+        scales: the scales along the solid's axes, three numbers.
+        is_skewed: whether the solid is skewed, too.
+
+    Returns:
+        The size [m]; None if the result is not a solid of this kind.
+    """
     x_scale = _round(scales[0], DECIMALS)
     y_scale = _round(scales[1], DECIMALS)
     z_scale = _round(scales[2], DECIMALS)
@@ -706,7 +750,7 @@ def _scale_size(
 
 
 def _rigid_pose(matrix: Float) -> Float:
-    """The pose of a frame without its scale, (4, 4): its nearest rotation."""
+    """Return the rigid pose nearest to a transform that may scale and skew, (4, 4)."""
     left_vectors, _, right_vectors = np.linalg.svd(matrix[:3, :3])
     rotation = left_vectors @ right_vectors
     rotation = rotation * np.sign(np.linalg.det(rotation))
@@ -721,7 +765,7 @@ def _round(value: float, decimals: int) -> float:
 
 
 def _find_stage_frame(stage: Usd.Stage, path: Path, settings: SceneSettings) -> tuple[float, Float]:
-    """The metres of a stage's unit, and the matrix from its frame to the world, (4, 4)."""
+    """Return a stage's unit [m], and the matrix from its frame to the world, (4, 4) [m]."""
     if settings.up == "level":
         raise ConfigError(f"`scene.up: level` is for mesh files, {path} says what is up itself")
     up = settings.up if settings.up != "auto" else str(UsdGeom.GetStageUpAxis(stage)).lower()

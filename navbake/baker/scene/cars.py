@@ -1,4 +1,4 @@
-"""Cars of lifts: bodies on one vertical slide, with a floor that an agent can stand on."""
+"""Finds cars of lifts: bodies with one joint, a vertical slide, and a floor for an agent."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from navbake.types import Int
 if TYPE_CHECKING:
     import mujoco
 
-# Cosine of a lift's joint with the vertical, at least
-VERTICAL = 0.999
+# The least cosine of the angle between a lift's joint and the vertical
+MIN_VERTICAL_COSINE = 0.999
 # The least area of a car's floor [m²]
 MIN_CAR_AREA = 0.25
-# How far a car's floor may be from its height [m]
+# Surfaces within this distance of the floor's height belong to the floor [m]
 FLOOR_FLATNESS = 0.01
 
 
@@ -36,7 +36,7 @@ class CarFloor(NamedTuple):
     Attributes:
         cells: ids of the cells that the floor covers, ascending.
         outline: ids of the cells that any geometry of the car covers; they may repeat.
-        height: the height of the floor's highest place [m].
+        height: z of the floor's highest point [m].
         geom: the id of the geom that most of the floor belongs to.
     """
 
@@ -49,14 +49,14 @@ class CarFloor(NamedTuple):
 def find_lift_joints(
     model: mujoco.MjModel, data: mujoco.MjData, patterns: Sequence[str]
 ) -> list[int]:
-    """Find the joints that may carry a lift: vertical slides with limits.
+    """Find the joints that may move a lift's car: vertical slides with limits.
 
-    A body has no joint besides such a slide.
+    The slide is the only joint of its body, and the body's name matches a pattern.
 
     Args:
         model: the model.
         data: the model's pose.
-        patterns: name patterns of the bodies.
+        patterns: patterns of bodies' names, such as ``lift*``.
 
     Returns:
         The ids of the joints, ascending.
@@ -64,7 +64,7 @@ def find_lift_joints(
     names = all_names(model).bodies
     is_lift = (model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, dtype=np.bool_)
     is_lift &= model.body_jntnum[model.jnt_bodyid] == 1
-    is_lift &= np.abs(data.xaxis[:, 2]) > VERTICAL
+    is_lift &= np.abs(data.xaxis[:, 2]) > MIN_VERTICAL_COSINE
     joints = list[int]()
     for joint in np.flatnonzero(is_lift).tolist():
         name = names[int(model.jnt_bodyid[joint])]
@@ -74,7 +74,7 @@ def find_lift_joints(
 
 
 def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFloor | None:
-    """Find the floor of a body that may be a lift's car.
+    """Measure the floor of a body that may be a lift's car.
 
     Args:
         shapes: the geometry of the body and its descendants, and nothing else.
@@ -82,17 +82,17 @@ def measure_car(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> CarFl
         agent: the agent that has to fit into the car.
 
     Returns:
-        The floor; None where the body has none that is large enough.
+        The floor; None if the body has none that is large enough.
     """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     cell = np.repeat(np.arange(lattice.width * lattice.height), np.diff(columns.start))
-    # The headroom over a hit reaches up to the next hit of its column.
+    # The headroom above a hit is the distance to the next hit of its vertical column.
     is_last = np.append(cell, -1)[1:] != cell
     headroom = np.where(is_last, np.inf, np.append(columns.z, np.inf)[1:] - columns.z)
     is_floor = columns.normal[:, 2] >= agent_limits(agent).min_up
     is_floor &= headroom >= agent.height - LIMIT_SLACK
     heights, counts = np.unique(np.round(columns.z[is_floor], 3), return_counts=True)
-    # The lowest of the large surfaces, so that the roof of the car is not its floor.
+    # The floor is the lowest large surface; the car's roof may be another one.
     is_large = 2 * counts >= counts.max(initial=0)
     height = heights[is_large].min(initial=np.inf)
     is_floor &= np.abs(columns.z - height) <= FLOOR_FLATNESS
@@ -114,14 +114,14 @@ def find_cars(
     agent: AgentSettings,
     cell_size: float,
 ) -> list[int]:
-    """Find the cars of lifts, where the settings of links have rules for lifts.
+    """Find the cars of lifts, if the settings of links have rules for lifts.
 
     Args:
         model: the model.
         data: its pose.
         shapes: the geometry of all geoms that count.
         links: the settings of links.
-        agent: who has to fit into a car.
+        agent: the agent that has to fit into a car.
         cell_size: edge of the cells by which floors are measured [m].
 
     Returns:

@@ -1,4 +1,4 @@
-"""Which geoms of a model count, by the settings, and why; and their geometry as shapes.
+"""Selects the geoms of a model that count, and collects their geometry as shapes.
 
 Does not import mujoco.
 """
@@ -33,8 +33,10 @@ from navbake.types import Bool, Float, Int, Int32
 if TYPE_CHECKING:
     import mujoco
 
-MAX_LENGTH = 1e100  # of positions and sizes, whose squares have to be finite, too [m]
-SOLID_TYPES = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
+MAX_LENGTH = 1e100  # largest position or size: its square has to be finite, too [m]
+SOLID_TYPES = range(
+    constants.SPHERE, constants.BOX + 1
+)  # sphere, capsule, ellipsoid, cylinder, box
 NUM_DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
 # MuJoCo's default of `rgba`
@@ -47,8 +49,8 @@ class GeomSelection(NamedTuple):
     Attributes:
         counted: whether the geom takes part in the bake.
         reason: why it does or does not.
-        mesh_mode: how a mesh is represented: by its ``hull``, by its ``surface`` (``auto`` means
-            the same), or by a ``shell``, which encloses nothing.
+        mesh_mode: how a mesh is represented: ``hull`` for its convex hull; ``surface`` or ``auto``
+            for its triangles; ``shell`` for its triangles, as sheets that enclose nothing.
     """
 
     counted: bool
@@ -56,7 +58,7 @@ class GeomSelection(NamedTuple):
     mesh_mode: str
 
 
-class CountRule(NamedTuple):
+class CountDecision(NamedTuple):
     """Whether a geom counts, and why."""
 
     counted: bool
@@ -76,24 +78,29 @@ def select_geoms(
 ) -> tuple[list[GeomSelection], list[str]]:
     """Decide for each geom whether it counts, and for meshes, how they are represented.
 
-    Excluded geoms never count. `scene.geoms: collision` counts geoms that can collide (contype or
-    conaffinity not 0). `auto` does the same, but counts all geoms if none that isn't excluded can
-    collide. `visual` counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers
-    draw), except geoms that can collide on a body, not the world, with drawn geoms of another group
-    that can't. `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless
-    that hides room for an agent. Where the scene's file says how a mesh collides, `auto` follows
-    the file. The geom of `scene.ground` always counts.
+    Excluded geoms never count, and the geom that `scene.ground` adds always counts. `scene.geoms`:
+
+    - ``collision`` counts geoms that can collide (contype or conaffinity is not 0).
+    - ``auto`` does the same; but if all geoms that can collide are excluded, all geoms count.
+    - ``visual`` counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers draw).
+      A geom that can collide is not counted if its body (not the world) has drawn geoms of another
+      group that can't collide: those are its visuals.
+    - ``all`` counts all geoms.
+
+    With `scene.meshes: auto`, a mesh that can collide is represented by its hull, as in MuJoCo,
+    unless the hull hides room for an agent. If the scene's file says how a mesh collides, ``auto``
+    follows the file.
 
     Args:
         model: the model.
-        settings: `scene.geoms`, `scene.meshes` and `scene.exclude`.
-        hides_room: whether the hull of a mesh geom hides room, by geom id.
-        left_out_bodies: by body id, whether the body is left out as it can move, (nbody,).
-        ground: the geom of `scene.ground`; None for none.
-        file_mesh_modes: the mesh modes that the scene's file states, by geom id.
+        settings: `scene.geoms`, `scene.meshes` and `scene.exclude` are used.
+        hides_room: a function: id of a mesh geom -> whether its hull hides room for an agent.
+        left_out_bodies: for each body, whether it is left out because it can move, (nbody,).
+        ground: id of the geom that `scene.ground` adds; None if there is none.
+        file_mesh_modes: geom id -> the mesh mode that the scene's file states.
 
     Returns:
-        A selection for each geom by its id, and warnings.
+        A selection for each geom, in the order of ids; and warnings.
     """
     names = all_names(model).geoms
     exclusions, warnings = _find_exclusions(model, settings, left_out_bodies, names)
@@ -102,36 +109,36 @@ def select_geoms(
         can_collide and not exclusion
         for can_collide, exclusion in zip(collides, exclusions, strict=True)
     )
-    rules = _apply_geoms_setting(model, settings.geoms, collides, any_collides)
+    decisions = _apply_geoms_setting(model, settings.geoms, collides, any_collides)
     for geom, exclusion in enumerate(exclusions):
         if exclusion:
-            rules[geom] = CountRule(False, exclusion)
+            decisions[geom] = CountDecision(False, exclusion)
     if ground is not None:
-        rules[ground] = CountRule(True, "added by `scene.ground`")
+        decisions[ground] = CountDecision(True, "added by `scene.ground`")
     mesh_modes, mode_warnings = _find_mesh_modes(model, settings, names)
     warnings += mode_warnings
     for geom, mode in (file_mesh_modes or {}).items():
         if mesh_modes[geom] == "auto":
             mesh_modes[geom] = mode
-    opened_hulls = []
-    # MuJoCo collides meshes by their hull, but not signed distance fields.
+    surface_names = []  # of meshes whose hull hides room
+    # In MuJoCo, the hull of a mesh collides, but not that of a signed distance field.
     for geom in np.flatnonzero(collides & (model.geom_type == constants.MESH)).tolist():
-        if mesh_modes[geom] == "auto" and rules[geom].counted:
+        if mesh_modes[geom] == "auto" and decisions[geom].counted:
             if hides_room(geom):
                 mesh_modes[geom] = "surface"
-                opened_hulls.append(names[geom].geom)
+                surface_names.append(names[geom].geom)
             else:
                 mesh_modes[geom] = "hull"
-    if opened_hulls:
-        more = f", and {len(opened_hulls) - 1} more" if len(opened_hulls) > 1 else ""
+    if surface_names:
+        more = f", and {len(surface_names) - 1} more" if len(surface_names) > 1 else ""
         warnings.append(
-            f"mesh geom {opened_hulls[0]!r}{more} counts by its triangles, because its convex hull "
-            "hides room to stand in; MuJoCo collides the hull: set `scene.meshes` to surface or "
-            "hull to say which"
+            f"mesh geom {surface_names[0]!r}{more} counts by its triangles, because its "
+            "convex hull hides room to stand in; MuJoCo collides the hull: set `scene.meshes` to "
+            "surface or hull to say which"
         )
     selections = [
-        GeomSelection(rule.counted, rule.reason, mode)
-        for rule, mode in zip(rules, mesh_modes, strict=True)
+        GeomSelection(decision.counted, decision.reason, mode)
+        for decision, mode in zip(decisions, mesh_modes, strict=True)
     ]
     return selections, warnings
 
@@ -139,14 +146,14 @@ def select_geoms(
 def _find_mesh_modes(
     model: mujoco.MjModel, settings: SceneSettings, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
-    """The mode of `scene.meshes` for each geom, and warnings of patterns that match no mesh."""
+    """Return the mode that `scene.meshes` states for each geom, and warnings of unused patterns."""
     if isinstance(settings.meshes, str):
         mode_of_all: str = settings.meshes
         return [mode_of_all] * len(names), []
     mode_of_pattern = settings.meshes
     modes: list[str] = []
     for geom_names in names:
-        matching = [mode for p, mode in mode_of_pattern.items() if _matches(p, geom_names)]
+        matching = [mode for p, mode in mode_of_pattern.items() if _matches_any(p, geom_names)]
         modes.append(matching[0] if matching else "auto")
     mesh_geoms = np.flatnonzero(np.isin(model.geom_type, (constants.MESH, constants.SDF)))
     mesh_names = [name for geom in mesh_geoms for name in names[geom]]
@@ -155,46 +162,57 @@ def _find_mesh_modes(
 
 def _apply_geoms_setting(
     model: mujoco.MjModel, geoms: str, collides: Bool, any_collides: bool
-) -> list[CountRule]:
-    """For each geom, whether it counts by `scene.geoms`, and why."""
+) -> list[CountDecision]:
+    """Decide for each geom whether `scene.geoms` counts it.
+
+    Args:
+        model: the model.
+        geoms: the value of `scene.geoms`.
+        collides: for each geom, whether it can collide, (ngeom,).
+        any_collides: whether any geom that isn't excluded can collide.
+    """
     if geoms == "all":
-        return [CountRule(True, "all geoms count")] * model.ngeom
+        return [CountDecision(True, "all geoms count")] * model.ngeom
     if geoms == "auto" and not any_collides:
-        return [CountRule(True, "no geom can collide, so all count")] * model.ngeom
+        return [CountDecision(True, "no geom can collide, so all count")] * model.ngeom
     if geoms != "visual":
-        counts = CountRule(True, "can collide")
-        counts_not = CountRule(False, "can't collide (contype and conaffinity are 0)")
-        return [counts if can_collide else counts_not for can_collide in collides]
-    # A geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it).
+        colliding = CountDecision(True, "can collide")
+        not_colliding = CountDecision(False, "can't collide (contype and conaffinity are 0)")
+        return [colliding if can_collide else not_colliding for can_collide in collides]
+    # Like in MuJoCo, a geom's opacity is its material's, unless its own colour was set.
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
     is_default = (model.geom_rgba == DEFAULT_COLOR).all(axis=1)
-    by_material = (model.geom_matid >= 0) & is_default
-    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
+    uses_material = (model.geom_matid >= 0) & is_default
+    alpha[uses_material] = model.mat_rgba[model.geom_matid[uses_material], 3]
     groups = model.geom_group.tolist()
     bodies = model.geom_bodyid.tolist()
     drawn = (alpha > 0) & (model.geom_group < NUM_DRAWN_GROUPS)
-    visual_groups: dict[int, set[int]] = {}  # of drawn geoms that can't collide, by body
+    visual_groups: dict[int, set[int]] = {}  # body -> groups of its drawn geoms that can't collide
     for visual_geom in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
         visual_groups.setdefault(bodies[visual_geom], set()).add(groups[visual_geom])
-    rules = []
+    decisions = []
     for geom, (group, body) in enumerate(zip(groups, bodies, strict=True)):
         if group >= NUM_DRAWN_GROUPS:
-            rules.append(CountRule(False, f"not drawn (group {group})"))
+            decisions.append(CountDecision(False, f"not drawn (group {group})"))
         elif not drawn[geom]:
-            rules.append(CountRule(False, "not drawn (alpha 0)"))
+            decisions.append(CountDecision(False, "not drawn (alpha 0)"))
         elif collides[geom] and visual_groups.get(body, set()) - {group}:
-            rules.append(CountRule(False, "stands in for its body's visual geoms"))
+            decisions.append(CountDecision(False, "stands in for its body's visual geoms"))
         else:
-            rules.append(CountRule(True, "is drawn"))
-    return rules
+            decisions.append(CountDecision(True, "is drawn"))
+    return decisions
 
 
 def _find_exclusions(
     model: mujoco.MjModel, settings: SceneSettings, left_out_bodies: Bool, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
-    """Why each geom is excluded, empty where it isn't; and warnings of unmatched patterns.
+    """Find for each geom why it is excluded, and warn of patterns that match nothing.
 
-    A geom is excluded by a pattern of its own name, or with its body or a body above it.
+    A geom is excluded if a pattern matches its name, or the name of its body or of an ancestor of
+    its body; or if such a body is in `left_out_bodies`.
+
+    Returns:
+        A reason for each geom, empty if it isn't excluded; and warnings.
     """
     exclude = settings.exclude
     parents = model.body_parentid.tolist()
@@ -222,7 +240,7 @@ def _find_exclusions(
     return reasons, warnings
 
 
-def _matches(pattern: str, names: Iterable[str]) -> bool:
+def _matches_any(pattern: str, names: Iterable[str]) -> bool:
     return any(fnmatchcase(name, pattern) for name in names if name)
 
 
@@ -233,7 +251,7 @@ def _first_match(patterns: Iterable[str], name: str) -> str | None:
 def _warn_unused(
     setting: str, patterns: Iterable[str], names: list[str], matches: str = "nothing"
 ) -> list[str]:
-    unmatched = [pattern for pattern in patterns if not _matches(pattern, names)]
+    unmatched = [pattern for pattern in patterns if not _matches_any(pattern, names)]
     return [warn_unmatched(setting, pattern, names, matches) for pattern in unmatched]
 
 
@@ -241,7 +259,7 @@ def _warn_unused(
 
 
 def _single_part(vertices: Float, faces: Int32, closed: int, kind: str) -> GeomTriangles:
-    """Triangles that are all of one part."""
+    """Make `GeomTriangles` whose triangles all belong to one part."""
     num_faces = len(faces)
     part = np.zeros(num_faces, np.int32)
     closed_codes = np.full(num_faces, closed, np.uint8)
@@ -249,7 +267,7 @@ def _single_part(vertices: Float, faces: Int32, closed: int, kind: str) -> GeomT
 
 
 class MeshTriangles:
-    """The triangles of a model's meshes, computed once for each mesh and mode.
+    """A cache of the triangles that represent a model's meshes, for each mesh and mode.
 
     Args:
         model: the model.
@@ -259,37 +277,33 @@ class MeshTriangles:
         self._model = model
         self._triangles: dict[tuple[int, str], GeomTriangles] = {}
 
-    def count(self, mesh: int, mode: str) -> GeomTriangles:
-        """Return the triangles that represent a mesh in a mode, in the mesh's frame.
-
-        See `count_mesh`.
+    def get(self, mesh: int, mode: str) -> GeomTriangles:
+        """Return the triangles that represent a mesh, in the mesh's frame.
 
         Args:
             mesh: the mesh's id.
-            mode: ``hull``, ``surface``, ``auto`` or ``shell``.
+            mode: how the mesh is represented, see `represent_mesh`.
 
         Raises:
             SceneError: the mesh is broken.
         """
         if (mesh, mode) not in self._triangles:
             vertices, faces, hull = _mesh_arrays(self._model, mesh)
-            self._triangles[mesh, mode] = count_mesh(vertices, faces, mode, hull)
+            self._triangles[mesh, mode] = represent_mesh(vertices, faces, mode, hull)
         return self._triangles[mesh, mode]
 
 
-def count_mesh(
+def represent_mesh(
     vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
 ) -> GeomTriangles:
-    """Return the triangles that represent a mesh in a mode.
-
-    A flat mesh has no hull, and is represented by its own triangles.
+    """Return the triangles that represent a mesh.
 
     Args:
         vertices: shape (n, 3) [m].
         faces: indices of vertices, counter-clockwise from outside, shape (m, 3).
-        mode: ``hull`` for the triangles of the convex hull; ``shell`` for its own triangles, which
-            enclose nothing; any other mode for its own triangles, where closed parts enclose their
-            inside.
+        mode: ``hull`` for the convex hull, or for the mesh's own triangles if it is flat;
+            ``shell`` for its own triangles, as sheets that enclose nothing; ``surface`` or ``auto``
+            for its own triangles, where each closed part is a solid.
         hull: the faces of the convex hull; computed if None.
 
     Returns:
@@ -298,7 +312,7 @@ def count_mesh(
     if mode == "hull":
         hull = hull_faces(vertices) if hull is None else hull
         if hull is not None:
-            # Vertices inside of the hull are no part of it.
+            # Vertices inside the hull are left out.
             used_vertices, index = np.unique(hull, return_inverse=True)
             faces = index.reshape(hull.shape).astype(np.int32)
             return _single_part(vertices[used_vertices], faces, constants.CONVEX_SOLID, "hull")
@@ -314,21 +328,21 @@ def collect_shapes(
     data: mujoco.MjData,
     selections: Sequence[GeomSelection] | Mapping[int, GeomSelection],
     exact_meshes: Mapping[int, NamedMesh],
-    only: Iterable[int] | None = None,
+    geom_ids: Iterable[int] | None = None,
     meshes: MeshTriangles | None = None,
 ) -> tuple[Shapes, dict[int, str], list[str]]:
     """Collect the geometry of the geoms that count, in the world frame.
 
     Args:
         model: the model.
-        data: its pose.
-        selections: by geom id, whether the geom counts, and how it is represented.
-        exact_meshes: meshes by geom id, world frame, in place of the model's.
-        only: ids of the geoms to collect, ascending; all if None.
-        meshes: the triangles of the model's meshes, where they are computed already.
+        data: the model's pose.
+        selections: geom id -> whether the geom counts, and how it is represented.
+        exact_meshes: geom id -> mesh in the world frame, to use in place of the model's.
+        geom_ids: ids of the geoms to collect, ascending; None for all.
+        meshes: a cache of the triangles of the model's meshes; None for a new one.
 
     Returns:
-        The shapes; by geom id, the `GeomReport.shape` of each; and warnings.
+        The shapes; geom id -> `GeomReport.shape`; and warnings.
 
     Raises:
         SceneError: a geom is broken, or its pose or size is not finite.
@@ -336,16 +350,16 @@ def collect_shapes(
     meshes = MeshTriangles(model) if meshes is None else meshes
     names = all_names(model).geoms
     kinds = dict[int, str]()
-    warnings = dict[str, str]()  # by mesh name
+    warnings = dict[str, str]()  # mesh name -> warning
     solids = list[int]()
     planes = list[int]()
     triangles = dict[int, GeomTriangles]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
-    geoms = range(len(selections)) if only is None else only
+    geoms = range(len(selections)) if geom_ids is None else geom_ids
     ids = np.array([geom for geom in geoms if selections[geom].counted], dtype=np.int64)
     numbers = np.hstack([data.geom_xpos[ids], data.geom_xmat[ids], model.geom_size[ids]])
     is_finite = (np.abs(numbers) <= MAX_LENGTH).all(axis=1)  # NaN isn't
-    # Lists are read geom by geom in less time than arrays.
+    # Iterating over lists is faster than over arrays.
     geom_rows = zip(
         ids.tolist(),
         model.geom_type[ids].tolist(),
@@ -356,8 +370,8 @@ def collect_shapes(
     for geom, geom_type, data_id, has_finite_numbers in geom_rows:
         name = names[geom].geom
         if not has_finite_numbers:
-            what = f"a pose or size that is no number, or beyond {MAX_LENGTH:g} m"
-            raise SceneError(f"geom {name!r} has {what}")
+            problem = f"a pose or size that is no number, or beyond {MAX_LENGTH:g} m"
+            raise SceneError(f"geom {name!r} has {problem}")
         if geom_type in SOLID_TYPES:
             solids.append(geom)
             kinds[geom] = "solid"
@@ -378,13 +392,13 @@ def collect_shapes(
             mode = selections[geom].mesh_mode
             if geom in exact_meshes:
                 exact_mesh = exact_meshes[geom]
-                geom_triangles = count_mesh(exact_mesh.vertices, exact_mesh.faces, mode)
+                geom_triangles = represent_mesh(exact_mesh.vertices, exact_mesh.faces, mode)
             else:
-                geom_triangles = meshes.count(data_id, mode)
+                geom_triangles = meshes.get(data_id, mode)
             if mode == "hull" and geom_triangles.kind != "hull":
                 mesh_name = names[geom].mesh
-                flat = f"mesh {mesh_name!r} of geom {name!r} is flat, so it has no convex hull"
-                warnings.setdefault(mesh_name, f"{flat}: it counts by its triangles")
+                reason = f"mesh {mesh_name!r} of geom {name!r} is flat, so it has no convex hull"
+                warnings.setdefault(mesh_name, f"{reason}: it counts by its triangles")
         kinds[geom] = geom_triangles.kind
         if geom not in exact_meshes:
             vertices = geom_triangles.vertices @ data.geom_xmat[geom].reshape(3, 3).T
@@ -411,7 +425,7 @@ def _collect_solids(model: mujoco.MjModel, data: mujoco.MjData, ids: Int32) -> S
 
 
 def _plane_triangles(half_sides: Float, *, is_strip: bool) -> GeomTriangles:
-    """A plane that has an end; a strip is endless to two sides."""
+    """Make the triangles of a rectangular plane, or of a strip, which is endless along x or y."""
     half_sizes = np.where(half_sides > 0, half_sides, ENDLESS_HALF_SIZE)
     mesh = tessellate("plane", half_sizes.tolist())
     kind = "strip" if is_strip else "rectangle"
@@ -419,7 +433,7 @@ def _plane_triangles(half_sides: Float, *, is_strip: bool) -> GeomTriangles:
 
 
 def _height_field_triangles(model: mujoco.MjModel, hfield: int) -> GeomTriangles:
-    """A height field as a solid, in its geom's frame."""
+    """Make the triangles of a height field as a solid, in its geom's frame."""
     num_rows = int(model.hfield_nrow[hfield])
     num_cols = int(model.hfield_ncol[hfield])
     first = int(model.hfield_adr[hfield])
@@ -427,8 +441,8 @@ def _height_field_triangles(model: mujoco.MjModel, hfield: int) -> GeomTriangles
     heights = model.hfield_data[first : first + num_rows * num_cols].reshape(num_rows, num_cols)
     if not (np.isfinite(heights).all() and (np.abs(size) <= MAX_LENGTH).all()):
         name = name_at(model, model.name_hfieldadr[hfield])
-        what = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
-        raise SceneError(f"hfield {name!r} has {what}")
+        problem = f"heights or a size that are no numbers, or beyond {MAX_LENGTH:g} m"
+        raise SceneError(f"hfield {name!r} has {problem}")
     corners = height_field_triangles(heights.astype(np.float64), size)
     vertices = corners.reshape(-1, 3)
     faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
@@ -436,7 +450,10 @@ def _height_field_triangles(model: mujoco.MjModel, hfield: int) -> GeomTriangles
 
 
 def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Float, Int32, Int32 | None]:
-    """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame."""
+    """Return the vertices and faces of a mesh, in its geom's frame, and the faces of its hull.
+
+    The hull is None if the model doesn't have it.
+    """
     first_vertex = int(model.mesh_vertadr[mesh])
     num_vertices = int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first_vertex : first_vertex + num_vertices].astype(np.float64)
@@ -454,10 +471,10 @@ def _mesh_arrays(model: mujoco.MjModel, mesh: int) -> tuple[Float, Int32, Int32 
 
 
 def _hull_of_mesh(model: mujoco.MjModel, mesh: int, name: str) -> Int32:
-    """The faces of a mesh's hull as MuJoCo has them, (n, 3); none where it has none.
+    """Return the faces of a mesh's hull, (n, 3); n = 0 if the model doesn't have the hull.
 
-    MuJoCo's `mesh_graph` of a mesh are the numbers of vertices v and of faces m, two lists of v
-    numbers, v + 3 m numbers, and the faces.
+    MuJoCo's `mesh_graph` of a hull with v vertices and m faces contains v, m, two lists of v
+    numbers each, a list of v + 3 m numbers, and the faces.
     """
     graph = int(model.mesh_graphadr[mesh])
     if graph < 0:

@@ -1,4 +1,4 @@
-"""Finds meshes whose hull hides room for an agent, as the hull of a building does."""
+"""Finds meshes whose convex hull hides room for an agent, for example a building's."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from navbake.types import Bool, Int
 if TYPE_CHECKING:
     import mujoco
 
-# The spacing of the vertical lines on which room is searched for, unless there were too many [m]
+# The least distance between the vertical lines on which room is searched for [m]
 LINE_SPACING = 0.1
-MAX_LINES = 10_000
+MAX_LINES = 10_000  # about the most lines: large meshes have a larger spacing
 
-# What may begin above a hit: room that needs a ceiling, or room over a floor; 0 for neither
+# What may begin above a hit: room that needs a ceiling, or room above a floor; 0 for neither
 NEEDS_CEILING = 1
 ROOM_OVER_FLOOR = 2
 
@@ -47,16 +47,20 @@ class HullRoomTest:
     meshes: MeshTriangles
     agent: AgentSettings
     floors: FloorSettings
-    # by the mesh and its orientation
+    # Id of a mesh and its rotation as bytes -> whether its hull hides room
     _has_room: dict[tuple[int, bytes], bool] = field(default_factory=dict, init=False)
 
     def hides_room(self, geom: int) -> bool:
         """Return whether the hull of a mesh geom hides room for an agent to stand in.
 
-        Room is a free stretch of a vertical line, at least as long as the agent is high. It lies
-        inside the hull, but not inside closed parts of the mesh: over a surface that faces up,
-        under one that faces down, or where the line meets no surface. The room's area has to be
-        that of a floor (`floors.min_area` after `floors.shrink`).
+        Room is a free stretch of a vertical line that is at least as long as the agent is high. It
+        is inside the hull and outside of closed parts of the mesh. It begins at a surface that
+        faces up, or ends at one that faces down; or the line meets no surface of the mesh at all.
+        The lines with room have to cover as much area as a floor needs (`floors.min_area` after
+        `floors.shrink`).
+
+        Args:
+            geom: id of a mesh geom.
         """
         if not self.is_large(geom):
             return False
@@ -66,12 +70,12 @@ class HullRoomTest:
         return self._has_room[key]
 
     def is_large(self, geom: int) -> bool:
-        """Return whether the bounding box of a mesh geom is large enough for an agent's room."""
+        """Return whether the bounding box of a mesh geom is large enough for such room."""
         rotation = self.data.geom_xmat[geom].reshape(3, 3)
         if not np.isfinite(rotation).all():
             return False
         width, depth, height = 2 * np.abs(rotation) @ self.model.geom_aabb[geom, 3:]
-        # Floats of Python, as NumPy's would warn of an area beyond all floats.
+        # Python's floats don't warn if the area is too large for a float.
         floor_width = float(width) - 2 * self.floors.shrink
         floor_depth = float(depth) - 2 * self.floors.shrink
         if min(floor_width, floor_depth) < 0 or height < self.agent.height - LIMIT_SLACK:
@@ -79,7 +83,7 @@ class HullRoomTest:
         return floor_width * floor_depth >= self.floors.min_area - LIMIT_SLACK
 
     def _find_room(self, geom: int) -> bool:
-        """Cast vertical lines at the mesh and at its hull, and test the area of lines with room."""
+        """Cast vertical lines at a mesh and its hull, and test the area where there is room."""
         mesh_shapes = self._collect(geom, "surface")
         hull_shapes = self._collect(geom, "hull")
         bounds = hull_shapes.bounds
@@ -88,7 +92,7 @@ class HullRoomTest:
         x_min, y_min, x_max, y_max = bounds[:, :2].ravel().tolist()
         width = x_max - x_min
         depth = y_max - y_min
-        # The second limit is for a long and thin box.
+        # Spacing by length is larger for a long and thin box.
         spacing_by_area = math.sqrt(width * depth / MAX_LINES)
         spacing_by_length = max(width, depth) / MAX_LINES
         spacing = max(LINE_SPACING, spacing_by_area, spacing_by_length)
@@ -101,7 +105,7 @@ class HullRoomTest:
     def _collect(self, geom: int, mesh_mode: str) -> Shapes:
         selection = {geom: GeomSelection(True, "", mesh_mode)}
         shapes, *_ = collect_shapes(
-            self.model, self.data, selection, {}, only=selection, meshes=self.meshes
+            self.model, self.data, selection, {}, geom_ids=selection, meshes=self.meshes
         )
         return shapes
 
@@ -109,23 +113,26 @@ class HullRoomTest:
 def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     """Mark the cells on whose line there is room; see `HullRoomTest.hides_room`.
 
-    All hits of a line are sorted by height. Each says what may begin above it and whether a room
-    may end at it. A stretch is room where a room begins at its lower hit and ends at its upper one,
-    outside of the mesh's closed parts.
+    The hits of a line are sorted by z. For each, it is known what room may begin above it, and
+    whether room may end at it. The stretch between two hits is room if it begins at the lower one
+    and, where it needs a ceiling, ends at the upper one, outside of the mesh's closed parts.
 
     Args:
         mesh: the hits of the mesh's surfaces.
         hull: the hits of the hull, on the same lattice.
         height: the least height of room [m].
+
+    Returns:
+        For each cell of the lattice, whether there is room, shape (cells,).
     """
-    # A line enters the hull at a hit that faces down: room may begin there. It leaves at a hit that
-    # faces up: room may end there. In the mesh, room begins over a hit that faces up, whatever is
-    # above it, and ends under one that faces down.
+    # Upwards, a line enters the hull at a hit that faces down: room may begin there. It leaves the
+    # hull at a hit that faces up: room may end there. In the mesh, room begins above a hit that
+    # faces up, whatever is above it, and ends below one that faces down.
     hull_faces_up = (hull.normal[:, 2] > 0).astype(np.int64)
     mesh_faces_up = (mesh.normal[:, 2] > 0).astype(np.int64)
     begins = np.concatenate([NEEDS_CEILING * (1 - hull_faces_up), ROOM_OVER_FLOOR * mesh_faces_up])
     ends = np.concatenate([hull_faces_up, 1 - mesh_faces_up])
-    # By how many closed parts a line is deeper inside above the hit
+    # How the number of closed parts that the line is in changes at a hit: +1, -1 or 0
     mesh_depth = np.where(mesh.hits.closed == OPEN_SURFACE, 0, 1 - 2 * mesh_faces_up)
     depth_changes = np.concatenate([np.zeros_like(hull_faces_up), mesh_depth])
     cell = np.concatenate([_cells_of_hits(hull), _cells_of_hits(mesh)])
@@ -136,18 +143,18 @@ def _mark_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     begins = begins[order]
     ends = ends[order]
     depth = np.cumsum(depth_changes[order])
-    # less the depth at the end of the cells before
+    # Each cell starts at depth 0: subtract the depth at the end of the previous cell.
     depth -= np.concatenate([[0], depth])[np.searchsorted(cell, cell)]
-    is_high = (cell[1:] == cell[:-1]) & (np.diff(z) >= height - LIMIT_SLACK)
+    is_high_enough = (cell[1:] == cell[:-1]) & (np.diff(z) >= height - LIMIT_SLACK)
     is_outside = depth[:-1] <= 0
     is_over_floor = begins[:-1] == ROOM_OVER_FLOOR
     is_below_ceiling = (begins[:-1] == NEEDS_CEILING) & (ends[1:] >= 1)
-    is_room = is_high & is_outside & (is_over_floor | is_below_ceiling)
+    is_room = is_high_enough & is_outside & (is_over_floor | is_below_ceiling)
     has_room = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
     has_room[cell[:-1][is_room]] = True
     return has_room
 
 
 def _cells_of_hits(columns: Columns) -> Int:
-    """The cell of each hit."""
+    """Return the id of the cell of each hit, shape (hits,)."""
     return np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))

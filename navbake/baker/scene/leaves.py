@@ -1,4 +1,4 @@
-"""Door candidates: bodies that a pattern names, or that look like a door's leaf."""
+"""Finds door candidates: bodies whose names match a pattern, or that look like a door's leaf."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 
 UNLIMITED_HINGE_RANGE = np.pi / 2  # how far a hinge without limits opens [rad]
 UNLIMITED_SLIDE_RANGE = 1.0  # how far a slide without limits opens [m]
-# The size of a leaf that no pattern names [m], and the rounding of sizes that is allowed for [m]
+# The sizes that a leaf has if no pattern names it, and a tolerance for rounded sizes [m]
 MIN_HEIGHT = 1.5
 MIN_WIDTH = 0.4
 MAX_WIDTH = 2.5
 MAX_THICKNESS = 0.2
 SIZE_ROUNDING = 1e-6
-# The jambs that a leaf without a joint stands between: the most that one is thick, the least that
-# it is higher than the leaf, and the farthest that it is from the leaf's end [m]
+# A leaf without a joint stands between two jambs. A jamb's largest thickness, the least height
+# difference from the leaf's top to its own, and its largest distance from the leaf's end [m]
 MAX_JAMB_THICKNESS = 0.6
 MIN_JAMB_RISE = 0.1
 MAX_JAMB_GAP = 0.1
-MAX_LISTED = 3  # bodies that a warning names
+MAX_LISTED = 3  # the most bodies that a warning names
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +47,15 @@ class DoorCandidate:
     """A body that may be a door.
 
     Attributes:
-        id: the body's name, or ``body <id>``; the body id is added where two names look the same.
-        joint: the joint's name, or ``joint <id>``; None where the body can't move.
-        geoms: ids of the geoms that count, of the body and its descendants, shape (n,).
-        positions: the joint's position in the states modelled, open and closed [rad or m]; empty
-            without a joint.
+        id: the body's name, or ``body <id>``; the body id is added if two names look the same.
+        joint: the name of the body's joint, or ``joint <id>``; None if the body can't move by a
+            single hinge or slide.
+        geoms: ids of the geoms of the body and its descendants that count, shape (n,).
+        positions: state (``modelled``, ``open``, ``closed``) -> the joint's position [rad or m];
+            empty without a joint.
         joint_id: MuJoCo's id of the joint; -1 for none.
-        is_named: whether a pattern or the scene's file names the body; if not, its shape is a
-            leaf's.
+        is_named: whether a pattern or the scene's file names the body. If not, it is a candidate
+            because it looks like a leaf.
     """
 
     id: str
@@ -65,15 +66,15 @@ class DoorCandidate:
     is_named: bool
 
     def position(self, state: str) -> float | None:
-        """Return the joint's position in a state [rad or m].
+        """Return the joint's position in a state [rad or m]; None without a joint.
 
-        Where the joint has no position for the state, this is the modelled position. It is None
-        without a joint.
+        Args:
+            state: a key of `positions`; any other state has the modelled position.
         """
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """Return the shapes that belong to this candidate."""
+        """Return those of some shapes that belong to this candidate."""
         return shapes.only(mark_candidate_geoms(len(shapes.endless), [self]))
 
 
@@ -89,22 +90,23 @@ def find_door_candidates(
 ) -> tuple[list[DoorCandidate], list[str]]:
     """Find the bodies that may be doors, by name or by shape, and warn of unused patterns.
 
-    A leaf that no pattern names hangs on structure by one hinge or slide, about or along any axis:
-    garage doors tilt, and rollers go up. A leaf without a joint, as in IFC models, stands between
-    walls that are higher than it. The descendants of a candidate are part of it.
+    By shape, a leaf is found if its parent is structure and one hinge or slide joins them. The
+    joint's axis may have any direction: garage doors tilt, and roller doors go up. A leaf without a
+    joint, as in IFC models, is found if it stands between walls that are higher than it. The
+    descendants of a candidate are part of it.
 
     Args:
         model: the model.
-        data: its pose.
+        data: the model's pose.
         shapes: the geometry of all geoms that count.
-        counted: by geom id, whether the geom counts.
-        movable: by body id, whether the body can move and carries no floor.
-        is_structure_body: by body id, whether the body is structure.
-        named_leaves: the names of bodies that the scene's file says are doors.
+        counted: for each geom, whether it counts, (ngeom,).
+        movable: for each body, whether it can move and carries no floor, (nbody,).
+        is_structure_body: for each body, whether it is structure, (nbody,).
+        named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
         settings: patterns, and whether leaves are searched for by their shape.
 
     Returns:
-        The candidates by body id, and the warnings.
+        The candidates, ascending by body id; and the warnings.
     """
     if not settings.patterns and not settings.find and not named_leaves:
         return [], []
@@ -135,7 +137,7 @@ def find_door_candidates(
             if body not in joint_of_body and not movable[body : subtree_ends[body]].any()
         ]
         searched_bodies = {body for body in (*hung_bodies, *fixed_bodies) if not is_named[body]}
-    geoms: dict[int, Int] = {}  # by body id, with those of descendants
+    geoms: dict[int, Int] = {}  # body id -> geoms of the body and its descendants that count
     for body in range(1, model.nbody):
         if body in searched_bodies or is_named[body]:
             subtree_geoms = geoms_of_bodies(model, body, int(subtree_ends[body]))
@@ -152,11 +154,11 @@ def find_door_candidates(
             if not _stands_between_jambs(leaf_geom, geoms[body], extents):
                 del leaf_geoms[body]
     bodies = list[int]()
-    end = 0  # of the subtree of the last candidate, which has no candidates inside
+    subtree_end = 0  # of the last candidate; its descendants are no candidates
     for body, body_geoms in geoms.items():
-        if body >= end and len(body_geoms) and (is_named[body] or body in leaf_geoms):
+        if body >= subtree_end and len(body_geoms) and (is_named[body] or body in leaf_geoms):
             bodies.append(body)
-            end = int(subtree_ends[body])
+            subtree_end = int(subtree_ends[body])
     name_counts = Counter(names[body] for body in bodies)
     candidates = []
     for body in bodies:
@@ -183,17 +185,22 @@ def find_door_candidates(
 
 
 def _find_single_joints(model: mujoco.MjModel) -> dict[int, int]:
-    """The hinge or slide of each body that has no other joint, by body id."""
+    """Return body id -> joint id, for the bodies whose only joint is a hinge or slide."""
     is_single = np.isin(model.jnt_type, (HINGE, SLIDE))
     is_single &= model.body_jntnum[model.jnt_bodyid] == 1
     return {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(is_single).tolist()}
 
 
 def _find_leaf_geoms(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -> dict[int, int]:
-    """Find the bodies whose largest geom, as modelled, is as tall, thin and wide as a door.
+    """Find the bodies whose largest geom is as tall, thin and wide as a door, in the scene's pose.
+
+    Args:
+        shapes: the geometry of all geoms that count.
+        num_geoms: the model's number of geoms.
+        geoms: body id -> ids of the geoms to measure.
 
     Returns:
-        The largest geom of each such body, by body id.
+        Body id -> id of its largest geom, for each such body.
     """
     all_geoms = [geom for body_geoms in geoms.values() for geom in body_geoms]
     mask = np.isin(np.arange(num_geoms), all_geoms)
@@ -213,7 +220,15 @@ def _find_leaf_geoms(shapes: Shapes, num_geoms: int, geoms: Mapping[int, Int]) -
 
 
 def _stands_between_jambs(leaf_geom: int, body_geoms: Int, extents: Extents) -> bool:
-    """Whether both ends of a leaf are at a jamb, from the leaf's foot to above its top."""
+    """Return whether there is a jamb at both ends of a leaf.
+
+    A jamb reaches from below the leaf's middle to above its top.
+
+    Args:
+        leaf_geom: id of the leaf's largest geom.
+        body_geoms: ids of all geoms of the leaf's body, which are no jambs.
+        extents: bounding boxes of all geoms of the structure.
+    """
     is_jamb = (extents.short_side <= MAX_JAMB_THICKNESS) & (extents.long_side > extents.short_side)
     is_jamb &= extents.top >= extents.top[leaf_geom] + MIN_JAMB_RISE
     is_jamb &= extents.bottom <= (extents.bottom[leaf_geom] + extents.top[leaf_geom]) / 2
@@ -221,19 +236,24 @@ def _stands_between_jambs(leaf_geom: int, body_geoms: Int, extents: Extents) -> 
     jambs = np.flatnonzero(is_jamb)
     long_axis = extents.long_axis[jambs]
     short_axis = extents.short_axis[jambs]
-    reach = extents.long_side[leaf_geom] + 2 * MAX_JAMB_GAP
-    for end in (-0.5, 0.5):
-        end_offset = end * reach * extents.long_axis[leaf_geom]
+    length = extents.long_side[leaf_geom] + 2 * MAX_JAMB_GAP
+    for sign in (-0.5, 0.5):
+        end_offset = sign * length * extents.long_axis[leaf_geom]
         to_end = extents.center[leaf_geom] + end_offset - extents.center[jambs]
-        across = np.abs((to_end * short_axis).sum(axis=1)) - extents.short_side[jambs] / 2
-        along = np.abs((to_end * long_axis).sum(axis=1)) - extents.long_side[jambs] / 2
-        if not (np.maximum(across, along) <= MAX_JAMB_GAP).any():
+        # The distances of the leaf's end from the jambs' boxes, along each axis of the boxes
+        short_gap = np.abs((to_end * short_axis).sum(axis=1)) - extents.short_side[jambs] / 2
+        long_gap = np.abs((to_end * long_axis).sum(axis=1)) - extents.long_side[jambs] / 2
+        if not (np.maximum(short_gap, long_gap) <= MAX_JAMB_GAP).any():
             return False
     return True
 
 
 def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> dict[str, float]:
-    """A joint's positions by state: it opens to the end of its range that is farther from 0."""
+    """Return state -> position of a joint [rad or m].
+
+    A door is closed at the position nearest to 0, and open at the end of the joint's range that is
+    farther from that.
+    """
     low = float(model.jnt_range[joint, 0])
     high = float(model.jnt_range[joint, 1])
     if not model.jnt_limited[joint]:
@@ -247,7 +267,9 @@ def _find_positions(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> d
 
 
 def find_largest_side(extents: Extents, geoms: Int) -> int:
-    """Return the id of the geom with the largest upright side; the first if none is finite.
+    """Return the id of the geom with the largest upright face: its longer side times its height.
+
+    If no geom has a finite one, the first geom is returned.
 
     Args:
         extents: bounding boxes of all geoms.
@@ -273,13 +295,13 @@ def mark_candidate_geoms(num_geoms: int, candidates: Sequence[DoorCandidate]) ->
 def _warn_unused_pattern(
     pattern: str, names: Sequence[str], matches: Sequence[list[str]], geoms: Mapping[int, Int]
 ) -> str:
-    """Warn of a pattern that names no candidate, and say which bodies it matches instead.
+    """Make the warning that a pattern matches no candidate, and which bodies it matches instead.
 
     Args:
         pattern: the pattern.
-        names: of all bodies.
-        matches: by body id, the patterns that match its name.
-        geoms: by id of the searched bodies, their geoms that count.
+        names: the names of all bodies.
+        matches: for each body, the patterns that match its name.
+        geoms: body id -> geoms that count, for the bodies that were searched.
     """
     matched_bodies = [body for body in geoms if pattern in matches[body]]
     if not matched_bodies:

@@ -1,9 +1,10 @@
-"""The compiled MuJoCo model of any scene: of a file, or of a scene in memory.
+"""Loads scene files and scenes in memory as compiled MuJoCo models.
 
 Files are MJCF, URDF, MJB, meshes, and scenes that a reader parses (USD, SDF, Open-RMF's buildings).
 
-A crash of MuJoCo's compiler ends its process, and Python can't stop it while it is busy. In a child
-process both become errors, see `load_isolated`.
+If MuJoCo's compiler crashes, its process ends; and Python can't interrupt the compiler.
+`load_isolated` runs it in a child process, so that a crash, or a compilation that takes too long,
+is an error.
 """
 
 from __future__ import annotations
@@ -65,39 +66,39 @@ if TYPE_CHECKING:
     import trimesh
 
 SceneInMemory: TypeAlias = "mujoco.MjModel | mujoco.MjSpec | trimesh.Scene | trimesh.Trimesh"
-"""A scene that needs no file."""
+"""A scene that is not in a file: a model, a spec or meshes."""
 
 SceneInput: TypeAlias = "SceneInMemory | BakeConfig | str | PathLike[str] | Mapping[str, object]"
 """A scene in memory; settings; or the path of a scene or of a YAML file with settings."""
 
 MJB_SUFFIX = ".mjb"
-# The functions that parse scenes, by suffix, see `ParsedScene`
+# File suffix -> function that reads such a file as a `ParsedScene`
 READERS = dict.fromkeys(STAGE_SUFFIXES, "navbake.baker.readers.usd:read_stage")
 READERS |= dict.fromkeys(SDF_SUFFIXES, "navbake.baker.readers.sdf:read_world")
 READERS |= dict.fromkeys(BUILDING_SUFFIXES, "navbake.baker.readers.building:read_building")
-# What to do with formats that no function reads
+# File suffix, of formats that navbake doesn't read -> what the user can do
 CONVERSIONS = {
     ".fbx": "convert it first, by `assimp export SCENE.fbx SCENE.glb` (Debian's assimp-utils)",
     ".ifc": "convert it first, by ifcopenshell (pip install ifcopenshell), as docs/scenes.md shows",
 }
 XML_ERRORS = (ElementTree.ParseError, ValueError, LookupError)
-DEFAULT_MODEL_NAME = "MuJoCo Model"  # MuJoCo's name of a model that was given none
-# A data fits a model with the same of these sizes, which determine where geoms are.
+DEFAULT_MODEL_NAME = "MuJoCo Model"  # MuJoCo's default name of a model
+# Sizes that a MjData and a model must have in common: the places of geoms depend on them
 POSE_SIZES = ("nq", "nmocap", "nbody", "ngeom")
 
-# The child gets this process's module path first of all: with -c, Python would look in the current
-# folder, which is as little to be trusted as the scene.
+# The child gets this process's sys.path before it imports anything. By default, ``python -c``
+# imports from the current folder, which can't be trusted: it may contain the scene.
 CHILD_CODE = (
     "import sys; sys.path[:] = {path!r}; "
     "from navbake.baker.scene.model import compile_job; compile_job(sys.argv[1])"
 )
-IMPORT_SECONDS = 120.0  # what the child may take besides, to start and to end, on a busy machine
+IMPORT_SECONDS = 120.0  # extra time for the child to start and to end on a busy machine [s]
 ALARM_SIGNAL = int(getattr(signal, "SIGALRM", 14))
-# The files by which parent and child exchange a scene
+# The files through which the parent and the child process exchange a scene
 JOB_FILE = "job.pickle"
 MODEL_FILE = "model.mjb"
 RESULT_FILE = "result.pickle"
-STARTED_FILE = "started"  # the child writes it when it begins to compile
+STARTED_FILE = "started"  # the child creates it when it begins to compile
 
 
 def mujoco_version() -> str:
@@ -109,13 +110,13 @@ class SceneModel(NamedTuple):
     """The compiled model of a scene, before the geoms that count are selected.
 
     Attributes:
-        model: the model. Of a mesh file it has the names, the bodies and the ground, but a
-            tetrahedron in place of each mesh.
-        exact_meshes: the meshes of a mesh file by geom id, world frame.
-        ground: the id of the geom of `scene.ground`; None without.
-        warnings: MuJoCo's and the reader's.
-        data: the pose; None where the settings define it.
-        named_leaves: the names of bodies that the file says are doors.
+        model: the model. It has a tetrahedron in place of each mesh of `exact_meshes`.
+        exact_meshes: geom id -> mesh in the world frame: the meshes of a mesh file, or those of a
+            parsed scene that never move.
+        ground: id of the geom that `scene.ground` adds; None if there is none.
+        warnings: warnings of MuJoCo and of the reader.
+        data: the model's pose; None if the settings define it.
+        named_leaves: names of the bodies that are leaves of doors, as the file says.
     """
 
     model: mujoco.MjModel
@@ -129,19 +130,19 @@ class SceneModel(NamedTuple):
 def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     """Load and compile a scene file.
 
-    `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
-    other ids stay.
+    `scene.ground` is added as an endless plane on a new body. Both come last, so that no other ids
+    change.
 
     Args:
         settings: the scene's path, and how to read it.
-        warnings: the list of `catch_warnings`, to which MuJoCo's and the reader's are added; it
-            gives the reason where MuJoCo fails.
+        warnings: the list of `catch_warnings`, which receives the warnings of MuJoCo and of the
+            reader. If MuJoCo fails, the error quotes them.
 
     Returns:
         The compiled model.
 
     Raises:
-        SceneError: the file is missing, broken, or of no format that is read.
+        SceneError: the file is missing or broken, or navbake doesn't read its format.
         ConfigError: `scene.ground` can't be added.
     """
     path = Path(settings.path)
@@ -184,19 +185,19 @@ def _load_binary(path: Path, ground: float | None, warnings: list[str]) -> mujoc
     if ground is not None:
         hint = f"bake the XML that {path} was made of"
         raise ConfigError(f"`scene.ground` can't be added to an MJB: {hint}")
-    this = f"this is {mujoco_version()}: save it again, or bake its XML"
-    hint = f" (an MJB fits only the MuJoCo that wrote it, {this})"
+    version_hint = f"this is {mujoco_version()}: save it again, or bake its XML"
+    hint = f" (an MJB fits only the MuJoCo that wrote it, {version_hint})"
     load = partial(mujoco.MjModel.from_binary_path, str(path))
     return compile_model(path, warnings, load, hint)
 
 
 class CompileLimits(NamedTuple):
-    """What MuJoCo may take to compile a scene.
+    """The time and memory that MuJoCo may take to compile a scene.
 
     Attributes:
-        seconds: time [s].
-        memory: memory that it may reserve beyond what the process starts with [GiB]; limited on
-            Linux only.
+        seconds: the time limit [s].
+        memory: the memory that it may reserve, besides what the process has at its start [GiB];
+            only limited on Linux.
     """
 
     seconds: float = 60.0
@@ -204,11 +205,11 @@ class CompileLimits(NamedTuple):
 
 
 class CompileResult(NamedTuple):
-    """What the child process sends back beside the model.
+    """What the child process returns besides the model's file.
 
     Attributes:
-        warnings: MuJoCo's and the reader's.
-        error: why there is no model; None where there is one.
+        warnings: warnings of MuJoCo and of the reader.
+        error: the reason that there is no model; None if there is one.
         exact_meshes: see `SceneModel`.
         named_leaves: see `SceneModel`.
     """
@@ -222,18 +223,19 @@ class CompileResult(NamedTuple):
 def load_isolated(
     settings: SceneSettings, limits: CompileLimits, warnings: list[str]
 ) -> SceneModel:
-    """Load a scene file in a child process, whose model comes back as a file (MJB).
+    """Load a scene file in a child process, which returns the model as an MJB file.
 
     Args:
         settings: the scene's path, and how to read it.
-        limits: time and memory that the child may take.
-        warnings: the list to which MuJoCo's and the reader's warnings are added.
+        limits: the time and memory that the child may take.
+        warnings: the list to which the warnings of MuJoCo and of the reader are added.
 
     Returns:
         The compiled model.
 
     Raises:
-        SceneError: as `load_model`; or MuJoCo crashed, or took too long.
+        SceneError: see `load_model`; or MuJoCo crashed, or took too long.
+        ConfigError: see `load_model`.
         NavbakeError: the child process does not start.
     """
     scene = Path(settings.path)
@@ -241,7 +243,7 @@ def load_isolated(
         (folder / JOB_FILE).write_bytes(pickle.dumps((settings, limits)))
         path = [entry or os.getcwd() for entry in sys.path]
         command = [sys.executable, "-c", CHILD_CODE.format(path=path), str(folder)]
-        max_seconds = limits.seconds + IMPORT_SECONDS  # the child ends itself, but on Windows
+        max_seconds = limits.seconds + IMPORT_SECONDS  # except on Windows, the child ends earlier
         try:
             status = subprocess.run(
                 command,
@@ -255,14 +257,14 @@ def load_isolated(
         if status == -ALARM_SIGNAL:
             hint = "make the scene smaller, or give it more time"
             raise SceneError(f"MuJoCo did not compile {scene} within {limits.seconds:g} s: {hint}")
-        ended = f"({ending_of(status)})"
+        ending = f"({ending_of(status)})"
         if not (folder / STARTED_FILE).exists():
             hint = f"does {sys.executable!r} find navbake?"
-            raise NavbakeError(f"cannot start a process to compile {scene} in {ended}: {hint}")
+            raise NavbakeError(f"cannot start a process to compile {scene} in {ending}: {hint}")
         if not (folder / RESULT_FILE).exists():
-            too_much = f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
-            asks = f"the scene asks for {too_much}"
-            raise SceneError(f"MuJoCo crashed as it compiled {scene} {ended}: {asks}")
+            demand = f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
+            reason = f"the scene asks for {demand}"
+            raise SceneError(f"MuJoCo crashed as it compiled {scene} {ending}: {reason}")
         result: CompileResult = pickle.loads((folder / RESULT_FILE).read_bytes())
         warnings += result.warnings
         if result.error is not None:
@@ -278,13 +280,17 @@ def load_isolated(
 
 
 def compile_job(job_folder: str) -> None:
-    """Compile the scene of a job, in the child process, and write the model or the error."""
+    """Compile a scene in the child process of `load_isolated`, and write the model or the error.
+
+    Args:
+        job_folder: the folder with the job's file, in which the result is written.
+    """
     folder = Path(job_folder)
     settings, limits = pickle.loads((folder / JOB_FILE).read_bytes())
     limit_memory(limits.memory)
     end_with_parent()
     (folder / STARTED_FILE).touch()
-    if hasattr(signal, "setitimer"):  # whose signal ends this process, whatever MuJoCo does
+    if hasattr(signal, "setitimer"):  # its signal ends this process, even inside MuJoCo
         signal.setitimer(signal.ITIMER_REAL, limits.seconds)
     failure: Exception | None = None
     exact_meshes: dict[int, NamedMesh] = {}
@@ -298,14 +304,14 @@ def compile_job(job_folder: str) -> None:
         except Exception as error:
             if not lacked_memory(error) and not isinstance(error, NavbakeError):
                 raise
-            lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
-            failure = SceneError(lacks) if lacked_memory(error) else error
+            message = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
+            failure = SceneError(message) if lacked_memory(error) else error
     result = CompileResult(warnings, failure, exact_meshes, named_leaves)
     (folder / RESULT_FILE).write_bytes(pickle.dumps(result))
 
 
 def limit_mesh_cache(num_bytes: int) -> None:
-    """Limit MuJoCo's cache of meshes, by which scenes that use the same files load faster.
+    """Limit MuJoCo's cache of mesh files; with it, scenes that use the same files load faster.
 
     Args:
         num_bytes: the largest size of the cache [bytes].
@@ -314,11 +320,11 @@ def limit_mesh_cache(num_bytes: int) -> None:
 
 
 def find_ground(model: mujoco.MjModel, settings: SceneSettings) -> int | None:
-    """Return the id of the geom of `scene.ground`, the last one; None without.
+    """Return the id of the geom that `scene.ground` adds, the last one; None if there is none.
 
     Args:
         model: the compiled model.
-        settings: the settings that it was loaded by.
+        settings: the settings with which it was loaded.
     """
     return None if settings.ground is None else int(model.ngeom) - 1
 
@@ -330,20 +336,20 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> mujoco.MjModel:
     path = Path(settings.path)
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
-    root_tag = ""  # where Python's parser doesn't get that far
+    root_tag = ""  # if Python's parser fails before it
     with suppress(*XML_ERRORS):
         root_tag = str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
     if root_tag == "robot":
         return _load_urdf(path, settings, warnings)
     if root_tag not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root_tag[:40]}>")
-    # MuJoCo's parser decides what is MJCF, also where Python's is stricter.
+    # MuJoCo's parser decides what is MJCF; Python's may be stricter.
     try:
         return compile_model(path, warnings, lambda: _load_mjcf(path, settings.ground, warnings))
     except SceneError as error:
         try:
             ElementTree.parse(path)
-        except XML_ERRORS as xml_error:  # which says better where the XML is broken
+        except XML_ERRORS as xml_error:  # it says more exactly where the XML is broken
             raise SceneError(f"broken XML in {path}: {xml_error}") from error
         raise
 
@@ -353,13 +359,13 @@ def _load_mjcf(path: Path, ground: float | None, warnings: list[str]) -> mujoco.
         spec = mujoco.MjSpec.from_file(str(path))
         _drop_missing_textures(spec, path, warnings)
         return compile_spec(spec, ground, warnings)
-    if ground is not None:  # MjSpec reads no other ending
+    if ground is not None:  # MjSpec only reads files that end in .xml
         raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
     return mujoco.MjModel.from_xml_path(str(path))
 
 
 def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujoco.MjModel:
-    """A URDF's model; its meshes are read as mesh scenes are, whatever their format."""
+    """Load a URDF; its meshes are read by `read_named_meshes`, which reads all mesh formats."""
     text, mesh_files = read_urdf(path, settings.geoms, warnings)
 
     def build() -> mujoco.MjModel:
@@ -375,7 +381,7 @@ def _load_urdf(path: Path, settings: SceneSettings, warnings: list[str]) -> mujo
 
 
 def _drop_missing_textures(spec: mujoco.MjSpec, path: Path, warnings: list[str]) -> None:
-    """Make textures with a missing file plain, with a warning: no bake needs them."""
+    """Make textures plain, with a warning, if their files are missing; no bake needs them."""
     missing_files = list[str]()
     folders = [path.parent / spec.texturedir, path.parent]
     for texture in spec.textures:
@@ -400,31 +406,32 @@ def _drop_missing_textures(spec: mujoco.MjSpec, path: Path, warnings: list[str])
 def read_urdf(
     path: Path, geoms: str = "auto", warnings: list[str] | None = None
 ) -> tuple[str, dict[str, Path]]:
-    """Read a URDF: its XML for MuJoCo, and the file of each mesh.
+    """Read a URDF: its XML for MuJoCo, and the files of its meshes.
 
-    Unless the file's own ``<mujoco><compiler/>`` says otherwise, visuals are kept and links that
-    hang on a fixed joint keep their bodies and names, both against MuJoCo's defaults.
+    Unless the file's own ``<mujoco><compiler/>`` says otherwise, visuals are kept, and links on
+    fixed joints keep their own bodies and names. MuJoCo would do neither.
 
-    A visual whose mesh is missing is left out, with a warning, where visuals don't count: the file
-    discards them, or it has collision geometry and `scene.geoms` counts that.
+    A visual with a missing mesh is left out, with a warning, if visuals don't count: because the
+    file discards them, or because the file has collision geometry and `geoms` is neither ``visual``
+    nor ``all``. Otherwise it is an error.
 
     Args:
         path: the URDF.
-        geoms: `scene.geoms`.
-        warnings: the list to which warnings are added; None for none.
+        geoms: the value of `scene.geoms`.
+        warnings: the list to which warnings are added; None to add none.
 
     Returns:
-        The XML, and the mesh files by the key that stands for each in the XML.
+        The XML; and key -> file of a mesh: the XML has such a key in place of each mesh's path.
 
     Raises:
-        SceneError: the XML is broken, or a mesh that counts is missing.
+        SceneError: the XML is broken, or a mesh is missing that can't be left out.
     """
 
     @cache
     def find_file(name: str) -> Path | None:
         return next((place for place in list_mesh_paths(path, name) if place.is_file()), None)
 
-    def missing_meshes(element: ElementTree.Element) -> list[str]:
+    def find_missing_meshes(element: ElementTree.Element) -> list[str]:
         names = [mesh.get("filename", "") for mesh in element.iter("mesh")]
         return [name for name in names if not find_file(name)]
 
@@ -436,15 +443,15 @@ def read_urdf(
             dropped = list[str]()
             for link in list(root.iter("link")):
                 for visual in link.findall("visual"):
-                    missing = missing_meshes(visual)
+                    missing = find_missing_meshes(visual)
                     if missing:
                         dropped += missing
                         link.remove(visual)
             if dropped and warnings is not None:
-                because = "as it is only drawn, and visuals don't count here"
+                reason = "as it is only drawn, and visuals don't count here"
                 listed = list_first([repr(name) for name in dropped])
-                warnings.append(f"mesh {listed} of {path} not found: left out, {because}")
-        for name in missing_meshes(root):
+                warnings.append(f"mesh {listed} of {path} not found: left out, {reason}")
+        for name in find_missing_meshes(root):
             raise SceneError(_describe_missing_mesh(path, name))
         used_names: set[str] = set()
         keys: dict[Path, str] = {}
@@ -460,7 +467,7 @@ def read_urdf(
 
 
 def _urdf_compiler(root: ElementTree.Element) -> ElementTree.Element:
-    """The ``<mujoco><compiler/>`` of a URDF, added where missing, with navbake's defaults."""
+    """Return a URDF's ``<mujoco><compiler/>``, with navbake's defaults; it is added if missing."""
     mujoco_element = root.find("mujoco")
     if mujoco_element is None:
         mujoco_element = ElementTree.SubElement(root, "mujoco")
@@ -493,7 +500,7 @@ def is_in_memory(scene: object) -> TypeGuard[SceneInMemory]:
 
 
 def name_of(scene: SceneInMemory) -> str:
-    """Return the name of a scene in memory: its model's, else ``scene``."""
+    """Return the name of a scene in memory: its model's name; ``scene`` if there is none."""
     name = ""
     if isinstance(scene, mujoco.MjModel):
         name = name_at(scene, 0)
@@ -505,17 +512,18 @@ def name_of(scene: SceneInMemory) -> str:
 def load_from_memory(
     scene: SceneInMemory, data: mujoco.MjData | None, settings: SceneSettings
 ) -> SceneModel:
-    """Compile a scene in memory, and copy its pose; neither is changed.
+    """Compile a scene in memory, and copy its pose.
 
-    MuJoCo's warnings are collected only for specs, which are compiled here.
+    MuJoCo's warnings are only collected if the scene has to be compiled.
 
     Args:
-        scene: the scene.
-        data: its joint positions and mocap bodies are the pose; None for the settings' pose.
+        scene: the scene, which is not changed.
+        data: the pose, by its joint positions and mocap bodies; it is not changed. None for the
+            pose of the settings.
         settings: the settings of the scene; errors name their path.
 
     Returns:
-        The compiled model.
+        The compiled model, and the pose.
 
     Raises:
         ConfigError: `data` fits a different model, or the settings state a pose as well.
@@ -549,7 +557,7 @@ def load_from_memory(
 
 
 def check_data(model: mujoco.MjModel, data: object, name: str) -> None:
-    """Check that a mujoco.MjData fits a model, by its sizes and its joints.
+    """Check that a mujoco.MjData fits a model: compare sizes and types of joints.
 
     Args:
         model: the model.

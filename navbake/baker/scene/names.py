@@ -1,4 +1,4 @@
-"""Names of a model's geoms, bodies and joints, and the tree of its bodies."""
+"""Finds the names of a model's geoms, bodies and joints, and the subtrees of its bodies."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 class GeomNames(NamedTuple):
-    """The names of a geom that patterns match and reports show.
+    """The names of a geom, its mesh and its body, which patterns match and reports show.
 
     Attributes:
-        geom: the geom's name; ``geom <id>`` where it has none.
-        mesh: its mesh's name; empty without a mesh.
-        body: its body's name; ``body <id>`` where that has none.
+        geom: the geom's name; ``geom <id>`` if it has none.
+        mesh: the name of its mesh; empty if it has no mesh.
+        body: the name of its body; ``body <id>`` if the body has none.
     """
 
     geom: str
@@ -31,11 +31,11 @@ class GeomNames(NamedTuple):
 
 
 def name_at(model: mujoco.MjModel, address: int) -> str:
-    """Return the name at an address of the model's store of names; empty for none.
+    """Return the name at an address of the model's store of names; empty if it has no name.
 
     Args:
         model: the model.
-        address: the address of the name's first byte, such as ``model.name_bodyadr[3]``.
+        address: the address of the name's first byte, for example ``model.name_bodyadr[3]``.
     """
     return names_at(model, [address])[0]
 
@@ -45,10 +45,10 @@ def names_at(model: mujoco.MjModel, addresses: Iterable[int]) -> list[str]:
 
     Args:
         model: the model.
-        addresses: the addresses of the names' first bytes, such as ``model.name_bodyadr``.
+        addresses: the addresses of the names' first bytes, for example ``model.name_bodyadr``.
 
     Returns:
-        The names, empty for none; bytes that aren't UTF-8 are replaced.
+        The names, empty if there is none; bytes that aren't UTF-8 are replaced.
     """
     store: bytes = model.names  # a copy of all names
     names = []
@@ -59,13 +59,13 @@ def names_at(model: mujoco.MjModel, addresses: Iterable[int]) -> list[str]:
 
 
 class ModelNames(NamedTuple):
-    """All names of a model, by id.
+    """All names of a model, in the order of ids.
 
     Attributes:
-        geoms: the names of each geom, its mesh and its body.
-        bodies: the names of bodies; ``body <id>`` for none.
-        own_geoms: the names of geoms as the model has them, empty for none.
-        sites: the names of sites as the model has them, empty for none.
+        geoms: for each geom, the names of the geom, its mesh and its body.
+        bodies: the bodies' names; ``body <id>`` if a body has none.
+        own_geoms: the geoms' names; empty if a geom has none.
+        sites: the sites' names; empty if a site has none.
     """
 
     geoms: list[GeomNames]
@@ -74,12 +74,12 @@ class ModelNames(NamedTuple):
     sites: tuple[str, ...]
 
 
-# Every stage needs the names, which never change.
+# A cache: every stage needs the names, which never change.
 _names_of_models: WeakKeyDictionary[mujoco.MjModel, ModelNames] = WeakKeyDictionary()
 
 
 def all_names(model: mujoco.MjModel) -> ModelNames:
-    """Return the names of a model; they are computed once and cached for each model."""
+    """Return all names of a model. They are cached."""
     names = _names_of_models.get(model)
     if names is None:
         names = _read_names(model)
@@ -114,7 +114,7 @@ def _read_names(model: mujoco.MjModel) -> ModelNames:
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return a body's name; ``body <id>`` where it has none.
+    """Return a body's name; ``body <id>`` if it has none.
 
     Args:
         model: the model.
@@ -124,7 +124,7 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return a joint's name; ``joint <id>`` where it has none.
+    """Return a joint's name; ``joint <id>`` if it has none.
 
     Args:
         model: the model.
@@ -136,13 +136,13 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 def warn_unmatched(
     setting: str, pattern: str, names: Iterable[str], matches: str = "nothing"
 ) -> str:
-    """Return the warning that a pattern matches no name; it suggests similar names.
+    """Return the warning that a pattern matches no name, with similar names as a suggestion.
 
     Args:
         setting: the key of the setting that has the pattern, such as ``doors.patterns``.
         pattern: the pattern.
         names: the names that the user may have meant; empty names are ignored.
-        matches: what the warning says that the pattern matches, such as ``no body``.
+        matches: the end of the sentence ``<pattern> matches ...``, such as ``no body``.
     """
     near_names = find_near(pattern.strip("*"), sorted({name for name in names if name}), most=3)
     hint = f"; near names are {', '.join(near_names)}" if near_names else ""
@@ -150,10 +150,10 @@ def warn_unmatched(
 
 
 def find_subtree_ends(model: mujoco.MjModel) -> Int:
-    """Return by body id the id after the last body of the body's subtree, shape (nbody,).
+    """Return for each body where its subtree ends, shape (nbody,).
 
-    Bodies are numbered depth first: the subtree consists of the ids from the body's to before this
-    end.
+    Bodies are numbered depth first: the body and its descendants are the ids
+    ``range(body, ends[body])``.
     """
     ends = list(range(1, model.nbody + 1))
     parents = model.body_parentid.tolist()
@@ -163,24 +163,24 @@ def find_subtree_ends(model: mujoco.MjModel) -> Int:
 
 
 def geoms_of_bodies(model: mujoco.MjModel, first: int, end: int) -> Int:
-    """Return the ids of the geoms of the bodies from `first` to before `end`, ascending.
+    """Return the ids of the geoms of the bodies ``range(first, end)``, ascending.
 
     Args:
         model: the model.
         first: id of the first body.
-        end: id after the last body.
+        end: id of the last body, plus 1.
     """
     low, high = np.searchsorted(model.geom_bodyid, [first, end])
     return np.arange(low, high, dtype=np.int64)
 
 
 def mark_geoms_of_bodies(model: mujoco.MjModel, first: int, end: int) -> Bool:
-    """Mark the geoms of the bodies from `first` to before `end`, shape (ngeom,).
+    """Return a mask of the geoms of the bodies ``range(first, end)``, shape (ngeom,).
 
     Args:
         model: the model.
         first: id of the first body.
-        end: id after the last body.
+        end: id of the last body, plus 1.
     """
     mask = np.zeros(model.ngeom, dtype=np.bool_)
     mask[geoms_of_bodies(model, first, end)] = True

@@ -1,4 +1,4 @@
-"""Poses of a compiled model: keyframes and joint values, checked against its joints."""
+"""Poses compiled models by keyframes, joint values or joint positions, after checking these."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -14,8 +14,9 @@ from navbake.errors import ConfigError, SceneError
 from navbake.known_names import list_first
 from navbake.types import Int32
 
-# How far beyond its range a joint may go without a warning, for rounded angles [rad or m]
+# A joint may be this far out of its range without a warning: angles are rounded [rad or m]
 RANGE_SLACK = 1e-4
+# Type of a joint -> the values that set its position, as errors state them
 JOINT_VALUES = {
     FREE: "7 numbers (x, y, z [m], quaternion w, x, y, z)",
     BALL: "4 numbers (quaternion w, x, y, z)",
@@ -26,14 +27,14 @@ JOINT_UNITS = {SLIDE: "m", HINGE: "rad"}
 
 
 def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
-    """Compute the pose of a model by the keyframe and the joint values of the settings.
+    """Pose a model by the keyframe and the joint values of the settings.
 
     Args:
         model: the model.
-        settings: `scene.keyframe` and `scene.joints`, and the path, for errors.
+        settings: `scene.keyframe` and `scene.joints` are used; errors name `scene.path`.
 
     Returns:
-        The model's data, in which all geoms are placed.
+        The model's data, with the poses of all geoms computed.
 
     Raises:
         ConfigError: the model has no such keyframe or joint, or a joint's value is wrong.
@@ -43,8 +44,8 @@ def pose_model(model: mujoco.MjModel, settings: SceneSettings) -> mujoco.MjData:
     with _raise_scene_errors(f"pose {settings.path}"):
         keyframe = settings.keyframe
         if isinstance(keyframe, int) and keyframe >= model.nkey:
-            has = f"{settings.path} has {model.nkey} of them, counted from 0"
-            raise ConfigError(f"no keyframe {keyframe} for `scene.keyframe`: {has}")
+            number_text = f"{settings.path} has {model.nkey} of them, counted from 0"
+            raise ConfigError(f"no keyframe {keyframe} for `scene.keyframe`: {number_text}")
         if isinstance(keyframe, str):
             keyframe = _find_keyframe(model, keyframe, settings)
         if keyframe is not None:
@@ -82,7 +83,16 @@ def _check_name(
     addresses: Int32,
     settings: SceneSettings,
 ) -> None:
-    """Raise a ConfigError that lists the model's keyframes or joints unless one has the name."""
+    """Raise a ConfigError unless a model has a keyframe or joint of some name.
+
+    Args:
+        model: the model.
+        name: the name.
+        kind: ``keyframe`` or ``joint``, for the error.
+        setting: the key of the setting that states the name, for the error.
+        addresses: the addresses of the names of all keyframes or joints.
+        settings: errors name `scene.path`.
+    """
     names = [model_name for model_name in names_at(model, addresses.tolist()) if model_name]
     if name not in names:
         listed = list_first(names, 20) or "none with a name"
@@ -91,7 +101,7 @@ def _check_name(
 
 @contextmanager
 def _raise_scene_errors(action: str) -> Iterator[None]:
-    """Raise MuJoCo's errors as a SceneError: MuJoCo cannot do the action."""
+    """Convert MuJoCo's errors inside a with statement to SceneErrors: it cannot do the action."""
     try:
         yield
     except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
@@ -100,14 +110,11 @@ def _raise_scene_errors(action: str) -> Iterator[None]:
 
 
 def warn_out_of_range(model: mujoco.MjModel, settings: SceneSettings) -> list[str]:
-    """Warn of joints that the settings move out of their range.
+    """Make a warning for each joint that the settings move out of its range.
 
     Args:
         model: the model.
-        settings: `scene.joints`, whose names the model has.
-
-    Returns:
-        A warning for each such joint.
+        settings: `scene.joints` is used; the model has all joints that it names.
     """
     warnings = []
     for name, value in settings.joints.items():
@@ -126,14 +133,14 @@ def warn_out_of_range(model: mujoco.MjModel, settings: SceneSettings) -> list[st
 
 
 def data_of_qpos(model: mujoco.MjModel, qpos: ArrayLike) -> mujoco.MjData:
-    """Return a model's data with all geoms placed by joint positions.
+    """Return a model's data with the joint positions `qpos`, and the poses of geoms computed.
 
     Args:
         model: the model.
         qpos: the positions of all joints, shape (nq,) [m or rad].
 
     Raises:
-        ConfigError: `qpos` has another shape, or is not made of numbers.
+        ConfigError: `qpos` has a different shape, or contains something that is no number.
     """
     expected = f"expected {model.nq} joint positions (nq)"
     try:
@@ -151,12 +158,12 @@ def data_of_qpos(model: mujoco.MjModel, qpos: ArrayLike) -> mujoco.MjData:
 def data_with_joints(
     model: mujoco.MjModel, data: mujoco.MjData, positions: Mapping[int, float]
 ) -> mujoco.MjData:
-    """Return a copy of a model's data with some hinges and slides moved, and all geoms placed.
+    """Return a copy of a model's data with some joints moved, and the poses of geoms computed.
 
     Args:
         model: the model.
-        data: its data; it is not changed.
-        positions: the positions of hinges and slides, by joint id [rad or m].
+        data: the model's data, which is not changed.
+        positions: id of a hinge or slide -> its new position [rad or m].
     """
     copied_data = mujoco.MjData(model)
     copied_data.qpos[:] = data.qpos
@@ -169,14 +176,14 @@ def data_with_joints(
 
 
 def place_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Place all geoms of a data by its joint positions and mocap bodies.
+    """Compute the poses of all geoms from the joint positions and mocap bodies.
 
     Args:
         model: the model.
-        data: its data, in which the geoms' poses are written.
+        data: the model's data, in which the poses are written.
 
     Raises:
-        SceneError: MuJoCo cannot place them.
+        SceneError: MuJoCo cannot compute them.
     """
     with _raise_scene_errors("take the pose"):
         mujoco.mj_kinematics(model, data)

@@ -1,6 +1,6 @@
-"""The roles of geoms: structure, structure that moves, movables, and leaves of doors.
+"""Finds the roles of geoms: structure, structure that moves, movables, and leaves of doors.
 
-Structure makes floors, walls and rooms; movables only block cells.
+Floors, walls and rooms come from structure; movables only block cells.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from navbake.types import Bool, Int
 if TYPE_CHECKING:
     import mujoco
 
-# The role of a geom. Structure that moves carries floors, but is no wall.
+# The roles of geoms. MOVING_STRUCTURE carries floors, but is no wall
 LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE, LEAF = range(5)
-# and its name in reports
+# The names of these roles in reports
 ROLES = ("", "structure", "structure that moves", "movable", "leaf")
 
-# What an actuator moves (MuJoCo's mjtTrn), and what a tendon runs over (mjtWrap)
+# MuJoCo's codes of what an actuator moves (mjtTrn)
 JOINT, JOINT_IN_PARENT, SLIDER_CRANK, TENDON, SITE, BODY = range(6)
+# MuJoCo's codes of what a tendon runs over (mjtWrap)
 WRAP_JOINT = 1
 WRAP_SITE = 3
 
@@ -37,14 +38,15 @@ class SceneRoles(NamedTuple):
     """The roles of a scene's geoms and bodies.
 
     Attributes:
-        roles: by geom id, one of LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE and LEAF,
-            shape (ngeom,), uint8.
-        movable: by body id, whether the body can move and carries no floor, shape (nbody,), bool.
-        is_structure_body: by body id, whether the body is structure, shape (nbody,), bool.
-        mover_of_body: by body id, the topmost body that moves the body; itself if none does.
-        leaves: the bodies that may be doors, by body id.
-        cars: ids of the bodies that are cars of lifts.
-        pattern_warnings: warnings of patterns of doors that match nothing.
+        roles: for each geom, LEFT_OUT, STATIC_STRUCTURE, MOVING_STRUCTURE, MOVABLE or LEAF, shape
+            (ngeom,), uint8.
+        movable: for each body, whether it can move and carries no floor, shape (nbody,), bool.
+        is_structure_body: for each body, whether it is structure, shape (nbody,), bool.
+        mover_of_body: for each movable body, the id of its topmost movable ancestor, or its own id;
+            for other bodies, their own ids, shape (nbody,).
+        leaves: the door candidates, ascending by body id.
+        cars: ids of the bodies that are cars of lifts, ascending.
+        pattern_warnings: warnings of patterns of doors that match nothing, one line each.
         warnings: all other warnings, one line each.
     """
 
@@ -61,7 +63,7 @@ class SceneRoles(NamedTuple):
 def find_movable_bodies(model: mujoco.MjModel) -> Bool:
     """Return a mask of the bodies that can move, shape (nbody,).
 
-    A body can move if it, or a body above it, has a joint or is a mocap body.
+    A body can move if it or one of its ancestors has a joint or is a mocap body.
     """
     is_mocap = model.body_mocapid[model.body_rootid] >= 0
     movable: Bool = (model.body_weldid != 0) | is_mocap
@@ -69,7 +71,7 @@ def find_movable_bodies(model: mujoco.MjModel) -> Bool:
 
 
 def mark_structure(roles: NDArray[np.uint8]) -> Bool:
-    """Return a mask of the geoms whose roles make them floors and walls, shape (ngeom,)."""
+    """Return a mask of the geoms that are structure, static or moving, shape (ngeom,)."""
     is_structure: Bool = (roles == STATIC_STRUCTURE) | (roles == MOVING_STRUCTURE)
     return is_structure
 
@@ -84,15 +86,16 @@ def find_roles(
 ) -> SceneRoles:
     """Find the role of each geom that counts: structure, movable, or a leaf of a door.
 
-    Bodies that `floors.movable` names, and cars of lifts, carry floors, with all that hangs on
-    them. Where no geom would be structure, all bodies are structure as they stand.
+    Bodies that `floors.movable` names, cars of lifts, and the descendants of both carry floors:
+    they are structure though they move. If no geom would be structure, all bodies are, where they
+    stand.
 
     Args:
         model: the model.
-        data: its pose.
+        data: the model's pose.
         shapes: the geometry of all geoms that count.
-        counted: by geom id, whether the geom counts.
-        named_leaves: the names of bodies that the scene's file says are doors.
+        counted: for each geom, whether it counts, (ngeom,).
+        named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
         config: all settings.
 
     Returns:
@@ -162,10 +165,10 @@ def assign_roles(
 
     Args:
         model: the model.
-        counted: by geom id, whether the geom counts.
-        movable: by body id, see `SceneRoles`.
-        is_structure_body: by body id, see `SceneRoles`.
-        leaves: the bodies that may be doors.
+        counted: for each geom, whether it counts, (ngeom,).
+        movable: see `SceneRoles`.
+        is_structure_body: see `SceneRoles`.
+        leaves: the door candidates.
 
     Returns:
         The role of each geom, shape (ngeom,), uint8.
@@ -179,7 +182,7 @@ def assign_roles(
 
 
 def _find_movers(model: mujoco.MjModel, movable: Bool) -> Int:
-    """By body id, the topmost body that moves the body; itself if none does."""
+    """Find the topmost movable ancestor of each movable body, see `SceneRoles.mover_of_body`."""
     movers = np.arange(model.nbody)
     for body, parent in enumerate(model.body_parentid.tolist()):  # parents come first
         if movable[body] and movable[parent]:
@@ -205,7 +208,7 @@ def find_actuated_bodies(model: mujoco.MjModel) -> set[int]:
 
 
 def _find_bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
-    """The bodies of the joints and sites that a tendon runs over."""
+    """Return the ids of the bodies whose joints or sites a tendon runs over."""
     bodies = set[int]()
     first = int(model.tendon_adr[tendon])
     for wrap in range(first, first + int(model.tendon_num[tendon])):

@@ -1,4 +1,4 @@
-"""The scene that is baked: the geoms that count, their shapes, their pose and their roles."""
+"""Loads the scene that is baked: the geoms that count, with their shapes, poses and roles."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ from navbake.types import Bool, Float, Int, Int32
 if TYPE_CHECKING:
     import mujoco
 
-LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed without a copy [bytes]
-# Hashing so much takes longer than starting a thread [bytes].
+LARGE_ARRAY = 1 << 20  # larger arrays are hashed without a copy [bytes]
+# More bytes than this are hashed in a thread; fewer are hashed before a thread would start [bytes]
 MIN_THREAD_BYTES = 1 << 17
-# A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m].
+# A mesh that is higher or wider, or a scene that is narrower, is probably not in metres [m]
 MAX_MESH_HEIGHT = 100.0
 MAX_MESH_WIDTH = 5000.0
 MIN_SCENE_WIDTH = 0.5
@@ -64,16 +64,17 @@ class GeomReport:
 
     Attributes:
         id: the geom's id in MuJoCo.
-        name: the name that patterns match; ``geom <id>`` where it has none.
+        name: the name that patterns match; ``geom <id>`` if it has none.
         body: the name of its body, or ``body <id>``.
         type: its type in MuJoCo: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh or
             sdf.
         counted: whether it takes part in the bake.
-        shape: as what, empty where it isn't counted: solid; half-space, strip (one side infinite)
-            or rectangle; hull, shell, surface, closed surface (its inside is occupied) or partly
-            closed, with the number of triangles that were turned to face out.
+        shape: how it is represented; empty if it isn't counted. One of: solid; half-space, strip
+            (infinite in one direction) or rectangle; hull, shell, surface, closed surface (its
+            inside is occupied) or partly closed. The last two may state how many triangles were
+            turned to face out.
         reason: why it is counted or left out.
-        role: one of `roles.ROLES`; empty where it isn't counted.
+        role: one of `roles.ROLES`; empty if it isn't counted.
     """
 
     id: int
@@ -88,30 +89,31 @@ class GeomReport:
 
 @dataclass
 class Scene:
-    """A posed scene, whose geometry can be cast and tested for overlaps.
+    """A scene in the pose that is baked.
 
     Attributes:
         id: the scene's id, from the settings or the file name.
-        geoms: whether and how each geom is baked, by geom id.
+        geoms: for each geom, whether and how it is baked.
         shapes: the geometry of the geoms that count, world frame.
-        bounds: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
-        digest: sha256 of the posed model: what its geoms are, where, and how they can move.
-        warnings: one line each.
-        hints: the warnings that axes or units look wrong; they are in `warnings`, too.
-        model: the compiled model. Of a mesh file it has the names, the bodies and the ground, but a
-            tetrahedron in place of each mesh.
+        bounds: lowest and highest x, y, z of all finite geoms of the structure, (2, 3) [m]; None if
+            there are none.
+        digest: sha256 of the posed model: its geoms, their poses, and how they can move.
+        warnings: messages of one line.
+        hints: those of the warnings that say that axes or units look wrong.
+        model: the compiled model. It has a tetrahedron in place of each mesh of `exact_meshes`.
         data: the model's data in the pose that is baked.
-        selections: whether each geom counts, and how it is represented, by geom id.
-        exact_meshes: the meshes of a mesh file by geom id, world frame.
-        meshes: the triangles of the model's meshes, for geoms in other poses.
-        roles: by geom id, see `SceneRoles`.
-        movable: by body id, whether the body can move and carries no floor.
-        is_structure_body: by body id, whether the body is structure.
-        mover_of_body: by body id, the topmost body that moves the body; itself if none does.
-        actuated_bodies: ids of the topmost bodies that actuators move.
-        named_leaves: the names of bodies that the scene's file says are doors.
-        leaves: the bodies that may be doors, by body id.
-        cars: ids of the bodies that are cars of lifts.
+        selections: for each geom, whether it counts and how it is represented.
+        exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
+        meshes: a cache of the triangles of the model's meshes, for geoms in other poses.
+        roles: for each geom, its role, see `SceneRoles`.
+        movable: for each body, whether it can move and carries no floor, (nbody,).
+        is_structure_body: for each body, whether it is structure, (nbody,).
+        mover_of_body: see `SceneRoles`.
+        actuated_bodies: ids of the bodies that actuators move; of such a body with a movable
+            ancestor, the id of the topmost one.
+        named_leaves: names of the bodies that are leaves of doors, as the scene's file says.
+        leaves: the door candidates, ascending by body id.
+        cars: ids of the bodies that are cars of lifts, ascending.
         pattern_warnings: warnings of patterns of doors that match nothing, one line each.
     """
 
@@ -139,13 +141,13 @@ class Scene:
 
     @property
     def mover_of(self) -> Int:
-        """By geom id, the id of the topmost body that moves the geom; its own body if none does."""
+        """For each geom, the `mover_of_body` of its body, (ngeom,)."""
         mover_of_geom: Int = self.mover_of_body[self.model.geom_bodyid]
         return mover_of_geom
 
     @property
     def is_structure(self) -> Bool:
-        """By geom id, whether the geom makes floors."""
+        """For each geom, whether it is structure, (ngeom,)."""
         return mark_structure(self.roles)
 
     @cached_property
@@ -155,7 +157,7 @@ class Scene:
 
     @property
     def has_open_mesh(self) -> bool:
-        """Whether the scene is a mesh file with a mesh that is not closed."""
+        """Whether a mesh of `exact_meshes` is not closed."""
         if not self.exact_meshes:
             return False
         return any(geom.shape.startswith(("surface", "partly closed")) for geom in self.geoms)
@@ -165,11 +167,11 @@ class CountedGeoms(NamedTuple):
     """The geoms that count, with their geometry and roles.
 
     Attributes:
-        selections: whether each geom counts, and how it is represented, by geom id.
+        selections: for each geom, whether it counts and how it is represented.
         shapes: the geometry of the geoms that count, world frame.
-        shape_kinds: the `GeomReport.shape` of the geoms that count, by geom id.
+        shape_kinds: geom id -> `GeomReport.shape`, for the geoms that count.
         roles: the roles of geoms and bodies.
-        warnings: one line each.
+        warnings: messages of one line.
     """
 
     selections: list[GeomSelection]
@@ -190,7 +192,8 @@ def load_scene(
 
     Args:
         config: all settings.
-        limits: limits for MuJoCo's compiler, which then runs in a child process.
+        limits: limits for MuJoCo's compiler, which then runs in a child process; None to compile in
+            this process, without limits.
         scene_model: the compiled model; None to load the file that `config` names.
 
     Returns:
@@ -259,7 +262,10 @@ def load_scene_file(settings: SceneSettings, limits: CompileLimits | None = None
 
     Args:
         settings: the scene's path, and how to read it.
-        limits: limits for MuJoCo's compiler, which then runs in a child process.
+        limits: see `load_scene`.
+
+    Returns:
+        The compiled model.
 
     Raises:
         SceneError: the file is missing or broken.
@@ -276,8 +282,8 @@ def _count_geoms(
 ) -> CountedGeoms:
     """Select the geoms that count, and find their roles.
 
-    With `scene.exclude.movable`, movables are left out, but for those that may be doors: so roles
-    are found first with all geoms, then again with those that are left.
+    `scene.exclude.movable` leaves out movables except door candidates. So roles are found twice:
+    with all geoms, then without the movables.
     """
     hull_room = HullRoomTest(scene_model.model, data, meshes, config.agent, config.floors)
     no_bodies = np.zeros(scene_model.model.nbody, dtype=np.bool_)
@@ -293,7 +299,14 @@ def _count_geoms(
 def _count_geoms_without(
     left_out_bodies: Bool, scene_model: SceneModel, hull_room: HullRoomTest, config: BakeConfig
 ) -> CountedGeoms:
-    """Select the geoms that count, without those of some bodies, and find their roles."""
+    """Select the geoms that count, and find their roles.
+
+    Args:
+        left_out_bodies: for each body, whether its geoms are left out, (nbody,).
+        scene_model: the compiled model.
+        hull_room: says which meshes' hulls hide room; has the model's pose.
+        config: all settings.
+    """
     model = hull_room.model
     data = hull_room.data
     exact_meshes = scene_model.exact_meshes
@@ -328,14 +341,14 @@ def _count_geoms_without(
 def _check_any_counts(
     selections: list[GeomSelection], ground: int | None, settings: SceneSettings
 ) -> None:
-    """Raise a SceneError unless any geom of the scene itself, not its added ground, counts."""
+    """Raise a SceneError if no geom counts, except the ground that `scene.ground` adds."""
     scene_geoms = [selection for geom, selection in enumerate(selections) if geom != ground]
     if not scene_geoms:
         raise SceneError(f"{settings.path} has no geoms: nothing to bake")
     if not any(selection.counted for selection in scene_geoms):
         reasons = "; ".join(sorted({selection.reason for selection in scene_geoms})[:3])
-        none = f"none of the {len(scene_geoms)} geoms of {settings.path} counts"
-        raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
+        problem = f"none of the {len(scene_geoms)} geoms of {settings.path} counts"
+        raise SceneError(f"{problem} (`scene.geoms` is {settings.geoms}): {reasons}")
 
 
 def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[GeomReport]:
@@ -376,7 +389,7 @@ def _warn_unused_geometry(model: mujoco.MjModel) -> list[str]:
 
 
 def _warn_unused_settings(settings: SceneSettings, exact_meshes: dict[int, NamedMesh]) -> list[str]:
-    """Warn of settings that are for mesh files, where the scene is none."""
+    """Warn of settings for mesh files and stages if the scene is neither."""
     suffix = Path(settings.path).suffix.lower()
     is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES
     if is_mesh_file or suffix in STAGE_SUFFIXES:
@@ -392,11 +405,11 @@ def _warn_unused_settings(settings: SceneSettings, exact_meshes: dict[int, Named
 def _warn_size(
     settings: SceneSettings, exact_meshes: dict[int, NamedMesh], bounds: Float | None
 ) -> list[str]:
-    """Warn of a scene whose size says that its unit is not the metre."""
+    """Warn of a scene that is so small or large that its unit is probably not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
     suffix = Path(settings.path).suffix.lower()
-    # SDF and USD state their unit.
+    # SDF and USD have a known unit.
     is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES | STAGE_SUFFIXES
     box = bounds_of_meshes(exact_meshes.values()) if is_mesh_file else bounds
     sides = np.diff(box, axis=0)[0]
@@ -425,9 +438,9 @@ class DigestedNames(NamedTuple):
     """The part of a scene's digest that depends on names, which never change.
 
     Attributes:
-        geom_hash: the sha256 of the geoms' names, with which a digest begins.
-        sites: the names of sites, as bytes.
-        joints: the names of joints, as bytes.
+        geom_hash: a hash object that was fed the geoms' names, the start of a digest.
+        sites: the names of sites, as bytes, (n,).
+        joints: the names of joints, as bytes, (n,).
     """
 
     geom_hash: hashlib._Hash
@@ -460,12 +473,13 @@ def start_digest(
 ) -> Callable[[], str]:
     """Start to compute the sha256 of everything in a posed model that a bake depends on.
 
-    Small arrays are hashed together, as hashing releases Python's lock each time.
+    Small arrays are joined and hashed at once, because each call of a hash function releases
+    Python's global lock.
 
     Args:
         model: the model.
         data: the model's pose.
-        exact_meshes: the meshes of a mesh file by geom id.
+        exact_meshes: geom id -> mesh in the world frame, see `SceneModel`.
         names: the part of the digest that depends on names; computed if None.
 
     Returns:
@@ -497,7 +511,7 @@ def _digested_arrays(
     exact_meshes: dict[int, NamedMesh],
     names: DigestedNames,
 ) -> Iterator[NDArray[np.generic]]:
-    """The arrays of a posed model that a bake uses; their order is part of the digest."""
+    """Yield the arrays of a posed model that a bake uses; the digest depends on their order."""
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)

@@ -322,7 +322,7 @@ class Voxelizer:
             data,
             self.scene.selections,
             self.scene.exact_meshes,
-            only=np.flatnonzero(has_moved).tolist(),
+            geom_ids=np.flatnonzero(has_moved).tolist(),
             meshes=self.scene.meshes,
         )
         self.shapes = self.scene.shapes.with_replaced(shapes, has_moved)

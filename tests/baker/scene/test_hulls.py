@@ -27,7 +27,7 @@ def compile_mesh(points, geom="", **attributes):
 
 
 def hull_corners(model):
-    triangles = MeshTriangles(model).count(0, "hull")
+    triangles = MeshTriangles(model).get(0, "hull")
     return triangles.vertices[triangles.faces]
 
 
@@ -74,7 +74,7 @@ def test_a_broken_hull_is_told():
     model = compile_mesh(np.random.default_rng(0).normal(size=(40, 3)))
     model.mesh_graph[-1] = 10_000
     with pytest.raises(SceneError, match="mesh 'mesh' is broken: faces of missing vertices"):
-        MeshTriangles(model).count(0, "hull")
+        MeshTriangles(model).get(0, "hull")
 
 
 @pytest.mark.parametrize("count", [1000, -1])
@@ -82,7 +82,7 @@ def test_a_hull_without_its_faces_is_told(count):
     model = compile_mesh(np.random.default_rng(0).normal(size=(40, 3)))
     model.mesh_graph[1] = count
     with pytest.raises(SceneError, match="mesh 'mesh' is broken: its hull's faces are missing"):
-        MeshTriangles(model).count(0, "hull")
+        MeshTriangles(model).get(0, "hull")
 
 
 def test_a_mesh_of_type_sdf_gets_no_octree(tmp_path):
