@@ -323,7 +323,9 @@ class Stages:
         """For each leaf, the cells that its own geometry blocks in each state."""
         levels = self.floors.levels
         with self.clock.part("doors"):
-            leaves = pose_leaves(self.scene, self.scene.leaves, self.lattice, self.footprint.reach)
+            leaves = pose_leaves(
+                self.scene, self.scene.leaves, self.lattice, self.footprint.half_width
+            )
             return find_blocked_cells(leaves, levels, self.footprint, self.lattice)
 
     @cached_property
@@ -493,7 +495,7 @@ class Stages:
         )
 
     def _index_structure(self, lattice: Lattice) -> ShapeSource:
-        reach = max(self.footprint.reach, self.config.floors.crack)
+        reach = max(self.footprint.half_width, self.config.floors.crack)
         return make_shape_source(self.scene.structure, lattice, reach)
 
 

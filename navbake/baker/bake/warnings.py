@@ -14,7 +14,7 @@ from navbake.baker.doors.doors import warn_doors
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import mark_cropped_sides
 from navbake.baker.floors.reach import REPORTED_AREA
-from navbake.baker.floors.rejected import LARGE_TOP
+from navbake.baker.floors.rejected import LARGE_TOP_AREA
 from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.baker.rooms.rooms import Rooms
@@ -52,7 +52,7 @@ class PatchWarning(NamedTuple):
 # Warnings of patches, by the attribute of `Floors` that lists them
 PATCHES_BEFORE_GROUNDS = {
     "tops": PatchWarning(
-        min_area=LARGE_TOP,
+        min_area=LARGE_TOP_AREA,
         text=(
             "not a floor, because it is higher than a step over the floor beside it: the top of "
             "{what}; {keep}, `floors.tops: true` keeps all"

@@ -56,26 +56,26 @@ class ChunkedShapes:
         lattice: the cells.
     """
 
-    def __init__(self, shapes: Shapes, lattice: Lattice, reach: float) -> None:
+    def __init__(self, shapes: Shapes, lattice: Lattice, margin: float) -> None:
         """List the solids; triangles are expanded later, on request.
 
         Args:
             shapes: the shapes.
             lattice: the cells.
-            reach: shapes within this distance of a tile count as over it [m].
+            margin: shapes within this distance of a tile count as over it [m].
         """
         self.lattice = lattice
         self._shapes = shapes
-        self._reach = reach
+        self._margin = margin
         no_meshes = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
-        self._solids = tile_shapes(shapes, lattice, reach, no_meshes.expand())
+        self._solids = tile_shapes(shapes, lattice, margin, no_meshes.expand())
 
     def near_rows(self, rows: RowChunk) -> TiledShapes:
         """Return all shapes near some entire rows of tiles, and maybe more."""
         y_max = self.lattice.y_max
         cell_size = self.lattice.cell_size
         boxes = self._shapes.meshes.boxes
-        margin = self._reach + cell_size
+        margin = self._margin + cell_size
         is_near = boxes[:, 4] >= y_max - rows.end * cell_size - margin
         is_near &= boxes[:, 1] <= y_max - rows.first * cell_size + margin
         return self._expand(is_near)
@@ -83,7 +83,7 @@ class ChunkedShapes:
     def near_cells(self, cells: Int) -> TiledShapes:
         """Return all shapes near some cells, given by cell ids, and maybe more."""
         boxes = self._shapes.meshes.boxes
-        start, item = list_by_tile(boxes, self._reach, self.lattice)
+        start, item = list_by_tile(boxes, self._margin, self.lattice)
         holds_cell = np.zeros(len(start) - 1, dtype=np.bool_)
         holds_cell[tile_of(self.lattice, cells)] = True
         is_near = np.zeros(len(boxes), dtype=np.bool_)
@@ -93,12 +93,12 @@ class ChunkedShapes:
     def _expand(self, is_near: Bool) -> TiledShapes:
         """Expand and list the triangles of some meshes, (meshes,), next to all solids."""
         facets = self._shapes.meshes.only(is_near).expand()
-        start, item = list_by_tile(facets.bounds, self._reach, self.lattice)
+        start, item = list_by_tile(facets.bounds, self._margin, self.lattice)
         tile_index = self._solids.tile_index._replace(triangle_start=start, triangle_item=item)
         return TiledShapes(self._shapes, self.lattice, facets, tile_index)
 
 
-def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
+def make_shape_source(shapes: Shapes, lattice: Lattice, margin: float) -> ShapeSource:
     """Make a source of the shapes on a lattice: it lists all at once, or many in parts on request.
 
     All are listed at once where the columns of all cells are kept, and where most triangles are
@@ -107,12 +107,12 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSo
     Args:
         shapes: the shapes.
         lattice: the cells.
-        reach: shapes within this distance of a tile count as over it [m].
+        margin: shapes within this distance of a tile count as over it [m].
     """
     counts = shapes.meshes.counts
     boxes = shapes.meshes.boxes
     chunk_length = split_into_row_chunks(lattice, CHUNKS_ALIVE)[0].end * lattice.cell_size
-    lengths = boxes[:, 4] - boxes[:, 1] + 2 * reach
+    lengths = boxes[:, 4] - boxes[:, 1] + 2 * margin
     num_expanded = counts * (1.0 + lengths / chunk_length)  # by all chunks together
     keeps_no_columns = lattice.width * lattice.height > MAX_CELLS_KEPT
     has_many_triangles = counts.sum() > MAX_TRIANGLES_KEPT
@@ -121,8 +121,8 @@ def make_shape_source(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSo
         and has_many_triangles
         and num_expanded.sum() <= MAX_REPEATED_EXPANSION * counts.sum()
     ):
-        return ChunkedShapes(shapes, lattice, reach)
-    return tile_shapes(shapes, lattice, reach)
+        return ChunkedShapes(shapes, lattice, margin)
+    return tile_shapes(shapes, lattice, margin)
 
 
 class ColumnCaster:

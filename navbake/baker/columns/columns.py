@@ -271,19 +271,19 @@ class ColumnsBuilder:
 
 
 def tile_shapes(
-    shapes: Shapes, lattice: Lattice, reach: float, facets: Facets | None = None
+    shapes: Shapes, lattice: Lattice, margin: float, facets: Facets | None = None
 ) -> TiledShapes:
     """List shapes by the tiles that they lie over.
 
     Args:
         shapes: the shapes.
         lattice: the cells.
-        reach: shapes within this distance of a tile count as over it [m].
+        margin: shapes within this distance of a tile count as over it [m].
         facets: triangles to list in place of those of `shapes`.
     """
     facets = shapes.triangles if facets is None else facets
-    solid_start, solid_item = list_by_tile(shapes.solids.bounds, reach, lattice)
-    triangle_start, triangle_item = list_by_tile(facets.bounds, reach, lattice)
+    solid_start, solid_item = list_by_tile(shapes.solids.bounds, margin, lattice)
+    triangle_start, triangle_item = list_by_tile(facets.bounds, margin, lattice)
     tile_index = ShapeIndex(solid_start, solid_item, triangle_start, triangle_item)
     return TiledShapes(shapes, lattice, facets, tile_index)
 
@@ -321,7 +321,7 @@ def cast_points(
 
     Args:
         tiled: the shapes on a lattice.
-        cells: the cell that each line is near to, by at most the reach of `tile_shapes`, (n,); or
+        cells: the cell that each line is near to, by at most the margin of `tile_shapes`, (n,); or
             two cells, (n, 2), for a line that lies between them: such a line may cross one shape
             several times, once in each tile of the rectangle that the two cells span.
         points: x and y of each line, shape (n, 2) [m].

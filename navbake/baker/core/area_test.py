@@ -52,7 +52,7 @@ def disc_half_widths(limit: float, shorter_side: int) -> Int:
     return np.asarray(half_widths[half_widths >= 0], dtype=np.int64)
 
 
-def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
+def make_area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     """Make the area test of `settings`: `min_area` of a set of cells, eroded by `shrink`.
 
     Args:
@@ -66,14 +66,14 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
 
 
 def is_large_enough(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
-    """Return whether the marked cells are large enough for a floor, see `area_test`.
+    """Return whether the marked cells are large enough for a floor, see `make_area_test`.
 
     Args:
         lattice: the cells.
         settings: `floors`.
         marked: mask of the cells, (cells,) or (height, width).
     """
-    test = area_test(lattice, settings)
+    test = make_area_test(lattice, settings)
     padded = np.pad(marked.reshape(lattice.shape), test.radius)
     remaining = np.flatnonzero(padded)
     for row, half_width in enumerate(test.half_widths.tolist(), start=-test.radius):

@@ -92,7 +92,7 @@ def cell_center(lattice, cell):
 
 
 @subkernel(inline="always")
-def window_near_box(lattice, window, boxes, i, reach):
+def window_near_box(lattice, window, boxes, i, distance):
     """Return the part of a window with the cells whose centres are near a box.
 
     Rounding may add a row or a column, and never loses one.
@@ -101,7 +101,7 @@ def window_near_box(lattice, window, boxes, i, reach):
         window: window of cells, as `tile_window` returns it.
         boxes: (n, 6) float64, lower corner, upper corner [m].
         i: index of the box.
-        reach: how far centres may be from the box along x and along y [m].
+        distance: how far centres may be from the box along x and along y [m].
 
     Returns:
         A window inside of `window`; empty if no centre is near.
@@ -109,10 +109,10 @@ def window_near_box(lattice, window, boxes, i, reach):
     row_first, row_end, col_first, col_end = window
     per_cell = 1.0 / lattice.cell_size
     # the centre of column c is at c + 0.5 cells
-    x_low = (boxes[i, 0] - reach - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
-    x_high = (boxes[i, 3] + reach - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
-    y_low = (lattice.y_max - boxes[i, 4] - reach) * per_cell - (0.5 + CENTER_MARGIN)
-    y_high = (lattice.y_max - boxes[i, 1] + reach) * per_cell - (0.5 - CENTER_MARGIN)
+    x_low = (boxes[i, 0] - distance - lattice.x_min) * per_cell - (0.5 + CENTER_MARGIN)
+    x_high = (boxes[i, 3] + distance - lattice.x_min) * per_cell - (0.5 - CENTER_MARGIN)
+    y_low = (lattice.y_max - boxes[i, 4] - distance) * per_cell - (0.5 + CENTER_MARGIN)
+    y_high = (lattice.y_max - boxes[i, 1] + distance) * per_cell - (0.5 - CENTER_MARGIN)
     # clipped before they become integers, whose range a far box would exceed
     col_first = math.ceil(min(max(x_low, col_first), col_end))
     row_first = math.ceil(min(max(y_low, row_first), row_end))

@@ -55,21 +55,21 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
     return clipped
 
 
-def cells_near_boxes(lattice: Lattice, boxes: Float, reach: float) -> Int:
-    """Find the cells whose distance to a box, seen from above, is at most `reach` plus one cell.
+def cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
+    """Find the cells whose distance to a box, seen from above, is at most `distance` plus one cell.
 
     Args:
         lattice: the cells.
         boxes: lower corner, upper corner, shape (n, 6) [m]; may be infinite.
-        reach: the distance along x and along y [m].
+        distance: the distance along x and along y [m].
 
     Returns:
         Ids, ascending, shape (m,).
     """
     # `rows_cols` takes finite positions only
-    near_boxes = clip_boxes(lattice, boxes, reach + 4 * lattice.cell_size)
-    x_low, y_low = (near_boxes[:, :2] - reach).T
-    x_high, y_high = (near_boxes[:, 3:5] + reach).T
+    near_boxes = clip_boxes(lattice, boxes, distance + 4 * lattice.cell_size)
+    x_low, y_low = (near_boxes[:, :2] - distance).T
+    x_high, y_high = (near_boxes[:, 3:5] + distance).T
     first_row, first_col = lattice.rows_cols(np.stack([x_low, y_high], axis=1))
     last_row, last_col = lattice.rows_cols(np.stack([x_high, y_low], axis=1))
     mask = np.zeros(lattice.shape, dtype=np.bool_)

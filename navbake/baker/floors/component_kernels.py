@@ -1,9 +1,11 @@
 """Label the connected components of surfaces block by block, and list where components meet.
 
 Connected-component labelling by union-find with path halving (Tarjan and van Leeuwen, 1984), inside
-of each block of cells; the caller merges components that meet across a block's border. The rows
-that `list_pairs` and `cross_tabulate` list, as `navbake.baker.core.blocks.list_rows` describes, are
-three numbers and how often they occur; the same three may come in several rows.
+of each block of cells; the caller merges components that meet across a block's border.
+
+Kernels here list rows of numbers, for `navbake.baker.core.blocks.list_rows`. A row of `list_pairs`
+or `cross_tabulate` has three numbers, and a count of how often these three occur together. The same
+three numbers may have several rows; their counts have to be added up.
 """
 
 import math
@@ -19,24 +21,35 @@ from navbake.types import Int, Int32
 
 # Kinds of pairs of components
 JOINED = 0  # they are one component, which the border of two blocks divides
-LINKED = 1  # an agent steps from one to the other
+LINKED = 1  # an agent can step from one to the other
 STACKED = 2  # the first lies above the second one, with no third one in between
-# Heights are counted in bins of this size; surfaces side by side whose heights differ by at most
-# this are one plateau [m]
+# Heights are counted in bins of this size; adjacent surfaces whose heights differ by at most this
+# are one plateau [m]
 HEIGHT_BIN = 0.02
-# So many of the last rows are compared with the next three numbers; older equal ones stay apart
+# Only so many of the latest rows are searched for the same three numbers; if these stand in an
+# older row, they get another row
 NUM_RECENT_ROWS = 8
-# A component's first surface has the key cell * MAX_RANK + rank, its rank among those of its cell
+# The key of a surface is cell * MAX_RANK + rank, where rank counts the labelled surfaces of the
+# cell from the lowest, 0
 MAX_RANK = 4096
+# The numbers in a row of `label_blocks`. The first surface is the lowest one of the lowest cell id;
+# ends are exclusive
+NUM_SURFACES = 0  # how many surfaces the component has
+NUM_UNCOVERED = 1  # how many of them are UNCOVERED
+FIRST_SURFACE = 2  # key of the first surface, see MAX_RANK
+FIRST_ROW = 3
+FIRST_COL = 4
+END_ROW = 5
+END_COL = 6
 
 
 class JoinRule(NamedTuple):
-    """Limits within which surfaces of neighboring cells are connected, or only linked.
+    """The limits within which surfaces of neighboring cells are connected, or else linked.
 
     Attributes:
-        step: the largest difference of height of connected surfaces of one group [m].
-        link_step: the largest difference of height of linked surfaces; less than 0 if links are not
-            listed [m].
+        step: surfaces of one group are connected if their heights differ by at most this [m].
+        link_step: other surfaces are linked if their heights differ by at most this [m]; negative
+            if no links are listed.
         by_slopes: whether slopes connect surfaces, too, see `slopes_join`.
     """
 
@@ -46,13 +59,14 @@ class JoinRule(NamedTuple):
 
 
 class ComponentNumbering(NamedTuple):
-    """How components are numbered: inside of their blocks, and over all blocks.
+    """The numbers of components: counted in each block from 0, and counted over all blocks.
 
     Attributes:
-        in_block: by surface, the number of its component in its block, see `label_blocks`, int32.
-        offset: by block, the number of its first component over all blocks, int64.
-        overall: by surface, receives the number of its component over all blocks, -1 for none,
+        in_block: for each surface, the number of its component in the block, see `label_blocks`,
             int32.
+        offset: for each block, how many components all blocks before it have, int64.
+        overall: receives, for each surface, the number of its component over all blocks, -1 for
+            none, int32.
     """
 
     in_block: Int32
@@ -62,17 +76,21 @@ class ComponentNumbering(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def count_row(rows, begin, num, a, b, c):
-    """Count an occurrence of three numbers in the row that counts them; append it if there is none.
+    """Add 1 to the count of three numbers that occur together.
 
-    Returns the index of the row, or -1 if there is no room.
+    The count stands in the row that begins with these numbers. If there is none among the latest
+    NUM_RECENT_ROWS rows, a row is appended.
 
     Args:
-        rows: three numbers and how often they occur, (n, 4) int64.
-        begin: the first row of the current block.
-        num: the index past the last row.
+        rows: three numbers and their count in each row, (n, 4) int64.
+        begin: index of the first row of the current block.
+        num: index past the last row.
         a: the first of the numbers.
         b: the second one.
         c: the third one.
+
+    Returns:
+        The index of the row, or -1 if there is no room for it.
     """
     for row in range(num - 1, max(begin, num - NUM_RECENT_ROWS) - 1, -1):
         if rows[row, 0] == a and rows[row, 1] == b and rows[row, 2] == c:
@@ -96,7 +114,7 @@ def height_bin(z):
 
 @subkernel(inline="always")
 def _group_of(surfaces, group, j):
-    """The group of a surface, less than 0 for none, see `label_blocks`."""
+    """Return the group of a surface, negative for none, see `label_blocks`."""
     if group.shape[0] > 0:
         return np.int64(group[j])
     return np.int64(0) if surfaces.marks[j] & STANDABLE else np.int64(-1)
@@ -104,7 +122,7 @@ def _group_of(surfaces, group, j):
 
 @subkernel(inline="always")
 def _are_joined(surfaces, group, rule, a, b, direction):
-    """Whether two surfaces of neighboring cells are connected."""
+    """Return whether two surfaces of neighboring cells are connected."""
     if _group_of(surfaces, group, a) != _group_of(surfaces, group, b):
         return False
     if abs(surfaces.z[a] - surfaces.z[b]) <= rule.step + LIMIT_SLACK:
@@ -114,13 +132,13 @@ def _are_joined(surfaces, group, rule, a, b, direction):
 
 @subkernel(inline="always")
 def _max_rise(rule):
-    """The largest difference of height of surfaces that are connected or linked [m]."""
+    """Return the largest difference in height of surfaces that are connected or linked [m]."""
     return math.inf if rule.by_slopes else max(rule.step, rule.link_step) + LIMIT_SLACK
 
 
 @subkernel(inline="always")
 def _find_root(component, j):
-    """The root of a surface's set, where ``-2 - component[j]`` is the parent of j."""
+    """Return the root of the union-find set of surface j; its parent is ``-2 - component[j]``."""
     while component[j] != -2 - j:
         parent = -2 - component[j]
         component[j] = component[parent]
@@ -132,23 +150,26 @@ def _find_root(component, j):
 def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begin, end):
     """Label and measure the connected components of surfaces inside of ``blocks[begin:end]``.
 
-    The rows, see `list_rows`, are the components in the order of their first surfaces. They have
-    seven numbers, int64: how many surfaces the component has, and how many of these are UNCOVERED;
-    the key of its first surface, see MAX_RANK; its first row and first column, and the row and
-    column past its last ones. A second array has the lowest height of each component [m].
+    A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each component, in the
+    order of their first surfaces.
 
     Args:
         surfaces: all surfaces.
-        group: by surface, its group, less than 0 for none, (n,) int32; if empty, all STANDABLE
+        group: for each surface, its group, negative for none, (n,) int32; if empty, all STANDABLE
             surfaces are one group. Only surfaces of one group are connected.
         rule: a `JoinRule`.
-        component: by surface, receives the number of its component in its block, -1 for none, (n,)
-            int32. While a block is labelled, it stores the parent's id p of union-find as -2 - p.
+        component: receives, for each surface, the number of its component in its block, -1 for
+            none, (n,) int32. While a block is labelled, it holds the parents of union-find: -2 - p
+            for parent p.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks to label.
-        end: the index past the last one.
+        counts: receives how many rows each block has.
+        columns: two arrays that receive the rows: seven numbers, from NUM_SURFACES to END_COL,
+            (n, 7) int64; and the lowest height of the component, (n,) float64 [m].
+        begin: index in `blocks` of the first block to label.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     measures, lowest = columns
     first = surfaces.first
@@ -209,18 +230,18 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
                         measures[n, :] = 0
                         lowest[n] = z[j]
                         # surfaces are visited in the order of cells: this is the first one
-                        measures[n, 2] = cell * MAX_RANK + min(rank, MAX_RANK - 1)
-                        measures[n, 3] = row
-                        measures[n, 4] = col
+                        measures[n, FIRST_SURFACE] = cell * MAX_RANK + min(rank, MAX_RANK - 1)
+                        measures[n, FIRST_ROW] = row
+                        measures[n, FIRST_COL] = col
                         component[root] = num
                         num += 1
                     component[j] = component[root]
                     n = offset + component[j]
-                    measures[n, 0] += 1
-                    measures[n, 1] += 1 if surfaces.marks[j] & UNCOVERED else 0
-                    measures[n, 4] = min(measures[n, 4], col)
-                    measures[n, 5] = row + 1
-                    measures[n, 6] = max(measures[n, 6], col + 1)
+                    measures[n, NUM_SURFACES] += 1
+                    measures[n, NUM_UNCOVERED] += 1 if surfaces.marks[j] & UNCOVERED else 0
+                    measures[n, FIRST_COL] = min(measures[n, FIRST_COL], col)
+                    measures[n, END_ROW] = row + 1
+                    measures[n, END_COL] = max(measures[n, END_COL], col + 1)
                     lowest[n] = min(lowest[n], z[j])
                     rank += 1
         counts[k] = num
@@ -232,21 +253,24 @@ def label_blocks(surfaces, group, rule, component, blocks, counts, columns, begi
 def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin, end):
     """Number components over all blocks, and list the pairs of components that meet.
 
-    Pairs lie inside of ``blocks[begin:end]``, or across the eastern and southern borders of these.
-
-    Each row holds the first component, by its number in the block; the second component; and the
-    kind of the pair: JOINED (only across borders), LINKED or STACKED.
+    A kernel for `navbake.baker.core.blocks.list_rows`. It lists the pairs that meet inside of
+    ``blocks[begin:end]``, or across the eastern and southern borders of these blocks.
 
     Args:
         surfaces: all surfaces.
-        group: as `label_blocks` takes it.
+        group: see `label_blocks`.
         rule: a `JoinRule`.
-        numbering: a `ComponentNumbering`.
+        numbering: a `ComponentNumbering`, whose `overall` is written.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks to list.
-        end: the index past the last one.
+        counts: receives how many rows each block has.
+        columns: one array that receives the rows, (n, 4) int64: the numbers of two components over
+            all blocks; the kind of the pair, JOINED (only across borders), LINKED or STACKED; and
+            how often they meet.
+        begin: index in `blocks` of the first block to list.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     first = surfaces.first
     ends = surfaces.end
@@ -272,10 +296,10 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
                         continue
                     number[a] = offset[blocks[k]] + component[a]
                     if lower >= 0:
-                        at = count_row(rows, num_before, num, number[a], lower, STACKED)
-                        if at < 0:
+                        row_index = count_row(rows, num_before, num, number[a], lower, STACKED)
+                        if row_index < 0:
                             return k
-                        num = max(num, at + 1)
+                        num = max(num, row_index + 1)
                     lower = number[a]
                 for direction in range(2):
                     at_border = col == col1 - 1 if direction == EAST else row == row1 - 1
@@ -308,34 +332,38 @@ def list_pairs(surfaces, group, rule, numbering, blocks, counts, columns, begin,
                                 continue
                             kind = JOINED if joined else LINKED
                             second = neighbor_offset + component[b]
-                            at = count_row(rows, num_before, num, number[a], second, kind)
-                            if at < 0:
+                            row_index = count_row(rows, num_before, num, number[a], second, kind)
+                            if row_index < 0:
                                 return k
-                            num = max(num, at + 1)
+                            num = max(num, row_index + 1)
         counts[k] = num - num_before
     return end
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns, begin, end):
-    """Count the surfaces of ``blocks[begin:end]`` by two labels and their levels or height bins.
+    """Count the surfaces of ``blocks[begin:end]`` by two labels and a level or a height.
 
-    Surfaces whose first label is less than 0 or whose level is -1 are left out. Each row holds the
-    two labels, and the level or, if `level` is empty, the `height_bin`. A second array holds the
-    lowest height of the surfaces of each row [m].
+    A kernel for `navbake.baker.core.blocks.list_rows`. Surfaces with a negative first label, or
+    with level -1, are not counted.
 
     Args:
         surfaces: all surfaces.
-        label: by surface, int32.
-        second_label: by surface, int32.
-        level: by surface, int32, or empty.
+        label: the first label of each surface, int32.
+        second_label: the second label of each surface, int32.
+        level: the level of each surface, int32; empty to count by `height_bin` instead.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks to count.
-        end: the index past the last one.
+        counts: receives how many rows each block has.
+        columns: two arrays that receive the rows: the two labels, the level or height bin, and the
+            number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,) float64
+            [m].
+        begin: index in `blocks` of the first block to count.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    rows, low = columns
+    rows, lowest = columns
     num = np.int64(0)
     lattice = surfaces.lattice
     for k in range(begin, end):
@@ -348,10 +376,10 @@ def cross_tabulate(surfaces, label, second_label, level, blocks, counts, columns
                         continue
                     z = surfaces.z[j]
                     third = np.int64(level[j]) if level.shape[0] > 0 else height_bin(z)
-                    at = count_row(rows, num_before, num, label[j], second_label[j], third)
-                    if at < 0:
+                    row_index = count_row(rows, num_before, num, label[j], second_label[j], third)
+                    if row_index < 0:
                         return k
-                    low[at] = min(low[at], z) if at < num else z
-                    num = max(num, at + 1)
+                    lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
+                    num = max(num, row_index + 1)
         counts[k] = num - num_before
     return end

@@ -25,9 +25,10 @@ class GrownFloor(NamedTuple):
     """The floor of a level on the whole lattice.
 
     Attributes:
-        height: by cell, the height of the floor, NaN where there is none, float64 [m].
-        ring: by cell, the number of the ring in which the floor grew into the cell: 0 where an
-            agent can stand, -1 for no floor, int32.
+        height: the height of the floor in each cell, NaN where there is none, shape (cells,),
+            float64 [m].
+        ring: the number of the ring in which the floor grew into each cell: 0 where an agent can
+            stand, -1 for no floor, shape (cells,), int32.
     """
 
     height: Float
@@ -41,7 +42,7 @@ def grow_floors(
 
     Args:
         regions: all regions.
-        assignment: their surfaces on levels.
+        assignment: the level of each surface.
         stops_growth: the regions at whose surfaces no floor grows, shape (regions,), bool.
         agent: the agent, of which the height and step are used.
 
@@ -66,8 +67,8 @@ def grow_level(
 
     Args:
         labelled: all surfaces; the labelled regions are those at whose surfaces no floor grows.
-        level: by surface, its level, see `LevelAssignment`.
-        final_level: by level, its final number, see `LevelAssignment`.
+        level: `LevelAssignment.level`.
+        final_level: `LevelAssignment.final_level`.
         grown_level: the final number of the level whose floor grows.
         agent: the agent, of which the height and step are used.
     """
@@ -102,15 +103,15 @@ def grow_level(
 
 
 def find_level_links(regions: Regions, assignment: LevelAssignment, agent: AgentSettings) -> Int:
-    """Find the steps between levels, and the neighboring cells of a level that only a slope joins.
+    """Find the steps between levels, and the neighboring cells that only a slope joins.
 
     Args:
         regions: all regions.
-        assignment: their surfaces on levels.
+        assignment: the level of each surface.
         agent: the agent, of which the step and slope are used.
 
     Returns:
-        `links` of `navbake.baker.floors.levels.Floors`, sorted.
+        `navbake.baker.floors.levels.Floors.links`, sorted.
     """
     by_slopes = may_slopes_join(regions.lattice, agent)
     if len(assignment.grounds) == 1 and not by_slopes:

@@ -19,11 +19,12 @@ from navbake.types import Float, Int, Int32
 
 # Values of `GrowthState.option`
 NO_OPTION = 0  # the floor can't grow at the surface
-OPTION = 1  # it can
-LAST_OPTION = 2  # it can, and the surface is the highest such one of its cell
-# `GrowthState.ring` of a cell without a floor
-NO_FLOOR = -1
-# less the id of the cell's lowest optional surface: of a cell into which the floor may still grow
+OPTION = 1  # the floor can grow at the surface
+LAST_OPTION = 2  # the floor can grow at the surface, but at no higher one of the cell
+# Values of `GrowthState.ring`
+NO_FLOOR = -1  # the cell has no floor
+# The floor may still grow into the cell: the value is OPEN_CELL - j, where surface j is the lowest
+# one at which it can grow
 OPEN_CELL = -2
 
 
@@ -32,17 +33,16 @@ class GrowthState(NamedTuple):
 
     Attributes:
         surfaces: all surfaces that floors may consist of.
-        level: by surface, its level, less than 0 for none, int32.
-        final_level: by level, its number when levels without surfaces are left out, int64.
+        level: the level of each surface, negative for none, int32.
+        final_level: for each level, its number when levels without surfaces are left out, int64.
         grown_level: the final number of the level whose floor grows.
-        height: of the agent [m].
+        height: the agent's height [m].
         step: the highest step [m].
-        floor: by cell, the height of the floor, float64 [m]; NaN where there is none.
-        ring: by cell, int32: in which ring its floor grew, 0 where an agent can stand; NO_FLOOR;
-            or OPEN_CELL less the id of its lowest optional surface, while the floor may still grow
-            into it.
-        option: by surface of cells in which no agent can stand, uint8: NO_OPTION, OPTION or
-            LAST_OPTION. Written by `start_growth`.
+        floor: the height of the floor in each cell, float64 [m]; NaN where there is none.
+        ring: for each cell, the number of the ring in which its floor grew (0 where an agent can
+            stand), NO_FLOOR or OPEN_CELL - j, int32.
+        option: whether the floor can grow at each surface: NO_OPTION, OPTION or LAST_OPTION, uint8.
+            `start_growth` writes it, for the surfaces of cells in which no agent can stand.
     """
 
     surfaces: Surfaces
@@ -58,7 +58,10 @@ class GrowthState(NamedTuple):
 
 @subkernel(inline="always")
 def _is_option(labelled, state, last, j, lowest, highest):
-    """Whether the floor may grow at a surface, see `start_growth`."""
+    """Return whether the floor may grow at surface j of a cell, see `start_growth`.
+
+    `last` is the end of the cell's surfaces; `lowest` and `highest` bound the floor's height [m].
+    """
     z = state.surfaces.z
     if state.level[j] >= 0 or not lowest <= z[j] <= highest:
         return False
@@ -75,24 +78,28 @@ def _is_option(labelled, state, last, j, lowest, highest):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def start_growth(labelled, state, blocks, counts, columns, begin, end):
-    """Write the floors on which agents can stand in ``blocks[begin:end]``; find where they grow.
+    """Write where agents can stand in ``blocks[begin:end]``, and find where the floor can grow.
 
-    A floor grows at surfaces that are on no level and belong to no labelled region (such as a roof
-    or the top of furniture). Surfaces at most a step below a surface of a labelled region are left
-    out, too. Between a surface at which a floor grows and the levels above and below, there is room
-    for an agent.
+    A floor can grow at a surface if
 
-    Each row, see `navbake.baker.core.blocks.list_rows`, holds the id of a cell with such a surface,
-    int64.
+    - the surface is on no level and belongs to no labelled region (such as a roof or the top of
+      furniture);
+    - no surface of a labelled region lies less than a step above it;
+    - an agent fits between it and the levels above and below.
+
+    A kernel for `navbake.baker.core.blocks.list_rows`. It lists the cells with such surfaces.
 
     Args:
         labelled: a `LabelledSurfaces` with the regions at which no floor grows.
         state: a `GrowthState`, whose `floor`, `ring` and `option` are written.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks.
-        end: the index past the last one.
+        counts: receives how many rows each block has.
+        columns: one array that receives ids of cells, (n,) int64.
+        begin: index in `blocks` of the first block.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     (cells,) = columns
     num = 0
@@ -147,7 +154,7 @@ def start_growth(labelled, state, blocks, counts, columns, begin, end):
 
 @subkernel(inline="always")
 def _neighbors_of(lattice, cell):
-    """The next cells east, south, west and north, less than 0 for none."""
+    """Return the ids of the next cells east, south, west and north, negative for none."""
     width = lattice.width
     col = cell % lattice.width
     east = cell + 1 if col + 1 < width else np.int64(-1)
@@ -158,11 +165,11 @@ def _neighbors_of(lattice, cell):
 
 @subkernel(**NO_REFCOUNT)
 def _grow_into(state, cell, ring_number):
-    """Write the floor that grows into a cell in a ring; returns whether a floor grows into it.
+    """Let the floor grow into a cell, if it can; return whether it did.
 
-    No floor grows into a cell that has a floor already or has no optional surface. Into other cells
-    it grows at the optional surface that is nearest in height to the floor of a neighbor, if the
-    two differ by at most a step; of two surfaces equally near, at the lower one.
+    It can't if the cell has a floor already, or no surface with an OPTION. Otherwise it grows at
+    the surface nearest in height to the floor that a neighbor got in an earlier ring, if the two
+    differ by at most a step; of two surfaces equally near, at the lower one.
     """
     z = state.surfaces.z
     floor = state.floor
@@ -201,7 +208,10 @@ def _grow_into(state, cell, ring_number):
 
 @subkernel(**NO_REFCOUNT)
 def _list_open_neighbors(state, cell, cells, num):
-    """List the neighbors into which a floor may still grow; returns how many are listed then."""
+    """Append a cell's neighbors into which a floor may still grow; return the new number of cells.
+
+    `cells` receives them from index `num` on.
+    """
     for neighbor in _neighbors_of(state.surfaces.lattice, cell):
         if neighbor >= 0 and state.ring[neighbor] < NO_FLOOR:
             cells[num] = neighbor
@@ -211,20 +221,23 @@ def _list_open_neighbors(state, cell, cells, num):
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def grow_ring(state, ring_number, front, counts, columns, begin, end):
-    """Grow a ring of the floor into ``front[begin:end]``, and list the cells for the next ring.
+    """Let the floor grow into ``front[begin:end]``, and list the neighbors for the next ring.
 
-    Each row, see `navbake.baker.core.blocks.list_rows`, holds the id of a cell, int64; the same
-    cell may be listed several times. The order of the cells and the number of threads do not change
-    the result, since the floors of a ring are used by the next ring only.
+    A kernel for `navbake.baker.core.blocks.list_rows`. It may list a cell several times. The result
+    depends neither on the order of cells nor on threads: a ring reads only the floors of earlier
+    rings.
 
     Args:
         state: a `GrowthState`.
         ring_number: the number of the ring, from 1.
-        front: the cells into which the floor may grow, int64.
-        counts: receives the number of rows of each cell.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the cells.
-        end: the index past the last one.
+        front: ids of the cells into which the floor may grow, int64.
+        counts: receives how many neighbors each cell of `front` has listed.
+        columns: one array that receives ids of cells, (n,) int64.
+        begin: index in `front` of the first cell.
+        end: index past the last one.
+
+    Returns:
+        The index in `front` of the first cell whose rows had no room; `end` if all had room.
     """
     (cells,) = columns
     num = 0
@@ -241,7 +254,13 @@ def grow_ring(state, ring_number, front, counts, columns, begin, end):
 
 @kernel(nogil=True)
 def grow_remaining_rings(state, ring_number, front):
-    """Grow a ring of the floor into the cells of `front` (ids, int64), and all rings after it."""
+    """Let the floor grow ring by ring, until no floor can grow any more.
+
+    Args:
+        state: a `GrowthState`.
+        ring_number: the number of the first ring.
+        front: ids of the cells into which the first ring may grow, int64.
+    """
     while front.shape[0] > 0:
         next_front = np.empty(4 * front.shape[0], np.int64)
         num = 0
@@ -256,23 +275,25 @@ def grow_remaining_rings(state, ring_number, front):
 def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, columns, begin, end):
     """List where an agent steps from one level to another, and where only slopes join two cells.
 
-    Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor.
-
-    Each row, see `navbake.baker.core.blocks.list_rows`, holds the lower level and its cell, then
-    the upper level and its cell. The two levels are equal where a slope joins two surfaces that no
-    step joins.
+    Each cell of ``blocks[begin:end]`` is paired with its eastern and its southern neighbor. This is
+    a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
         surfaces: all surfaces.
-        level: as in `GrowthState`.
-        final_level: as in `GrowthState`.
+        level: see `GrowthState`.
+        final_level: see `GrowthState`.
         step: the highest step [m].
         by_slopes: whether slopes join surfaces.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks.
-        end: the index past the last one.
+        counts: receives how many links each block has.
+        columns: one array that receives the links, (n, 4) int64: the lower level and its cell, then
+            the upper level and its cell. The levels may be equal where a slope joins two surfaces
+            that no step joins.
+        begin: index in `blocks` of the first block.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     (rows,) = columns
     num = 0
@@ -293,6 +314,7 @@ def list_links(surfaces, level, final_level, step, by_slopes, blocks, counts, co
                     low = first[neighbor]
                     last = ends[neighbor]
                     for a in range(first[cell], ends[cell]):
+                        # heights ascend in both cells, so `low` only moves up
                         while low < last and z[low] < z[a] - max_rise:
                             low += 1
                         for b in range(low, last):

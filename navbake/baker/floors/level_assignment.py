@@ -2,14 +2,17 @@
 
 The steps, in their order:
 
-1. `_find_stairs` tells the plateaus of stairs and ramps from those of floors.
-2. `_find_grounds` counts the heights of floors over floors in histograms, and so finds the grounds:
-   the heights at which levels begin. Levels of the configuration have their grounds.
+1. `_find_stairs` decides which surfaces belong to stairs and ramps rather than floors.
+2. `_find_grounds` finds the grounds, the heights at which levels begin, from histograms of the
+   heights of floors that lie over other floors. If the configuration has levels, it gives the
+   grounds instead.
 3. `_assign_surfaces` assigns each surface to a level by its height, and by the surfaces above and
-   below it in its column; `_lower_grounds` lowers grounds to connected floor just below them.
+   below it in its column. `_lower_grounds` lowers a ground if connected floor lies just below it.
 4. `_resolve_full_columns` treats columns with more surfaces than there are levels: it leaves out
-   surfaces, or opens further levels.
+   surfaces, or adds levels.
 5. `_drop_empty_levels` numbers and names the levels that have surfaces.
+
+A column is the vertical line through a cell's centre, with all surfaces on it.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.area_test import AreaTest, area_test, is_large_enough
+from navbake.baker.core.area_test import AreaTest, is_large_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
@@ -49,32 +52,32 @@ from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# A ground of the configuration takes in floors down to this much below it [m]
+# Floors up to this far below the ground of a configured level still belong to the level [m]
 CONFIGURED_GROUND_TOLERANCE = 0.02
-# A level that is opened for stairs takes in surfaces of their region that lie so little below: that
-# much a scanned floor is uneven [m]
+# The ground of an added level is lowered by at most this, to include surfaces of the same regions:
+# a scanned floor is this uneven [m]
 UNEVENNESS = 0.005
-# Levels rarely begin farther above one another than this [m]. In a scene with more than so many
-# levels, the search for the next ground looks no higher at first, which saves time in towers.
+# Once MANY_LEVELS levels are found, the next ground is first searched for up to this height above
+# the last one, as levels are rarely higher; this saves time in towers [m]
 USUAL_LEVEL_HEIGHT = 8.0
 MANY_LEVELS = 4
-# A plateau is a part of a stair if the floors that it leads to are more than so many times larger
+# A plateau is a part of a stair if the floors that it leads to are more than this many times larger
 STAIR_AREA_RATIO = 4
-# Grounds that are found are rounded to so many decimals [m]
+# Grounds that are found are rounded to this many decimals [m]
 GROUND_DECIMALS = 9
-# Where no surface tells the ground of a further level, it is so much above the highest one [m]
+# If all surfaces without a level lie at grounds, a level is added this far above the highest [m]
 EXTRA_LEVEL_RISE = 1.0
-# Empty arrays of the rows of a histogram: counted numbers, and heights
+# Empty arrays with the dtypes and shapes of histograms: three numbers and their count, and heights
 NO_HISTOGRAM_ROWS = NO_ROWS, NO_HEIGHTS
 # An area test that shrinks nothing and needs no cell
 NO_SHRINKING = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightRange]:
-    """Return, for each level of the configuration, the height range of its surfaces.
+    """Return, for each level of the configuration, the heights of the surfaces that it may have.
 
     A range [low, high) [m] begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends
-    just below the level's top, or where the range of the next level begins, if that is lower.
+    at the level's top, or where the range of the next level begins, if that is lower.
 
     Args:
         level_settings: the levels of the configuration, lowest first.
@@ -92,11 +95,13 @@ def level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[HeightR
 
 
 class RegionLevelCounts(NamedTuple):
-    """How many surfaces of a region are on a level; arrays of shape (n,), pairs may repeat.
+    """How many surfaces each region has on each level: a table of three columns, shape (n,) each.
+
+    A region and a level may stand in several entries; their numbers are then to be added up.
 
     Attributes:
-        region: ids of regions, int32.
-        level: final numbers of levels, int64.
+        region: id of the region, int32.
+        level: index of the level in `LevelAssignment.grounds`, int64.
         num_surfaces: how many surfaces of the region are on the level, int64.
     """
 
@@ -106,17 +111,16 @@ class RegionLevelCounts(NamedTuple):
 
 
 class LevelAssignment(NamedTuple):
-    """The surfaces of regions on levels, lowest level first.
+    """The levels, lowest first, and which level each surface is on.
 
     Attributes:
-        grounds: by level, its ground height [m].
-        names: by level, its name.
-        level: by surface, the number of its level; less than 0 for none, int32. These numbers also
-            count levels without surfaces.
-        final_level: maps a number in `level` to the level's index in `grounds`, which has only
-            levels with surfaces, int64.
-        counts: how many surfaces of which region are on which level.
-        without_level: surfaces left out because all levels of their columns are taken.
+        grounds: the height at which each level begins [m].
+        names: the name of each level.
+        level: for each surface, the preliminary number of its level, negative for none, int32.
+            Preliminary numbers also count levels that have no surface in the end.
+        final_level: for each preliminary number, the index of the level in `grounds`, int64.
+        counts: how many surfaces each region has on each level.
+        without_level: surfaces left out because all levels are taken by others in their columns.
     """
 
     grounds: list[float]
@@ -128,13 +132,16 @@ class LevelAssignment(NamedTuple):
 
 
 class ComponentLevels(NamedTuple):
-    """How many surfaces of a component are on a level; arrays of shape (n,), pairs may repeat.
+    """How many surfaces each component has on each level: a table of columns, shape (n,) each.
+
+    A component and a level may stand in several entries; their numbers are then to be added up.
 
     Attributes:
-        component: components of regions, int64.
-        level: their levels; NO_FREE_LEVEL or less for surfaces without one, int64.
+        component: index of the component in `Regions.components`, int64.
+        level: number of the level, see `LevelAssignment.level`; NO_FREE_LEVEL or less for
+            candidates that found all levels taken, int64.
         num_surfaces: how many surfaces of the component are on the level, int64.
-        low: the lowest of their heights, float64 [m].
+        low: the lowest height of these surfaces, float64 [m].
     """
 
     component: Int
@@ -144,14 +151,14 @@ class ComponentLevels(NamedTuple):
 
 
 class SurfaceLevels(NamedTuple):
-    """The levels of all candidates, for some grounds: one attempt at an assignment.
+    """The levels of all candidates if levels begin at some grounds: an attempt at an assignment.
 
     Attributes:
         grounds: the heights at which levels begin, ascending [m].
-        skips_floors: whether floors are left out rather than stairs where a column has too few
-            levels.
-        level: by surface, its level, see `assign_columns`, int32.
-        components: how many surfaces of each component of regions are on which level.
+        skips_floors: whether, in columns with more candidates than levels, floors are left out
+            rather than stairs.
+        level: the level of each surface, see `assign_columns`, int32.
+        components: how many surfaces each component has on each level.
     """
 
     grounds: list[float]
@@ -161,13 +168,15 @@ class SurfaceLevels(NamedTuple):
 
 
 class HeightHistogram(NamedTuple):
-    """How many surfaces lie at which height; arrays of shape (n,), rows may repeat.
+    """How many surfaces lie at each height: a table of columns, shape (n,) each.
+
+    A window and a bin may stand in several entries; their numbers are then to be added up.
 
     Attributes:
-        window: the number of a window of heights, see `HeightSelection`, int64.
-        height_bin: the number of a bin of heights inside of the window, int64.
+        window: number of the window of heights, see `HeightSelection`, int64.
+        height_bin: number of a bin of heights inside of the window, see `height_bin`, int64.
         num_surfaces: how many surfaces lie in the bin, int64.
-        low: the lowest of their heights, float64 [m].
+        low: the lowest height of these surfaces, float64 [m].
     """
 
     window: Int
@@ -176,7 +185,7 @@ class HeightHistogram(NamedTuple):
     low: Float
 
     def select(self, mask: Bool) -> HeightHistogram:
-        """Return the rows that a mask of shape (n,) marks."""
+        """Return the entries that a mask of shape (n,) marks."""
         return HeightHistogram._make(column[mask] for column in self)
 
     def most_common_height(self) -> float:
@@ -191,7 +200,7 @@ class AssignmentInput(NamedTuple):
 
     Attributes:
         regions: all regions.
-        candidates: which surfaces of the regions are assigned, and which of these are stairs.
+        candidates: the surfaces to assign, and which of these belong to stairs.
         is_stacked: whether any candidate lies above another one.
         tolerance: how far below a ground the floors of its level may lie [m].
         agent: the agent, of which the step and slope are used.
@@ -218,13 +227,13 @@ def assign_levels(
     Args:
         regions: all regions.
         mask: the regions that are floors, shape (regions,), bool.
-        level_settings: the levels of the configuration; only surfaces within their
-            `level_height_ranges` are assigned. Empty if levels are to be found.
+        level_settings: the levels of the configuration, if it has any: only surfaces within their
+            `level_height_ranges` are assigned. If empty, the levels are found.
         agent: the agent, of which the step and slope are used.
         settings: the settings of `floors`; `min_area` and `shrink` are used.
     """
     group = np.empty(len(regions.surfaces.z), dtype=np.int8)
-    has_stack = np.empty(regions.blocks.num, dtype=np.bool_)
+    has_stacked_candidates = np.empty(regions.blocks.num, dtype=np.bool_)
     height_ranges = np.array(level_height_ranges(level_settings), dtype=np.float64).reshape(-1, 2)
     run_in_chunks(
         kernels.mark_candidates,
@@ -232,9 +241,9 @@ def assign_levels(
         regions.label_surfaces(mask),
         height_ranges,
         group,
-        has_stack,
+        has_stacked_candidates,
     )
-    is_stacked = bool(has_stack.any())
+    is_stacked = bool(has_stacked_candidates.any())
     if is_stacked:
         candidates = _find_stairs(regions, group, agent.traversable_floor_height)
     else:
@@ -264,18 +273,17 @@ def assign_levels(
 def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Candidates:
     """Find which candidates are parts of stairs and ramps.
 
-    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if a path that only goes
-    up from it, and also a path that only goes down, leads to a floor more than four times as large
-    as the plateau's own floor. The floor of a plateau consists of all surfaces of its region within
-    half a step of the plateau's height, since walls and thresholds divide floors into several
-    plateaus.
+    A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if two paths lead from it
+    to floors more than four times as large as its own floor: one that only goes up, and one that
+    only goes down. A plateau's own floor are all surfaces of its region within half a step of its
+    height, since walls and thresholds divide a floor into several plateaus.
     """
     plateau_rule = JoinRule(min(step, HEIGHT_BIN), link_step=step)
     components = find_components(regions.surfaces, plateau_rule, group.astype(np.int32))
     plateau_of_component = components.merge()
     num_plateaus = int(plateau_of_component.max(initial=-1)) + 1
 
-    # the histogram of each plateau's heights; a plateau's component lies in one of a region
+    # the histogram of each plateau's heights; each component of a plateau is in one region
     _, (rows, low) = regions.blocks.list_rows(
         cross_tabulate,
         NO_HISTOGRAM_ROWS,
@@ -311,15 +319,24 @@ def _find_stairs(regions: Regions, group: NDArray[np.int8], step: float) -> Cand
         np.argsort(height[lower], kind="stable"),
         np.argsort(height[upper], kind="stable"),
     )
-    # only what leads both up and down to larger floors lies between floors
+    # what leads both up and down to larger floors lies between them
     is_stair = STAIR_AREA_RATIO * area < np.minimum(above, below)
     return Candidates(group, components.number, is_stair[plateau_of_component])
 
 
 def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_step: float) -> Int:
-    """Count, for each row of a histogram, its region's surfaces within half a step of its height.
+    """Count the surfaces of a region near a height, for several pairs of a region and a height.
 
-    Rows may repeat.
+    Args:
+        region: the region of each entry of a histogram, shape (n,).
+        height_bin: the height of each entry, as a number of `height_bin`, shape (n,).
+        num_surfaces: how many surfaces of the region lie in the bin, shape (n,); several entries of
+            one region and bin are added up.
+        half_step: half of the highest step [m].
+
+    Returns:
+        For each entry, how many surfaces of its region lie within half a step of its height, shape
+        (n,).
     """
     num_bins = int(half_step / HEIGHT_BIN + LIMIT_SLACK)
     # a sliding window over one axis of heights, on which each region has a stretch of its own, so
@@ -336,25 +353,24 @@ def _count_near_height(region: Int, height_bin: Int, num_surfaces: Int, half_ste
 
 
 def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
-    """Find the ground heights of the levels, lowest first.
+    """Find the ground heights of the levels, lowest first [m].
 
-    The first ground is the height of the lowest floor that is large enough after shrinking. Each
-    further ground is the height of the lowest floor of that size that lies above floors of the
-    level below. So a hill, a half-storey, a stair or a platform with nothing under it opens no
-    level.
+    The first ground is the height of the lowest floor that passes the area test. Each further
+    ground is the height of the lowest floor that passes it and lies above floors of the level
+    below. So a hill, a half-storey, a stair, or a platform with nothing under it is no new level.
     """
     half_step = max(assignment_input.agent.traversable_floor_height, HEIGHT_BIN) / 2
     ground = _find_next_ground(assignment_input, -np.inf, half_step)
     if ground is None:
-        # nothing is large enough: the most common height of what there is
+        # nothing is large enough: take the most common height of the lowest surfaces
         selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
         ground = _count_heights(assignment_input, selection, NO_SHRINKING).most_common_height()
     grounds = [ground]
     while assignment_input.is_stacked:
-        tops = [np.inf]
+        height_limits = [np.inf]
         if len(grounds) > MANY_LEVELS:
-            tops = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
-        ground = _find_next_ground(assignment_input, grounds[-1], half_step, tops)
+            height_limits = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
+        ground = _find_next_ground(assignment_input, grounds[-1], half_step, height_limits)
         if ground is None:
             break
         grounds.append(ground)
@@ -365,16 +381,25 @@ def _find_next_ground(
     assignment_input: AssignmentInput,
     ground: float,
     half_step: float,
-    tops: Sequence[float] = (np.inf,),
+    height_limits: Sequence[float] = (np.inf,),
 ) -> float | None:
-    """Find the height of the lowest large floor above floors of a level [m], None if there is none.
+    """Find the height of the lowest large floor that lies above floors of a level.
 
-    `ground` is the ground of that level. A floor is large if it passes the area test in a window of
-    heights one step high; windows begin half a step apart. The windows below each of `tops` are
-    searched in turn.
+    A floor is large if its surfaces within a window of heights pass the area test. Windows are one
+    step high and begin half a step apart.
+
+    Args:
+        assignment_input: the surfaces and the settings.
+        ground: the ground of the level [m]; -inf to search the lowest surfaces of all columns.
+        half_step: half of the highest step [m].
+        height_limits: only windows below the first of these heights are searched, then, if none has
+            a large floor, those below the second one, and so on [m].
+
+    Returns:
+        The height [m]; None if there is no such floor.
     """
-    disc = area_test(assignment_input.regions.lattice, assignment_input.settings)
-    for top in tops:
+    area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
+    for top in height_limits:
         # before shrinking, to skip windows with too few surfaces
         selection = HeightSelection(ground, ALL_WINDOWS, half_step, top)
         histogram = _count_heights(assignment_input, selection, NO_SHRINKING)
@@ -391,12 +416,12 @@ def _find_next_ground(
         for window in sorted(first_windows):
             end = (window + 2) * half_step
             num_surfaces = num_in_window.get(window, 0) + num_in_window.get(window + 1, 0)
-            if num_surfaces < disc.min_cells or end > top:
+            if num_surfaces < area_test.min_cells or end > top:
                 continue
             # stairs and thresholds are too narrow to remain after shrinking
             selection = HeightSelection(ground, window, half_step, end)
-            remaining = _count_heights(assignment_input, selection, disc)
-            if remaining.num_surfaces.sum() < disc.min_cells:
+            remaining = _count_heights(assignment_input, selection, area_test)
+            if remaining.num_surfaces.sum() < area_test.min_cells:
                 continue
             if len(remaining.num_surfaces):
                 return remaining.most_common_height()
@@ -406,9 +431,9 @@ def _find_next_ground(
 
 
 def _count_heights(
-    assignment_input: AssignmentInput, selection: HeightSelection, disc: AreaTest
+    assignment_input: AssignmentInput, selection: HeightSelection, area_test: AreaTest
 ) -> HeightHistogram:
-    """Count the heights of the selected floors after shrinking, see `count_heights`."""
+    """Make the histogram of the selected floors, shrunk by a test's disc; see `count_heights`."""
     regions = assignment_input.regions
     _, (rows, low) = regions.blocks.list_rows(
         kernels.count_heights,
@@ -416,7 +441,7 @@ def _count_heights(
         regions.surfaces,
         assignment_input.candidates,
         selection,
-        disc,
+        area_test,
     )
     return HeightHistogram(
         window=rows[:, 0], height_bin=rows[:, 1], num_surfaces=rows[:, 3], low=low
@@ -430,9 +455,9 @@ def _assign_surfaces(
 
     Args:
         assignment_input: the surfaces to assign.
-        grounds: of the levels, ascending [m].
-        skip_floors: whether floors are left out rather than stairs where a column has too few
-            levels.
+        grounds: the heights at which levels begin, ascending [m].
+        skip_floors: whether, in columns with more candidates than levels, floors are left out
+            rather than stairs.
     """
     regions = assignment_input.regions
     level = np.empty(len(regions.surfaces.z), dtype=np.int32)
@@ -454,9 +479,9 @@ def _assign_surfaces(
 def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
     """Lower each ground to include connected floor just below it, then assign surfaces to levels.
 
-    A ground is lowered to a connected part of the surfaces of the level below if that part lies
-    within a step below the ground, does not consist of stairs alone, and is joined by steps to
-    surfaces of the ground's level only.
+    A floor just below a ground is first assigned to the level below. The ground is lowered to a
+    connected part of that level if the part lies at most a step below the ground, does not consist
+    of stairs alone, and is linked by steps to the ground's level and to no other.
     """
     surface_levels = _assign_surfaces(assignment_input, grounds)
     for _ in grounds[1:]:
@@ -473,7 +498,7 @@ def _lower_grounds(assignment_input: AssignmentInput, grounds: list[float]) -> S
 def _lower_grounds_once(
     assignment_input: AssignmentInput, surface_levels: SurfaceLevels
 ) -> list[float]:
-    """Return the grounds [m], each lowered to floor that was assigned to the level below."""
+    """Return the grounds [m], lowered as `_lower_grounds` describes, for one assignment."""
     regions = assignment_input.regions
     candidates = assignment_input.candidates
     step = assignment_input.agent.traversable_floor_height
@@ -523,15 +548,14 @@ def _lower_grounds_once(
 def _resolve_full_columns(
     assignment_input: AssignmentInput, surface_levels: SurfaceLevels
 ) -> tuple[SurfaceLevels, list[Patch]]:
-    """Leave out surfaces or open levels where columns have more surfaces than there are levels.
+    """Leave out surfaces or add levels where columns have more surfaces than there are levels.
 
-    Stairs are left out if they are dispensable, see `_are_dispensable`; if not, the floors under
-    them are, on the same condition. Otherwise a level is opened at the lowest surface without a
-    level, or a little below it on that surface's region, so that an uneven floor stays on one
-    level.
+    Stairs are left out if they are dispensable, see `_are_dispensable`. If they are not, the floors
+    under them are left out, if these are dispensable. Otherwise a level is added at the lowest
+    surface without a level, and it is tried again.
 
     Returns:
-        The surfaces on their levels, and those that are left out.
+        The assignment, and a summary of what is left out, region by region.
     """
     regions = assignment_input.regions
     walks = _find_walks(assignment_input, assignment_input.candidates.group)
@@ -561,7 +585,7 @@ def _resolve_full_columns(
 
 
 def _list_full_regions(regions: Regions, surface_levels: SurfaceLevels) -> list[RegionSurfaces]:
-    """List the surfaces of each region of which any surface has no level."""
+    """List the regions that have a candidate without a level; return all surfaces of each."""
     components = surface_levels.components
     has_no_level = components.level <= NO_FREE_LEVEL
     region_ids = np.unique(regions.of_component[components.component[has_no_level]])
@@ -571,13 +595,25 @@ def _list_full_regions(regions: Regions, surface_levels: SurfaceLevels) -> list[
 def _choose_extra_ground(
     candidates: Candidates, surface_levels: SurfaceLevels, full_regions: list[RegionSurfaces]
 ) -> float:
-    """Choose the ground of a further level, for surfaces without a level."""
+    """Choose the ground of an added level, for surfaces without a level.
+
+    It is the height of the lowest of them; or up to `UNEVENNESS` lower if their regions have
+    surfaces there, so that an uneven floor stays on one level.
+
+    Args:
+        candidates: the surfaces that are assigned.
+        surface_levels: their levels.
+        full_regions: the regions with surfaces without a level, as `_list_full_regions` lists them.
+
+    Returns:
+        The ground's height [m].
+    """
     grounds = surface_levels.grounds
     components = surface_levels.components
     has_no_level = components.level == NO_FREE_LEVEL
     lowest_without = float(components.low[has_no_level].min(initial=np.inf))
     if lowest_without == np.inf:
-        # all are at grounds, so the levels of their columns are taken: open one above all levels
+        # all of them lie at grounds of levels, whose places are taken: add one above all levels
         return max(grounds) + EXTRA_LEVEL_RISE
     heights = []
     for region_surfaces in full_regions:
@@ -599,16 +635,15 @@ def _are_dispensable(
 ) -> bool:
     """Return whether the surfaces without a level can be left out.
 
-    They can be left out if they are rims, nowhere wider than floors are shrunk by, or floors under
-    stairs that are too small to be floors by themselves. In both cases, leaving them out must not
-    divide walkable floor: the number of connected components (walks) of their regions that are
-    large enough for floors must not grow.
+    In each region they must be small. Stairs are small if they are nowhere wider than
+    `floors.shrink`; floors (`surface_levels.skips_floors`), if they fail the area test. And leaving
+    them out must not divide walkable floor: their regions must not get more large walks.
 
     Args:
         assignment_input: the surfaces that are assigned.
         surface_levels: their levels.
-        full_regions: the surfaces of the regions of which any has no level.
-        walks: of all candidates, see `_find_walks`.
+        full_regions: the regions with surfaces without a level, as `_list_full_regions` lists them.
+        walks: the walks of all candidates, see `_find_walks`.
     """
     if not full_regions:
         return True
@@ -626,22 +661,30 @@ def _are_dispensable(
             return False
     candidate_group = assignment_input.candidates.group
     remaining_group = np.where(surface_levels.level <= NO_FREE_LEVEL, np.int8(-1), candidate_group)
-    # a cut divides a walk into several that are large enough
+    # where a walk is divided, several large ones take the place of one
     remaining_walks = _find_walks(assignment_input, remaining_group)
-    min_cells = area_test(lattice, settings).min_cells
+    min_cells = make_area_test(lattice, settings).min_cells
     num_remaining = _count_walks(remaining_walks, full_regions, min_cells)
     return num_remaining <= _count_walks(walks, full_regions, min_cells)
 
 
 def _find_walks(assignment_input: AssignmentInput, group: NDArray[np.int8]) -> Components:
-    """Find the walks: connected components of surfaces that an agent can walk, group by group."""
+    """Find the walks: sets of candidates between which an agent can walk by steps and slopes.
+
+    Args:
+        assignment_input: all surfaces, and the agent.
+        group: 0 for each surface that is a candidate, else -1, shape (surfaces,).
+
+    Returns:
+        Their parts in each block of cells; `Components.merge` numbers the walks.
+    """
     surfaces = assignment_input.regions.surfaces
     rule = region_join_rule(surfaces.lattice, assignment_input.agent)
     return find_components(surfaces, rule, group.astype(np.int32))
 
 
 def _count_walks(walks: Components, regions: list[RegionSurfaces], min_surfaces: int) -> int:
-    """Count the walks with at least `min_surfaces` surfaces in a region, over all given regions."""
+    """Count the walks with at least `min_surfaces` surfaces in a region, summed over regions."""
     walk_of_component = walks.merge()
     num_walks = 0
     for region_surfaces in regions:
@@ -661,8 +704,8 @@ def _drop_empty_levels(
 
     Args:
         regions: all regions.
-        surface_levels: their surfaces on levels.
-        names: the names of levels by their grounds; other levels are named by their numbers.
+        surface_levels: the level of each surface.
+        names: ground -> configured name; levels without one are named by their numbers.
         without_level: see `LevelAssignment`.
     """
     components = surface_levels.components
@@ -686,7 +729,7 @@ def _drop_empty_levels(
 
 
 def _name_levels(configured_names: list[str | None]) -> list[str]:
-    """Name each level differently; those without a configured name by their number."""
+    """Make a different name for each level: the configured one, or else ``level <number>``."""
     names: list[str] = []
     for number, configured_name in enumerate(configured_names):
         name = configured_name or f"level {number}"

@@ -1,9 +1,9 @@
 """Count the heights of floors, and assign the surfaces of each column to levels, block by block.
 
-A column's surfaces and the levels are two ordered lists, which dynamic programming aligns
-(Needleman and Wunsch, A General Method Applicable to the Search for Similarities in the Amino Acid
-Sequence of Two Proteins, 1970). `find_largest_areas` relaxes the edges of a directed acyclic graph
-in topological order, which is that of height.
+A column is the vertical line through a cell's centre. Its surfaces, and the levels, are two ordered
+lists, which dynamic programming aligns (Needleman and Wunsch, A General Method Applicable to the
+Search for Similarities in the Amino Acid Sequence of Two Proteins, 1970). `find_largest_areas`
+relaxes the edges of a directed acyclic graph in topological order: the order of heights.
 """
 
 import math
@@ -19,29 +19,30 @@ from navbake.baker.floors.region_kernels import region_of_surface, shrink
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int32
 
-# The costs of an alignment: to move a surface by one level, and to skip it, which takes it out of
-# the order. A stair's surface moves rather than a floor, and is skipped rather than a floor moves.
+# The costs of an alignment: of moving a surface by one level, and of skipping it. A skipped surface
+# need not keep its order among the others. It is cheaper to move a stair's surface than a floor,
+# and cheaper to skip a stair's surface than to move a floor.
 MOVE_STAIR = 1
 MOVE_FLOOR = 10_000
 SKIP_STAIR = 100
 SKIP_FLOOR = 10_000_000
-# In place of the number of a window of heights
+# Values in place of the number of a window of heights
 NO_WINDOW = -(1 << 62)  # the surface isn't counted
-ALL_WINDOWS = -(1 << 61)  # each window counts by itself
-LOWEST_SURFACES = -(1 << 60)  # the lowest surface of each column counts, stairs included
-# In place of the level of a surface that finds all levels of its column taken
-NO_FREE_LEVEL = -2
-NO_FREE_LEVEL_AT_GROUND = -3  # and which lies at the ground of a level
+ALL_WINDOWS = -(1 << 61)  # surfaces in all windows are counted, each under its own window
+LOWEST_SURFACES = -(1 << 60)  # stairs are counted, too, and all heights under this one number
+# Values in place of the level of a candidate when other surfaces of its column have all levels
+NO_FREE_LEVEL = -2  # the candidate lies at no ground
+NO_FREE_LEVEL_AT_GROUND = -3  # the candidate lies at the ground of a level
 
 
 class Candidates(NamedTuple):
     """The surfaces that are assigned to levels.
 
     Attributes:
-        group: by surface, 0 if the surface is a candidate, else -1, int8.
-        plateau: by surface, the number of its plateau, int32; empty if no column has two
+        group: for each surface, 0 if it is a candidate, else -1, int8.
+        plateau: for each surface, the number of its plateau, int32; empty if no column has two
             candidates.
-        is_stair: by plateau, whether it is a part of a stair or a ramp, bool.
+        is_stair: for each plateau, whether it is a part of a stair or a ramp, bool.
     """
 
     group: NDArray[np.int8]
@@ -52,12 +53,12 @@ class Candidates(NamedTuple):
 class HeightSelection(NamedTuple):
     """Which surfaces `count_heights` counts.
 
-    Window n of heights reaches from ``n * half_step`` to ``(n + 1) * half_step``.
+    Window n of heights goes from ``n * half_step`` to ``(n + 1) * half_step``.
 
     Attributes:
-        ground: the ground of a level [m]: a surface is counted only if another candidate lies below
-            it, at this height or higher. If it is -inf, only the lowest candidate of each column is
-            counted.
+        ground: the ground of a level [m]. A surface is counted only if another candidate of its
+            column lies below it and at or above this height. If it is -inf, only the lowest
+            candidate of each column is counted.
         window: the number of a window: surfaces in it and in the window above it are counted. It
             can also be ALL_WINDOWS or LOWEST_SURFACES.
         half_step: the height of a window [m].
@@ -76,8 +77,8 @@ class LevelRule(NamedTuple):
     Attributes:
         grounds: the heights at which levels begin, ascending, (levels,) float64 [m].
         tolerance: how far below a ground the floors of its level may lie [m].
-        skip_floors: whether columns with more surfaces than levels leave out floors, the lower ones
-            first, rather than stairs.
+        skip_floors: what is left out of columns with more candidates than levels: floors, the lower
+            ones first, if True; stairs if False.
     """
 
     grounds: Float
@@ -94,23 +95,23 @@ def _is_stair(candidates, j):
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def mark_candidates(labelled, height_ranges, group, has_stack, begin, end):
+def mark_candidates(labelled, height_ranges, group, has_stacked_candidates, begin, end):
     """Mark the surfaces of regions in the blocks from `begin` to `end` as candidates for levels.
 
     Args:
-        labelled: a `LabelledSurfaces`.
-        height_ranges: the heights [low, high) in which surfaces are candidates, (n, 2) float64 [m];
-            at all heights if there are none.
-        group: by surface, receives 0 for a candidate, else -1.
-        has_stack: by block, receives whether two candidates lie in one cell.
-        begin: the first block.
-        end: the index past the last one.
+        labelled: a `LabelledSurfaces` with the regions.
+        height_ranges: the heights [low, high) at which surfaces are candidates, (n, 2) float64 [m];
+            if empty, at all heights.
+        group: receives, for each surface, 0 for a candidate, else -1.
+        has_stacked_candidates: receives, for each block, whether a cell of it has two candidates.
+        begin: id of the first block.
+        end: id past the last block.
     """
     surfaces = labelled.surfaces
     lattice = labelled.surfaces.lattice
     for block in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, block)
-        has_stack[block] = False
+        has_stacked_candidates[block] = False
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 count = 0
@@ -126,12 +127,15 @@ def mark_candidates(labelled, height_ranges, group, has_stack, begin, end):
                         group[j] = 0
                         count += 1
                 if count > 1:
-                    has_stack[block] = True
+                    has_stacked_candidates[block] = True
 
 
 @subkernel(inline="always")
 def _window_of(surfaces, candidates, j, selection, is_lowest):
-    """The window in which a candidate is counted, or NO_WINDOW."""
+    """Return the window in which candidate j is counted, or NO_WINDOW.
+
+    `is_lowest` is whether it is the first candidate of its column at or above `selection.ground`.
+    """
     if is_lowest != (selection.ground == -math.inf):
         return NO_WINDOW
     if selection.window == LOWEST_SURFACES:
@@ -144,24 +148,36 @@ def _window_of(surfaces, candidates, j, selection, is_lowest):
 
 
 @subkernel(**NO_REFCOUNT)
-def _count_block(surfaces, candidates, selection, disc, block, masks, columns, num):
-    """Count the heights of one block; returns the new number of rows, or -1 if there is no room.
+def _count_block(surfaces, candidates, selection, area_test, block, masks, columns, num):
+    """Count the heights of one block, see `count_heights`.
 
-    `masks` are the mask of the counted cells and its margin, and the mask of what remains of it.
+    Args:
+        surfaces: all surfaces.
+        candidates: a `Candidates`.
+        selection: a `HeightSelection`.
+        area_test: an `AreaTest`.
+        block: the id of the block.
+        masks: two masks to write: the block's cells with a counted surface, with a margin of the
+            disc's radius; and the cells that remain of them after shrinking.
+        columns: receive the rows, see `count_heights`.
+        num: how many rows earlier blocks have.
+
+    Returns:
+        How many rows all blocks have now, or -1 if there is no room.
     """
-    rows, low = columns
-    radius = disc.radius
+    rows, lowest = columns
+    radius = area_test.radius
     num_before = num
     lattice = surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
     mask, remaining = masks
-    # at first the cells in the window are marked, also in the margin; shrinking leaves some of
-    # them, whose surfaces are counted in the second pass
+    # the first pass marks the cells with a counted surface, also in the margin; then they are
+    # shrunk; the second pass counts the surfaces of the remaining cells
     for is_marking in (True, False):
         if is_marking and radius == 0:
             continue
         if not is_marking and radius > 0:
-            shrink(mask, disc, remaining)
+            shrink(mask, area_test, remaining)
         margin = radius if is_marking else 0
         for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
@@ -184,42 +200,46 @@ def _count_block(surfaces, candidates, selection, disc, block, masks, columns, n
                     if is_marking:
                         mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
-                    at = count_row(rows, num_before, num, window, height_bin(z), 0)
-                    if at < 0:
-                        return at
-                    low[at] = min(low[at], z) if at < num else z
-                    num = max(num, at + 1)
+                    row_index = count_row(rows, num_before, num, window, height_bin(z), 0)
+                    if row_index < 0:
+                        return row_index
+                    lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
+                    num = max(num, row_index + 1)
     return num
 
 
 @kernel(nogil=True)
-def count_heights(surfaces, candidates, selection, disc, blocks, counts, columns, begin, end):
-    """Count the heights of floors in ``blocks[begin:end]``: the rows of a histogram.
+def count_heights(surfaces, candidates, selection, area_test, blocks, counts, columns, begin, end):
+    """Make a histogram of the heights of floors in ``blocks[begin:end]``.
 
     Floors are the candidates that are no stairs; `selection` determines which of them are counted.
-    The cells of all selected floors together are shrunk, and only surfaces in the remaining cells
-    are counted.
+    The cells of all selected floors together are shrunk by the disc of an area test, and only
+    surfaces in the remaining cells are counted.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: the number of a window, a `height_bin`, 0,
-    and how many surfaces are there. A second array has the lowest height of each row [m].
+    This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
         surfaces: all surfaces.
         candidates: a `Candidates`.
         selection: a `HeightSelection`.
-        disc: an `AreaTest`, whose disc the cells are shrunk by; with a radius of 0, not at all.
+        area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks to count.
-        end: the index past the last one.
+        counts: receives how many rows each block has.
+        columns: two arrays that receive the rows: the number of a window, a `height_bin`, 0, and
+            the number of surfaces, (n, 4) int64; and the lowest height of these surfaces, (n,)
+            float64 [m].
+        begin: index in `blocks` of the first block to count.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     num = np.int64(0)
-    size = BLOCK + 2 * disc.radius
+    size = BLOCK + 2 * area_test.radius
     for k in range(begin, end):
         masks = np.zeros((size, size), np.int32), np.empty((BLOCK, BLOCK), np.bool_)
         num_after = _count_block(
-            surfaces, candidates, selection, disc, blocks[k], masks, columns, num
+            surfaces, candidates, selection, area_test, blocks[k], masks, columns, num
         )
         if num_after < 0:
             return k
@@ -230,7 +250,11 @@ def count_heights(surfaces, candidates, selection, disc, blocks, counts, columns
 
 @subkernel(**NO_REFCOUNT)
 def _assign_base_levels(surfaces, candidates, rule, cell, level):
-    """Give a cell's candidates their base levels; returns their number if two share one, else 0."""
+    """Write the base levels of a cell's candidates, see `assign_columns`.
+
+    Returns:
+        The number of candidates if two of them have the same base level, else 0.
+    """
     grounds = rule.grounds
     count = 0
     base = 0
@@ -254,33 +278,36 @@ def _assign_base_levels(surfaces, candidates, rule, cell, level):
 def assign_columns(
     surfaces, candidates, rule, component, level, blocks, counts, columns, begin, end
 ):
-    """Assign the candidates in ``blocks[begin:end]`` to levels; no two of a column share one.
+    """Assign the candidates in ``blocks[begin:end]`` to levels, at most one of a column to each.
 
-    A surface's base level is the level with the highest ground at or below the surface. Where the
-    base levels of a column's surfaces all differ, each surface gets its base level. In other
-    columns the surfaces are aligned with the levels in their order: they move away from their base
-    levels as little as possible, up rather than down, and stairs rather than floors. A stair's
-    surface that would fit only if a floor moved gets the free level nearest to its base level; on a
-    tie, the upper one.
+    A surface's base level is the level with the highest ground at or below the surface; if there is
+    none, the lowest level. If all candidates of a column have different base levels, each gets its
+    base level. In other columns the candidates are aligned with the levels in their order. They
+    move away from their base levels as little as possible: up rather than down, and stairs rather
+    than floors. A stair's surface for which a floor would have to move is skipped. Skipped surfaces
+    then get the free level nearest to their base level, the upper one of two.
 
-    The rows, see `navbake.baker.core.blocks.list_rows`: the component of a region, 0, a level, and
-    how many of the component's surfaces are on it. A second array has the lowest of their heights
-    [m].
+    This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
         surfaces: all surfaces.
         candidates: a `Candidates`.
         rule: a `LevelRule`.
-        component: by surface, the component of a region that it belongs to, int32.
-        level: by surface, receives its level; NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND where all
-            are taken; -1 where it is no candidate, int32.
+        component: the component of each surface, see `Regions.components`, int32.
+        level: receives the level of each surface; NO_FREE_LEVEL or NO_FREE_LEVEL_AT_GROUND if all
+            levels are taken; -1 for a surface that is no candidate, int32.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks.
-        end: the index past the last one.
+        counts: receives how many rows each block has.
+        columns: two arrays that receive the rows: a component, 0, a level, and how many surfaces of
+            the component are on it, (n, 4) int64; and the lowest height of these surfaces, (n,)
+            float64 [m].
+        begin: index in `blocks` of the first block.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    rows, low = columns
+    rows, lowest = columns
     num = np.int64(0)
     lattice = surfaces.lattice
     for k in range(begin, end):
@@ -294,19 +321,22 @@ def assign_columns(
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if level[j] == -1:
                         continue
-                    at = count_row(rows, num_before, num, component[j], 0, level[j])
-                    if at < 0:
+                    row_index = count_row(rows, num_before, num, component[j], 0, level[j])
+                    if row_index < 0:
                         return k
                     z = surfaces.z[j]
-                    low[at] = min(low[at], z) if at < num else z
-                    num = max(num, at + 1)
+                    lowest[row_index] = min(lowest[row_index], z) if row_index < num else z
+                    num = max(num, row_index + 1)
         counts[k] = num - num_before
     return end
 
 
 @subkernel
 def _assign_column(surfaces, candidates, rule, cell, level, count):
-    """Replace the base levels of a cell's candidates, so many of them, by levels that differ."""
+    """Replace the base levels of a cell's candidates by levels that differ, see `assign_columns`.
+
+    `count` is the number of candidates.
+    """
     num_levels = rule.grounds.shape[0]
     num = 0
     surface_ids = np.empty(count, np.int64)
@@ -330,7 +360,7 @@ def _assign_column(surfaces, candidates, rule, cell, level, count):
     for n in range(count):
         if aligned[n] >= 0:
             is_taken[aligned[n]] = True
-    # surfaces out of the order take free levels, the nearest first, above before below
+    # skipped surfaces take free levels, the nearest first, above before below
     for n in range(count):
         for distance in range(1, num_levels):
             for near_level in (base[n] + distance, base[n] - distance):
@@ -350,10 +380,10 @@ def _align_with_levels(base, move_cost, skip_cost, num_levels, level):
 
     Args:
         base: the base level of each surface, ascending.
-        move_cost: what it costs to move each surface by one level.
-        skip_cost: what it costs to skip each surface.
+        move_cost: the cost of moving each surface by one level.
+        skip_cost: the cost of skipping each surface.
         num_levels: how many levels there are.
-        level: receives the level of each surface, -1 for those that are skipped.
+        level: receives the level of each surface, -1 for a surface that is skipped.
     """
     count = base.shape[0]
     # cost[i, k]: the least cost of the first i surfaces on the first k levels
@@ -389,19 +419,19 @@ def find_largest_areas(lower, upper, area, by_lower, by_upper):
     """Find the largest floor that is reached from each plateau by going only up, and only down.
 
     Args:
-        lower: the lower plateau of each step, (steps,) int64.
+        lower: the lower plateau of each step between two plateaus, (steps,) int64.
         upper: the upper plateau of each step, (steps,) int64.
-        area: by plateau, the number of surfaces of the floor that it belongs to, (plateaus,) int64.
-        by_lower: the steps in the order of the heights of their lower plateaus, (steps,) int64.
-        by_upper: the steps in the order of the heights of their upper plateaus, (steps,) int64.
+        area: how many surfaces the floor of each plateau has, (plateaus,) int64.
+        by_lower: indices of the steps, ordered by the height of the lower plateau, (steps,) int64.
+        by_upper: indices of the steps, ordered by the height of the upper plateau, (steps,) int64.
 
     Returns:
-        Two arrays (plateaus,) int64: the area of the largest floor reached by going up, and by
-        going down, in surfaces; 0 if no floor is reached.
+        For each plateau, the area of the largest floor that is reached by going up, and of the
+        largest that is reached by going down, (plateaus,) int64 each, in surfaces; 0 for none.
     """
     above = np.zeros_like(area)
     below = np.zeros_like(area)
-    # steps up from a plateau begin higher than steps to it, so they come first
+    # from the highest lower plateau down: the steps up from a plateau come before the steps to it
     for s in by_lower[::-1]:
         a = lower[s]
         b = upper[s]

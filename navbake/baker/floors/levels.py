@@ -1,4 +1,7 @@
-"""Find the floors of a scene: from the surfaces of all columns to the floors of each level."""
+"""Find the floors of a scene: from the surfaces of all columns to the floor of each level.
+
+A column holds all surfaces on the vertical line through a cell's centre.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +53,9 @@ class LevelFloor:
     Attributes:
         name: the configured name, or ``level <number>``, the lowest level being 0.
         ground: the level's ground height [m].
-        floor: floor heights, shape (height, width), float64, NaN for none [m].
-        standable: where the floor is a standable surface, shape (height, width), bool.
+        floor: floor heights, NaN for none, shape (height, width), float64 [m].
+        standable: where the floor is a standable surface or closes a hole, shape (height, width),
+            bool.
         unseen: where the floor closes a hole, shape (height, width), bool; None if holes stay open.
     """
 
@@ -64,23 +68,24 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Floors:
-    """The floors of all levels, the links between them, and the large surfaces that are no floors.
+    """The floors of all levels, the links between cells of them, and what warnings report.
 
     Attributes:
         levels: the floor of each level, lowest first.
-        links: where an agent steps from one level to another, and neighbors that slopes join but no
-            step does: the lower level, its cell, the upper level, its cell, shape (n, 4), int64;
-            cells are ids on the whole lattice.
+        links: pairs of neighboring cells that an agent can walk between though they are on
+            different levels, or though only a slope joins them, shape (n, 4), int64. Columns: the
+            lower level, its cell, the upper level, its cell; cells are ids on the whole lattice.
         tops: large tops and shelves, which are no floors, the largest first.
         roofs: roofs to report, which are no floors, the largest first.
-        small_starts: surfaces that are floors only because positions of `floors.from` lie on them.
-        unreached: floors that no path from a start leads to, by level, lowest first.
+        small_starts: small surfaces that are floors only because a position of `floors.from` lies
+            on them, the largest first.
+        unreached: floors that no path from a start leads to, an entry for each level, lowest first.
         removed_by_reach: floors that `floors.reach: steps` leaves out, the largest first.
-        enclosed_by_meshes: floors inside of closed meshes, whose geoms the patches have.
-        enclosed_by_planes: floors inside of infinite planes, whose geoms the patches have.
-        voids: levels that are left out because no path leads to them and nobody can stand upright
-            there.
-        without_level: surfaces left out because all levels of their columns are taken.
+        enclosed_by_meshes: floors inside of closed meshes; `Patch.geom` is the mesh.
+        enclosed_by_planes: floors inside of infinite planes; `Patch.geom` is the plane.
+        voids: floors of levels that are left out because no path leads to them and nobody can stand
+            upright there, the largest first.
+        without_level: surfaces left out because all levels are taken by others in their columns.
     """
 
     levels: list[LevelFloor]
@@ -104,17 +109,18 @@ def find_floors(
     level_settings: Sequence[LevelSettings] | None,
     is_occupied: OccupancyTest,
 ) -> Floors:
-    """Find the levels of a scene, the floor of each, and the steps between them.
+    """Find the levels of a scene, the floor of each, and the links between them.
 
-    Standable surfaces → regions → large ones → without tops, shelves and roofs → levels → those
-    that are reached → floors that grow under things → links.
+    The stages: find the standable surfaces; connect them to regions; keep the large regions; drop
+    tops, shelves and roofs; assign the rest to levels; drop what is not reached or is a void; let
+    floors grow under things; list the links.
 
     Args:
         columns: the hits of all columns.
-        shapes: the geometry that the columns were cast at.
+        shapes: the geometry that the columns cross.
         agent: the agent that stands and steps on floors.
         settings: the settings of `floors`.
-        level_settings: the levels of the configuration, lowest first; None if they are to be found.
+        level_settings: the levels of the configuration, lowest first; None to find the levels.
         is_occupied: tests whether something stands over cells.
 
     Raises:
@@ -172,8 +178,8 @@ class ReachedLevels(NamedTuple):
     """The regions that are floors of the grid, on their levels.
 
     Attributes:
-        assignment: their surfaces on levels.
-        is_reached: which regions are reached, shape (regions,), bool.
+        assignment: the levels, and the level of each surface.
+        is_reached: which regions are reached from a start, shape (regions,), bool.
         removed_by_reach: see `Floors`.
         voids: see `Floors`.
     """
@@ -192,17 +198,19 @@ def find_reached_levels(
 ) -> ReachedLevels:
     """Assign floors to levels, and leave out voids or unreached floors.
 
-    With `floors.reach: all`, voids are left out, unless `floors.voids` is set. With `floors.reach:
-    steps`, all floors are left out that no path from a start leads to.
+    With `floors.reach: steps`, the floors that no path from a start leads to are left out.
+    Otherwise voids are left out, unless `floors.voids` is set or the configuration has levels.
 
     Args:
         context: all regions, and the hits of all columns.
         is_floor: which regions are floors, shape (regions,), bool.
-        is_start: the regions on which agents start, if `floors.from` names any, shape (regions,).
-        level_settings: as `find_floors` takes them.
+        is_start: the regions on which `floors.from` has agents start, shape (regions,); if none,
+            agents start on the largest floor of the lowest level.
+        level_settings: see `find_floors`.
 
     Raises:
-        SceneError: there is no floor on a level of the configuration.
+        SceneError: there is no floor on a level of the configuration, or what the starts reach is
+            on none.
     """
     regions = context.regions
     settings = context.settings
@@ -252,7 +260,7 @@ def _make_level_floors(
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> list[LevelFloor]:
-    """Make the floor of each level, whose holes are closed if `floors.fill` says so."""
+    """Make the floor of each level, and close its holes if `floors.fill` is set."""
     levels = []
     for name, ground, grown_floor in zip(
         assignment.names, assignment.grounds, grown_floors, strict=True
@@ -267,18 +275,19 @@ def _make_level_floors(
 
 
 def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) -> LevelFloor:
-    """Close the holes in a level's floor, and interpolate their heights.
+    """Close the small holes in a level's floor, such as a scan has in the shadow of things.
 
-    The heights in a hole are interpolated from those around it (linearly, over Delaunay's
-    triangles). Holes that agents can't get to from the floor, such as the inside of a pillar, stay.
+    The heights in a hole are interpolated from the floor around it (linearly, over a Delaunay
+    triangulation). Holes that agents can't get to from the floor, such as the inside of a pillar,
+    stay open.
 
     Args:
         level: the level.
-        max_cells: larger holes stay [cells].
+        max_cells: how many cells a hole to close has at most.
         is_occupied: tests whether something stands over cells.
 
     Returns:
-        The level with its `unseen` cells.
+        The level with a floor in the holes, which its `unseen` marks.
     """
     from scipy.interpolate import griddata  # scipy loads slowly, and few bakes need this
     from scipy.ndimage import binary_dilation, label  # likewise
@@ -317,7 +326,7 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
 
     Args:
         floors: the floors on the whole lattice.
-        window: rows and columns of it.
+        window: rows and columns of that lattice.
 
     Raises:
         SceneError: no floor lies in the window.
@@ -356,13 +365,13 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
 
 
 def _is_inside(patch: Patch, window: Window, width: int) -> bool:
-    """Whether any cell of a patch lies in a window of a lattice of some width."""
+    """Return whether any cell of a patch lies in a window of a lattice `width` cells wide."""
     _, is_inside = crop_cells(patch.cells.astype(np.int64), window, width)
     return bool(is_inside.any())
 
 
 def _crop_level(level: LevelFloor, window: Window, old_number: int, new_number: int) -> LevelFloor:
-    """Crop a level to a window; if it is named by its number, it is named by the new one."""
+    """Crop a level to a window; a name made of its old number is made of the new one."""
     name = level.name
     if name == f"level {old_number}":
         name = f"level {new_number}"
@@ -379,27 +388,40 @@ def _crop_links(links: Int, new_number: Int, window: Window, width: int) -> Int:
     """Crop links between levels to a window.
 
     Args:
-        links: as `Floors` has them.
-        new_number: the new number of each level, -1 for those that are left out.
+        links: `Floors.links`.
+        new_number: the new number of each level, -1 for levels that are left out.
         window: rows and columns of the whole lattice.
-        width: of the whole lattice [cells].
+        width: the number of columns of the whole lattice.
+
+    Returns:
+        The links with both ends in the window; new level numbers, and cell ids in the window.
     """
     lower_level, lower_cell, upper_level, upper_cell = links.T
     has_levels = (new_number[lower_level] >= 0) & (new_number[upper_level] >= 0)
     _, is_lower_inside = crop_cells(lower_cell, window, width)
     _, is_upper_inside = crop_cells(upper_cell, window, width)
-    shown: Int = links[has_levels & is_lower_inside & is_upper_inside]
-    shown[:, 0] = new_number[shown[:, 0]]
-    shown[:, 1], _ = crop_cells(shown[:, 1], window, width)
-    shown[:, 2] = new_number[shown[:, 2]]
-    shown[:, 3], _ = crop_cells(shown[:, 3], window, width)
-    return shown
+    is_shown = has_levels & is_lower_inside & is_upper_inside
+    new_lower_cell, _ = crop_cells(lower_cell[is_shown], window, width)
+    new_upper_cell, _ = crop_cells(upper_cell[is_shown], window, width)
+    columns = [
+        new_number[lower_level[is_shown]],
+        new_lower_cell,
+        new_number[upper_level[is_shown]],
+        new_upper_cell,
+    ]
+    return np.stack(columns, axis=1)
 
 
 def _explain_no_floor_on(
     level_settings: Sequence[LevelSettings], number: int, columns: ColumnSource
 ) -> str:
-    """Explain that a level of the configuration has no floor."""
+    """Word the error that a level of the configuration has no floor.
+
+    Args:
+        level_settings: the levels of the configuration, lowest first.
+        number: index of the level in these.
+        columns: the hits of all columns.
+    """
     level = level_settings[number]
     name = f"level {level.name!r}" if level.name else f"level {number}"
     top = np.inf
@@ -419,7 +441,7 @@ def _explain_no_floor_on(
 
 
 def _explain_no_floor(columns: ColumnSource, surfaces: Surfaces, agent: AgentSettings) -> str:
-    """Explain that no surface is standable."""
+    """Word the error that no surface is standable."""
     num_hits = sum(len(chunk.z) for chunk in columns.row_chunks())
     if not num_hits:
         return "no floor at all: no vertical line through a cell's centre meets a geom"

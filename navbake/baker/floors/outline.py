@@ -32,11 +32,11 @@ BARRIER = 1
 DROP = 2
 BORDER = 3
 OPEN = 4
-# The height of the volumes at an agent's feet and at its head that a wall has to meet [m]
+# A wall has to meet two volumes: one at an agent's feet, one at its head. They are this high [m]
 PROBE_HEIGHT = 0.01
-# An empty array of rows of `list_edges`
+# An empty array with the dtype and shape of what `list_edges` lists
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
-# So many cells are worth a call on another thread
+# Fewer cells than this are not worth a call on another thread
 MIN_CELLS_PER_THREAD = 1000
 
 OccupancyTest = Callable[[Int, Float, HeightRange | None], Bool]
@@ -48,15 +48,14 @@ the floor [m]; None stands for the range from a step to the agent's height.
 
 
 class EdgeEndings(NamedTuple):
-    """How a region ends at each of its edges, see `RegionContext.classify_edges`.
+    """How regions end at their edges, see `RegionContext.classify_edges`; shape (edges,) each.
 
     Attributes:
-        kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
+        kind: WALL, BARRIER, DROP, BORDER or OPEN, uint8.
         floor_height: the height of the floor that a drop leads to, NaN for other kinds [m].
         floor_region: the region of that floor, -1 for other kinds, int32.
-        is_known: whether it is known what lies beyond the edge, bool. It is False at borders where
-            the lattice crops the scene. At other borders the scene ends: nothing stands beyond, and
-            there is no floor.
+        is_known: whether it is known what lies beyond the edge, bool. It is not where the border of
+            the lattice crops the scene. At other borders the scene ends: nothing lies beyond.
     """
 
     kind: NDArray[np.uint8]
@@ -69,16 +68,23 @@ class ListedEdges(NamedTuple):
     """Edges of regions, as `list_edges` lists them.
 
     Attributes:
-        region: the region that ends at each edge, int32.
-        rows: see `list_edges`, shape (edges, 5), int64.
+        region: the region that ends at each edge, shape (edges,), int32.
+        cell: the cell on the region's side, shape (edges,), int64.
+        surface_id: the region's surface in that cell, shape (edges,), int64.
+        direction: EAST, SOUTH, WEST or NORTH, out of the region, shape (edges,), int64.
+        has_drop: 1 if a lower surface of another region lies beyond, else 0, see `list_edges`,
+            shape (edges,), int64.
     """
 
     region: Int32
-    rows: Int
+    cell: Int
+    surface_id: Int
+    direction: Int
+    has_drop: Int
 
 
 class RegionContext(NamedTuple):
-    """The regions of a scene with their edges, as the rules for tops, roofs and shelves use them.
+    """The regions of a scene with their edges: what the rules for tops, roofs and shelves need.
 
     Attributes:
         regions: all regions, also those of furniture.
@@ -87,9 +93,9 @@ class RegionContext(NamedTuple):
         agent: the agent whose floors are found.
         settings: the settings of `floors`.
         is_occupied: tests whether something stands over cells.
-        is_cropped: see `mark_cropped_sides`.
+        is_cropped: at which sides the lattice crops the scene, see `mark_cropped_sides`.
         edges: the edges of the large regions.
-        reach: how many cells beyond a region's edge floors are searched for.
+        num_cells_beyond: how many cells beyond an edge are searched for lower floors.
     """
 
     regions: Regions
@@ -100,43 +106,43 @@ class RegionContext(NamedTuple):
     is_occupied: OccupancyTest
     is_cropped: Bool
     edges: ListedEdges
-    reach: int
+    num_cells_beyond: int
 
     def cast_ahead(self, cells: Int) -> None:
-        """Cast the columns of some cells together, before they are asked for in smaller sets.
+        """Cast the columns of some cells together, as casting them in smaller sets takes longer.
 
-        A `ColumnSource` that doesn't store the columns of the whole lattice stores those that it
-        cast last, so that later requests for some of these cells cast nothing.
+        A `ColumnSource` keeps at least the columns that it cast last. So later requests for some of
+        these cells cast nothing.
 
         Args:
-            cells: ids of the cells of all later requests.
+            cells: ids of all cells whose columns will be needed.
         """
         self.columns.covering(cells)
 
-    def select_edges(self, mask: Bool, reach: int) -> RegionEdges:
-        """Return the edges of some large regions, and the floors below, beyond these edges.
+    def select_edges(self, mask: Bool, num_cells_beyond: int) -> RegionEdges:
+        """Return the edges of some large regions, and the lower floors beyond these edges.
 
         Args:
             mask: the regions, shape (regions,).
-            reach: how many cells beyond an edge to search for floors.
+            num_cells_beyond: how many cells beyond an edge to search for lower floors.
         """
         regions = self.regions
         step = self.agent.traversable_floor_height
         is_selected = mask[self.edges.region]
-        _, cell, surface_id, direction, _ = self.edges.rows[is_selected].T
+        cell = self.edges.cell[is_selected]
         edges = RegionEdges(
             region=self.edges.region[is_selected],
-            cell=cell.copy(),
-            z=regions.surfaces.z[surface_id],
-            direction=direction.copy(),
-            cells_beyond=np.full((len(cell), reach), -1),
-            floors_below=np.full((len(cell), reach), np.nan),
-            regions_below=np.full((len(cell), reach), -1, dtype=np.int32),
+            cell=cell,
+            z=regions.surfaces.z[self.edges.surface_id[is_selected]],
+            direction=self.edges.direction[is_selected],
+            cells_beyond=np.full((len(cell), num_cells_beyond), -1),
+            floors_below=np.full((len(cell), num_cells_beyond), np.nan),
+            regions_below=np.full((len(cell), num_cells_beyond), -1, dtype=np.int32),
         )
         labelled = regions.label_surfaces(self.is_large)
         # the edges beyond which the region has not begun again, nor the lattice ended
         open_edges = np.arange(len(cell))
-        for k in range(reach):
+        for k in range(num_cells_beyond):
             cells = neighbor_cells(
                 regions.lattice, edges.cell[open_edges], edges.direction[open_edges], k + 1
             )
@@ -159,19 +165,23 @@ class RegionContext(NamedTuple):
         return edges
 
     def classify_barriers(self, edges: RegionEdges, agent: AgentSettings) -> NDArray[np.uint8]:
-        """Classify edges as `classify_edges` does, but with OPEN in place of DROP.
+        """Classify edges by what stands in the two cells at each of them, see `classify_edges`.
 
         Args:
             edges: the edges.
             agent: the agent whose step and height define walls and barriers; may differ from the
                 context's agent.
+
+        Returns:
+            WALL, BARRIER, BORDER or OPEN for each edge, shape (edges,), uint8; drops are not told
+            from OPEN, nor barriers farther out.
         """
         outer = neighbor_cells(self.regions.lattice, edges.cell, edges.direction)
         kind = np.full(len(outer), OPEN, dtype=np.uint8)
         kind[outer < 0] = BORDER
         candidates = np.arange(len(outer))
         at_feet, at_head = probe_ranges(agent)
-        # what meets the feet is a barrier; what meets the head, too, is a wall
+        # what is in the way of the feet is a barrier; if of the head, too, it is a wall
         for heights, ending in ((at_feet, BARRIER), (at_head, WALL)):
             is_met = self.is_occupied(edges.cell[candidates], edges.z[candidates], heights)
             unmet = np.flatnonzero(~is_met & (outer[candidates] >= 0))
@@ -187,10 +197,10 @@ class RegionContext(NamedTuple):
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
           agent's feet (just above a step) and at its head (just below its height).
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-        - DROP: a floor on which the agent can stand lies more than a step lower, in any of
-          `edges.cells_beyond` up to the first barrier. So a floor past the frame of a bed is found.
-          There is no drop where a surface continues from the region over that floor, as in an
-          attic.
+        - DROP: a floor on which the agent can stand lies more than a step lower, in the nearest of
+          `edges.cells_beyond` that has one; there is no barrier before it. So a floor past the
+          frame of a bed is found. It is no drop if a surface continues from the region over that
+          floor, such as a ceiling.
         - BORDER: the lattice ends.
         - OPEN: none of these: beyond the edge there is an abyss, a steep slope, or a floor on which
           no agent can stand.
@@ -200,7 +210,7 @@ class RegionContext(NamedTuple):
         """
         agent = self.agent
         at_feet, _ = probe_ranges(agent)
-        # of all these cells at once, see `cast_ahead`
+        # the columns of all these cells are cast at once, see `cast_ahead`
         cells_beyond = edges.cells_beyond[edges.cells_beyond >= 0]
         columns = self.columns.covering(np.concatenate([edges.cell, cells_beyond]))
         kind = self.classify_barriers(edges, agent)
@@ -226,7 +236,7 @@ class RegionContext(NamedTuple):
             )
             with_floor = candidates[~np.isnan(edges.floors_below[candidates, k])]
             floors = edges.floors_below[with_floor, k]
-            # a surface that continues above the floor separates the floor from the region
+            # with a surface above it that continues from the region, the floor is another storey
             is_covered = continued_z[with_floor] > floors + agent.height + LIMIT_SLACK
             is_full = self.is_occupied(edges.cells_beyond[with_floor, k], floors, None)
             drop_edges = with_floor[~is_covered & ~is_full]
@@ -249,15 +259,15 @@ class RegionContext(NamedTuple):
         return is_known
 
     def share_of_edges(self, edges: RegionEdges, mask: Bool, is_known: Bool) -> Float:
-        """Compute which share of each region's known edges a mask marks.
+        """Compute for each region which share of its known edges is marked.
 
         Args:
             edges: the edges.
             mask: the marked edges, shape (edges,).
-            is_known: which edges count, shape (edges,).
+            is_known: the known edges; all others are ignored, shape (edges,).
 
         Returns:
-            Shares, shape (regions,); NaN for regions without an edge that counts.
+            Shares from 0 to 1, shape (regions,); NaN for regions without a known edge.
         """
         num_marked = np.bincount(edges.region, mask & is_known, len(self.is_large))
         num_known = np.bincount(edges.region, is_known, len(self.is_large))
@@ -275,7 +285,7 @@ def make_region_context(
     settings: FloorSettings,
     is_occupied: OccupancyTest,
 ) -> RegionContext:
-    """List the edges of the large regions, for the rules that depend on how regions end.
+    """Make the context of the rules for tops, roofs and shelves: list the edges of large regions.
 
     Args:
         regions: all regions.
@@ -286,7 +296,7 @@ def make_region_context(
         settings: the settings of `floors`.
         is_occupied: tests whether something stands over cells.
     """
-    reach = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
+    num_cells_beyond = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
     lowest = regions.low[is_large].min(initial=np.inf)
     _, (rows,) = regions.blocks.list_rows(
         list_edges,
@@ -294,8 +304,9 @@ def make_region_context(
         regions.label_surfaces(is_large),
         lowest,
         agent.traversable_floor_height,
-        reach,
+        num_cells_beyond,
     )
+    component, cell, surface_id, direction, has_drop = rows.T
     return RegionContext(
         regions=regions,
         is_large=is_large,
@@ -304,25 +315,31 @@ def make_region_context(
         settings=settings,
         is_occupied=is_occupied,
         is_cropped=is_cropped,
-        edges=ListedEdges(regions.of_component[rows[:, 0]], rows),
-        reach=reach,
+        edges=ListedEdges(
+            region=regions.of_component[component],
+            cell=cell,
+            surface_id=surface_id,
+            direction=direction,
+            has_drop=has_drop,
+        ),
+        num_cells_beyond=num_cells_beyond,
     )
 
 
 def find_highest_below(
     labelled: LabelledSurfaces, cells: Int, limits: Float, regions: Int32 | None = None
 ) -> tuple[Int, Int32]:
-    """Find the highest surface of another region below a limit in each cell.
+    """Find the highest surface below a limit in each cell.
 
     Args:
-        labelled: all surfaces, and the regions that count.
+        labelled: all surfaces, and the regions whose surfaces count.
         cells: ids of cells, shape (n,).
-        limits: by cell, an upper bound of the surface's height, shape (n,) [m].
-        regions: by cell, the region whose surfaces are skipped; None to skip none.
+        limits: for each cell, the height below which the surface must lie, shape (n,) [m].
+        regions: for each cell, a region to skip, shape (n,); None to skip none.
 
     Returns:
-        The ids of the surfaces, NO_SURFACE for none, SAME_REGION where the skipped region itself
-        has a surface in the cell; and the regions of the surfaces, -1 for none.
+        The ids of the surfaces (NO_SURFACE if there is none, SAME_REGION if the skipped region has
+        a surface in the cell); and the regions of the surfaces, -1 for none; shape (n,) each.
     """
     if regions is None:
         regions = np.full(len(cells), -2, dtype=np.int32)  # no region's id
@@ -343,7 +360,7 @@ def find_highest_below(
 
 
 def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
-    """Mark the sides of the lattice beyond which the scene continues: east, south, west, north.
+    """Mark the sides of the lattice beyond which the scene continues.
 
     Args:
         lattice: the lattice.
@@ -351,7 +368,7 @@ def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
             scene is endless.
 
     Returns:
-        A mask, shape (4,), bool.
+        A mask of the sides east, south, west and north, shape (4,), bool.
     """
     if bounds is None:
         return np.ones(4, dtype=np.bool_)
@@ -362,7 +379,7 @@ def mark_cropped_sides(lattice: Lattice, bounds: Float | None) -> Bool:
 
 
 def find_hole_edges(edges: RegionEdges, lattice: Lattice) -> Bool:
-    """Mark the edges at the rims of holes.
+    """Mark the edges at the rims of holes in their regions.
 
     Args:
         edges: all edges of some regions.

@@ -1,4 +1,4 @@
-"""Where agents start, what steps lead to from there, voids, and floors inside of closed meshes."""
+"""Find where agents start, which floors no path leads to, voids, and floors inside of meshes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from navbake.baker.floors.regions import (
     find_nearest_position,
     find_regions,
 )
-from navbake.baker.floors.rejected import LARGE_TOP, MIN_LINES_PER_THREAD, RejectedRegions
+from navbake.baker.floors.rejected import LARGE_TOP_AREA, MIN_LINES_PER_THREAD, RejectedRegions
 from navbake.baker.floors.surface_kernels import ENCLOSED, Surfaces
 from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
@@ -33,30 +33,30 @@ from navbake.errors import SceneError
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Int
 
-# A position that is at most this far from a surface lies on it, furniture or not [m]
-ON_SURFACE = 0.02
-# The least region that is reported as unreached on a level that is reached: shafts and niches are
-# smaller [m²]
+# A position lies on a surface if it is at most this far above or below it [m]
+MAX_DISTANCE_ON_SURFACE = 0.02
+# On a level that is reached in part, an unreached region is reported if it has at least this area:
+# shafts and niches are smaller [m²]
 REPORTED_AREA = 6.0
-# A level is a void where this share of it, or more, has less headroom than an adult needs
+# An unreached level is a void if at least this share of it has less headroom than an adult needs
 VOID_SHARE = 0.9
 # The headroom that an adult needs [m]
 ADULT_HEADROOM = 1.8
-# A floor in a closed mesh that continues outside, along at least this share of its outline, only
-# carries the mesh
+# A floor inside of a closed mesh is not reported if it continues outside along at least this share
+# of its outline (the mesh then stands on it), unless it is as large as a building
 CONTINUING_SHARE = 0.25
-# Unless it is as large as a building [m²]
+# Floors of buildings have at least this area [m²]
 BUILDING_AREA = 50.0
 
 
 @dataclass(frozen=True)
 class UnreachedFloors:
-    """The floors of a level that no path of steps and slopes from a start leads to.
+    """The floors of one level that no path of steps and slopes from a start leads to.
 
     Attributes:
         level: the level's number.
-        patch: a summary of all these floors; its position is on the largest of them.
-        is_whole_level: whether no floor of the level is reached.
+        patch: a summary of these floors; its position is on the largest of them.
+        is_whole_level: whether no floor of the level is reached at all.
     """
 
     level: int
@@ -67,17 +67,17 @@ class UnreachedFloors:
 def find_start_regions(
     context: RegionContext, rejected: RejectedRegions, positions: list[list[float]]
 ) -> Bool:
-    """Find the regions on which agents start, from positions.
+    """Find the regions on which agents start, from the positions of `floors.from`.
 
-    A position within 2 cm of a surface lies on that surface. Any other position lies on the highest
-    floor of its column that is at most a step higher than the position. Roofs, and tops of at least
-    6 m², are floors here. A position above furniture lies on the floor to which the furniture drops
-    along most of its outline, or on the furniture if there is no such floor.
+    A position within 2 cm of a region lies on that region, whatever it is. Otherwise it lies on the
+    highest floor in its cell that is at most a step higher than the position; roofs, and tops of at
+    least 6 m², count as floors here. If there is only furniture, it lies on the floor to which most
+    edges of the furniture drop, or on the furniture if there is no such floor.
 
     Args:
         context: all regions, and how they end.
         rejected: tops, shelves and roofs, which are floors only if an agent starts on them.
-        positions: `floors.from`, x, y, z of each [m].
+        positions: `floors.from`: x, y, z of each position, world frame [m].
 
     Returns:
         A mask of the regions on which agents start, shape (regions,), bool.
@@ -89,7 +89,7 @@ def find_start_regions(
     lattice = regions.lattice
     surfaces = regions.surfaces
     step = context.agent.traversable_floor_height
-    is_small = regions.size * lattice.cell_size**2 < LARGE_TOP
+    is_small = regions.size * lattice.cell_size**2 < LARGE_TOP_AREA
     may_start = context.is_large & ~rejected.is_shelf & ~(rejected.is_top & is_small)
     is_start = np.zeros(regions.num, dtype=np.bool_)
     for number, (x, y, z) in enumerate(positions):
@@ -110,8 +110,8 @@ def find_start_regions(
                 f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
                 f"an agent can stand on, at most a step higher; {in_cell}"
             )
-        # in this order: what the position lies on, a floor below it, a floor beside furniture
-        at_position = regions_in_column[abs(heights - z) <= ON_SURFACE + LIMIT_SLACK]
+        # the first that exists: the region at the position, a floor below it, a floor beside it
+        at_position = regions_in_column[abs(heights - z) <= MAX_DISTANCE_ON_SURFACE + LIMIT_SLACK]
         floors_below = below[may_start[below]]
         if len(at_position):
             start = int(at_position[-1])
@@ -124,7 +124,16 @@ def find_start_regions(
 
 
 def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) -> int:
-    """Find the floor that a region of furniture drops to along most of its outline, else itself."""
+    """Find the floor to which most edges of a piece of furniture drop.
+
+    Args:
+        context: all regions, and how they end.
+        may_start: which regions are floors, shape (regions,).
+        furniture: the region on top of the furniture.
+
+    Returns:
+        The floor's region; `furniture` if no edge drops to a floor.
+    """
     is_furniture = np.arange(len(may_start)) == furniture
     context_with_furniture = make_region_context(
         regions=context.regions,
@@ -135,21 +144,23 @@ def _find_floor_beside(context: RegionContext, may_start: Bool, furniture: int) 
         settings=context.settings,
         is_occupied=context.is_occupied,
     )
-    edges = context_with_furniture.select_edges(is_furniture, context_with_furniture.reach)
+    edges = context_with_furniture.select_edges(
+        is_furniture, context_with_furniture.num_cells_beyond
+    )
     endings = context_with_furniture.classify_edges(edges)
     floors = endings.floor_region[endings.kind == DROP]
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
 
 def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) -> Bool:
-    """Mark the region with the largest floor on the lowest level.
+    """Mark the region that has the most surfaces on the lowest level.
 
     Args:
-        counts: how many surfaces of which region are on which level.
+        counts: how many surfaces each region has on each level.
         num_regions: how many regions there are.
 
     Returns:
-        A mask, shape (regions,), bool.
+        A mask, shape (regions,), bool; True for that region alone.
     """
     on_lowest = counts.level == counts.level.min()
     size = np.bincount(counts.region[on_lowest], counts.num_surfaces[on_lowest])
@@ -158,10 +169,10 @@ def mark_largest_on_lowest_level(counts: RegionLevelCounts, num_regions: int) ->
 
 
 def count_low_surfaces(context: RegionContext) -> Int:
-    """Count the surfaces of each region with less headroom than an adult needs.
+    """Count the surfaces with less headroom than an adult needs, region by region.
 
     Returns:
-        shape (regions,), int64.
+        How many such surfaces each region has, shape (regions,), int64.
     """
     regions = context.regions
     surfaces = regions.surfaces
@@ -189,8 +200,8 @@ class ReachedRegions(NamedTuple):
     """Which regions are reached from the starts; masks of shape (regions,), bool.
 
     Attributes:
-        is_reached: whether a path leads from a start to the region.
-        is_void: whether the region is on a void: an unreached level in which nobody can stand
+        is_reached: whether a path of steps and slopes leads from a start to the region.
+        is_void: whether the region is only on voids: unreached levels in which nobody can stand
             upright.
     """
 
@@ -205,10 +216,13 @@ def find_voids(
 
     Args:
         context: all regions, and the hits of all columns.
-        counts: how many surfaces of which region are on which level.
+        counts: how many surfaces each region has on each level.
         is_reached: which regions are reached, shape (regions,), bool.
-        has_starts: whether `floors.from` gives the starts; if not, the start is the largest floor
-            of the lowest level that is no void.
+        has_starts: whether `floors.from` gives the starts. If not, agents start on the largest
+            floor of the lowest level in which one can stand upright.
+
+    Returns:
+        The regions that are reached from there, and those that are on voids.
     """
     is_void = np.zeros_like(is_reached)
     levels = np.unique(counts.level)
@@ -227,7 +241,7 @@ def find_voids(
         is_reached = mark_largest_on_lowest_level(on_high_level, len(is_reached))
     on_reached_level = np.isin(counts.level, counts.level[is_reached[counts.region]])
     on_void_level = on_low_level & ~on_reached_level
-    # a region that is on another level, too, is no void
+    # a region that is also on a level that is no void stays
     is_void[counts.region[on_void_level]] = True
     is_void[counts.region[~on_void_level]] = False
     return ReachedRegions(is_reached, is_void)
@@ -238,11 +252,11 @@ def find_unreached_floors(
 ) -> list[UnreachedFloors]:
     """Find the floors that no path leads to, with one entry for each level, lowest first.
 
-    On levels that are reached in part, only regions with at least 6 m² on the level are listed.
+    On a level that is reached in part, only unreached regions with at least 6 m² there are listed.
 
     Args:
         regions: all regions.
-        assignment: their surfaces on levels.
+        assignment: the level of each surface, and how many surfaces each region has on each level.
         is_reached: which regions are reached, shape (regions,), bool.
     """
     counts = assignment.counts
@@ -272,7 +286,15 @@ def find_unreached_floors(
 def _describe_on_level(
     regions: Regions, assignment: LevelAssignment, level: int, mask: Bool, largest: int
 ) -> Patch:
-    """Describe the surfaces of some regions on a level, at a position on the largest region."""
+    """Summarize the surfaces that some regions have on a level as a patch.
+
+    Args:
+        regions: all regions.
+        assignment: the level of each surface.
+        level: index of the level in `assignment.grounds`.
+        mask: the regions, shape (regions,), bool.
+        largest: the region on which the patch has its position; one of the marked regions.
+    """
     surfaces_on_level = {}
     for region in np.flatnonzero(mask).tolist():
         members = regions.surfaces_of(region)
@@ -295,15 +317,19 @@ def _describe_on_level(
 def find_enclosed_floors(
     surfaces: Surfaces, agent: AgentSettings, settings: FloorSettings
 ) -> list[Patch]:
-    """Find floors inside of closed meshes and planes, where no agent can stand, the largest first.
+    """Find floors on which no agent can stand because they are inside of closed meshes or planes.
 
-    A floor that continues outside of the closed mesh at the same height is not listed, unless the
-    mesh is as large as a building: it only carries a closed object, like a crate.
+    A floor that continues outside of the mesh along a quarter of its outline, at most a step higher
+    or lower, is not listed: a closed object such as a crate stands on it. A floor of at least 50 m²
+    is always listed, as the mesh may be a building.
 
     Args:
         surfaces: all surfaces.
         agent: the agent, of which the step and slope are used.
         settings: the settings of `floors`; `min_area` and `shrink` are used.
+
+    Returns:
+        The floors, the largest first; `Patch.geom` is the mesh or plane around each.
     """
     is_enclosed = surfaces.marks & ENCLOSED != 0
     if not is_enclosed.any():

@@ -18,9 +18,9 @@ from navbake.baker.floors.surface_kernels import EAST, NORTH, SOUTH, WEST, Surfa
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
-# In place of the id of a surface beyond an edge
-NO_SURFACE = np.int64(-1)  # there is none that counts
-SAME_REGION = np.int64(-2)  # the edge's own region has a surface there
+# Values in place of the id of the surface below a limit, in a cell
+NO_SURFACE = np.int64(-1)  # there is no such surface
+SAME_REGION = np.int64(-2)  # the skipped region has a surface in the cell
 
 
 class LabelledSurfaces(NamedTuple):
@@ -28,8 +28,8 @@ class LabelledSurfaces(NamedTuple):
 
     Attributes:
         surfaces: all surfaces.
-        component: by surface, the id of its component, see `Components`, -1 for none, int32.
-        region: by component, the id of its region, int32; -1 if the region is not selected.
+        component: the component of each surface, see `Components`, -1 for none, int32.
+        region: the region of each component, -1 if the region is not selected, int32.
     """
 
     surfaces: Surfaces
@@ -38,13 +38,13 @@ class LabelledSurfaces(NamedTuple):
 
 
 class RegionSurfaces(NamedTuple):
-    """The surfaces of a region or of several, in the order of their cells, shape (n,).
+    """The surfaces of a region, or some of them, in the order of their cells.
 
     Attributes:
-        cell: ids of the cells, int64.
-        z: heights, float64 [m].
-        geom: MuJoCo's geom ids, int32.
-        surface_id: indices into `Surfaces`, int64.
+        cell: ids of the cells, shape (n,), int64.
+        z: heights, shape (n,), float64 [m].
+        geom: MuJoCo's geom ids, shape (n,), int32.
+        surface_id: indices into `Surfaces`, shape (n,), int64.
     """
 
     cell: Int
@@ -58,18 +58,19 @@ class RegionSurfaces(NamedTuple):
 
 
 class RegionEdges(NamedTuple):
-    """Edges of regions, and the floors below them; arrays of shape (edges,) or (edges, reach).
+    """Edges of regions, and the floors below them, in up to k cells beyond each edge.
 
     Attributes:
-        region: the region that ends at the edge, int32.
-        cell: the cell on the region's side, int64.
-        z: the region's height in that cell, float64 [m].
-        direction: the direction out of the region: EAST, SOUTH, WEST or NORTH, int64.
-        cells_beyond: the cells in that direction, the nearest first; -1 from where the lattice ends
-            or the region begins again, shape (edges, reach), int64.
-        floors_below: in each of these cells the highest floor of another region that is more than a
-            step lower, NaN for none, shape (edges, reach), float64 [m].
-        regions_below: the regions of these floors, -1 for none, shape (edges, reach), int32.
+        region: the region that ends at each edge, shape (edges,), int32.
+        cell: the cell on the region's side of the edge, shape (edges,), int64.
+        z: the region's height in that cell, shape (edges,), float64 [m].
+        direction: the direction out of the region: EAST, SOUTH, WEST or NORTH, shape (edges,),
+            int64.
+        cells_beyond: the next k cells in that direction, the nearest first; -1 from where the
+            lattice ends or the region begins again, shape (edges, k), int64.
+        floors_below: in each of these cells, the height of the highest floor of another region that
+            is more than a step lower, NaN for none, shape (edges, k), float64 [m].
+        regions_below: the region of each of these floors, -1 for none, shape (edges, k), int32.
     """
 
     region: Int32
@@ -86,14 +87,14 @@ class RegionEdges(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def shrink(mask, disc, remaining):
-    """Erode a mask by a disc.
+def shrink(mask, area_test, remaining):
+    """Erode a mask by the disc of an area test.
 
     Args:
-        mask: 1 at the cells to shrink and 0 elsewhere, with a margin of `disc.radius` cells on each
-            side, int32. It is overwritten: each cell receives how many cells of the mask end there
-            in a row, so that one comparison tests a row of the disc.
-        disc: an `AreaTest`.
+        mask: 1 at the cells to shrink and 0 elsewhere, with a margin of `area_test.radius` cells on
+            each side, int32. It is overwritten with the lengths of the runs of marked cells that
+            end in each cell, so that one comparison tests a row of the disc.
+        area_test: an `AreaTest`.
         remaining: receives which cells remain, bool, without the margin.
     """
     # lengths of runs of marked cells, up to and including each cell
@@ -103,10 +104,10 @@ def shrink(mask, disc, remaining):
     for r in range(remaining.shape[0]):
         for c in range(remaining.shape[1]):
             remaining[r, c] = True
-            for k in range(disc.half_widths.shape[0]):
-                half = disc.half_widths[k]
+            for k in range(area_test.half_widths.shape[0]):
+                half = area_test.half_widths[k]
                 # the run that ends at the interval's right end has to cover the interval
-                if mask[r + k, c + disc.radius + half] <= 2 * half:
+                if mask[r + k, c + area_test.radius + half] <= 2 * half:
                     remaining[r, c] = False
                     break
 
@@ -125,7 +126,10 @@ def region_of_surface(labelled, j):
 
 @subkernel(inline="always")
 def _find_surface_below(labelled, row, col, region, limit):
-    """The highest surface of another region below a limit in a cell; NO_SURFACE or SAME_REGION."""
+    """Return the id of the highest surface below a limit [m] in a cell, of other regions than one.
+
+    Returns NO_SURFACE if there is none, SAME_REGION if `region` has a surface in the cell.
+    """
     surfaces = labelled.surfaces
     highest = NO_SURFACE
     cell = row * surfaces.lattice.width + col
@@ -150,21 +154,21 @@ def _mark_region(labelled, region, window, margin, mask):
 
 
 @kernel(nogil=True)
-def mark_large_regions(labelled, boxes, regions, start, blocks, disc, is_large, begin, end):
+def mark_large_regions(labelled, boxes, regions, start, blocks, area_test, is_large, begin, end):
     """Mark the regions of ``regions[begin:end]`` that keep enough cells after shrinking.
 
     Args:
         labelled: a `LabelledSurfaces`.
-        boxes: by region, its first row and column, and those past its last ones, (regions, 4).
+        boxes: `Regions.box`.
         regions: ids of regions.
-        start: see `blocks`.
-        blocks: ids of the blocks that ``regions[n]`` lies in are ``blocks[start[n]:start[n + 1]]``.
-        disc: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
-        is_large: by region, receives whether it is large enough.
-        begin: the first of the regions to test.
-        end: the index past the last one.
+        start: indices into `blocks`: ``regions[n]`` lies in ``blocks[start[n]:start[n + 1]]``.
+        blocks: ids of blocks.
+        area_test: an `AreaTest`: the disc to shrink by, and how many cells have to remain.
+        is_large: receives, for each region, whether it is large enough.
+        begin: index in `regions` of the first region to test.
+        end: index past the last one.
     """
-    radius = disc.radius
+    radius = area_test.radius
     for n in range(begin, end):
         region = regions[n]
         num_remaining = 0
@@ -174,7 +178,7 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, disc, is_large, 
         )
         for b in range(start[n], start[n + 1]):
             # enough cells remain, or none can
-            if num_remaining >= disc.min_cells or shorter_side <= 2 * radius:
+            if num_remaining >= area_test.min_cells or shorter_side <= 2 * radius:
                 break
             row0, row1, col0, col1 = block_window(labelled.surfaces.lattice, blocks[b])
             row0 = max(row0, boxes[region, 0])
@@ -185,14 +189,14 @@ def mark_large_regions(labelled, boxes, regions, start, blocks, disc, is_large, 
                 mask = np.zeros((row1 - row0 + 2 * radius, col1 - col0 + 2 * radius), np.int32)
                 _mark_region(labelled, region, (row0, row1, col0, col1), radius, mask)
                 remaining = np.empty((row1 - row0, col1 - col0), np.bool_)
-                shrink(mask, disc, remaining)
+                shrink(mask, area_test, remaining)
                 num_remaining += int(remaining.sum())
-        is_large[region] = num_remaining >= disc.min_cells
+        is_large[region] = num_remaining >= area_test.min_cells
 
 
 @subkernel(inline="always")
 def _step_to(lattice, row, col, direction):
-    """The row and column of the next cell in a direction; a row less than 0 for none."""
+    """Return the row and column of the next cell in a direction; a negative row for none."""
     row += 1 if direction == SOUTH else (-1 if direction == NORTH else 0)
     col += 1 if direction == EAST else (-1 if direction == WEST else 0)
     if row >= lattice.height or col < 0 or col >= lattice.width:
@@ -201,9 +205,13 @@ def _step_to(lattice, row, col, direction):
 
 
 @subkernel(**NO_REFCOUNT)
-def _has_drop(labelled, row, col, direction, region, limit, reach):
-    """Whether another region's surface lies below a limit, at most `reach` cells from an edge."""
-    for _ in range(reach):
+def _has_drop(labelled, row, col, direction, region, limit, num_cells_beyond):
+    """Return whether another region has a surface below a limit [m] in the cells beyond an edge.
+
+    The cells are searched from the edge at `row`, `col` on, until one has such a surface, the
+    region begins again, or `num_cells_beyond` are searched.
+    """
+    for _ in range(num_cells_beyond):
         row, col = _step_to(labelled.surfaces.lattice, row, col, direction)
         below = SAME_REGION
         if row >= 0:
@@ -214,23 +222,26 @@ def _has_drop(labelled, row, col, direction, region, limit, reach):
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
+def list_edges(labelled, lowest, step, num_cells_beyond, blocks, counts, columns, begin, end):
     """List the edges of regions in ``blocks[begin:end]``.
 
-    Each row, see `navbake.baker.core.blocks.list_rows`, holds the component, the cell, the id of
-    the surface, the direction out of the region, and 1 if within reach of the edge a surface of
-    another region lies more than a step below, else 0.
+    A kernel for `navbake.baker.core.blocks.list_rows`. It lists a row for each edge.
 
     Args:
         labelled: a `LabelledSurfaces`.
         lowest: a lower bound of the heights of the regions' surfaces [m].
         step: the highest step [m].
-        reach: how many cells beyond an edge are searched.
+        num_cells_beyond: how many cells beyond an edge are searched for lower surfaces.
         blocks: ids of blocks.
-        counts: receives the number of rows of each block.
-        columns: receive the rows: an array for each field of a row.
-        begin: the first of the blocks to list.
-        end: the index past the last one.
+        counts: receives how many edges each block has.
+        columns: one array that receives the rows, (n, 5) int64: the component, the cell, the id of
+            the surface, the direction out of the region, and 1 if another region has a surface more
+            than a step lower in the cells beyond the edge, else 0.
+        begin: index in `blocks` of the first block to list.
+        end: index past the last one.
+
+    Returns:
+        The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     (rows,) = columns
     num = 0
@@ -256,7 +267,7 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
                             return k
                         # no region has a surface below the lowest one
                         has_drop = limit > lowest and _has_drop(
-                            labelled, row, col, direction, region, limit, reach
+                            labelled, row, col, direction, region, limit, num_cells_beyond
                         )
                         rows[num, 0] = labelled.component[j]
                         rows[num, 1] = cell
@@ -275,13 +286,13 @@ def find_surfaces_below(labelled, cells, regions, limits, below, regions_below, 
     Args:
         labelled: a `LabelledSurfaces`.
         cells: ids of cells, (n,) int64.
-        regions: for each cell, the region whose surfaces are skipped, int32.
-        limits: for each cell, an upper bound of the surface's height [m].
-        below: receives the surfaces' ids, NO_SURFACE where there is none, and SAME_REGION where the
-            skipped region itself has a surface in the cell, int64.
-        regions_below: receives the surfaces' regions, -1 for none, int32.
-        begin: the first of the cells.
-        end: the index past the last one.
+        regions: for each cell, the region to skip, (n,) int32.
+        limits: for each cell, the height below which the surface must lie, (n,) [m].
+        below: receives the surfaces' ids; NO_SURFACE if there is none, SAME_REGION if the skipped
+            region has a surface in the cell, (n,) int64.
+        regions_below: receives the surfaces' regions, -1 for none, (n,) int32.
+        begin: index in `cells` of the first cell.
+        end: index past the last one.
     """
     width = labelled.surfaces.lattice.width
     for n in range(begin, end):
@@ -297,16 +308,16 @@ def mark_hole_edges(cells, directions, start, lattice, in_hole):
     """Mark the edges at the rims of holes in regions, by union-find over the cells beyond them.
 
     The cells just beyond a region's edges are connected if they share a side, or if they share a
-    corner and one of the two cells beside that corner is outside of the region. Edges are on one
-    rim if the cells beyond them are connected. The rim of the cell with the lowest id is the
-    region's outer rim; all others are rims of holes.
+    corner that the region does not close: of the two other cells at the corner, one is outside of
+    the region. Edges are on one rim if the cells beyond them are connected. The rim with the lowest
+    cell id is the region's outer rim; all others are rims of holes.
 
     Args:
-        cells: the cell of each edge, region by region.
-        directions: the direction out of the region at each edge.
+        cells: the cell of each edge, region by region, (edges,).
+        directions: the direction out of the region at each edge, (edges,).
         start: the n-th region has the edges ``start[n]:start[n + 1]``.
         lattice: the lattice of the cells.
-        in_hole: by edge, receives whether it is at a hole's rim, bool.
+        in_hole: receives, for each edge, whether it is at a hole's rim, (edges,) bool.
     """
     # ids of cells on a padded lattice: a margin around it, and an empty column between two rows
     width = lattice.width

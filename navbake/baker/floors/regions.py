@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.area_test import area_test
+from navbake.baker.core.area_test import make_area_test
 from navbake.baker.core.arrays import HeightRange
 from navbake.baker.core.blocks import Blocks
 from navbake.baker.core.components import expand_ranges, label_components
@@ -32,9 +32,10 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# In place of an array with the group of each surface: there is none
+# Stands for the groups of surfaces where surfaces are not divided into groups
 NO_GROUPS = np.empty(0, dtype=np.int32)
-# Empty arrays of the rows that kernels list: counted numbers, heights, and measures of components
+# Empty arrays with the dtypes and shapes of what kernels list: rows of three numbers and their
+# count, heights, and measures of components
 NO_ROWS = np.empty((0, 4), dtype=np.int64)
 NO_HEIGHTS = np.empty(0)
 NO_MEASURES = np.empty((0, 7), dtype=np.int64)
@@ -44,11 +45,11 @@ class Components(NamedTuple):
     """The connected components of surfaces inside of each block, numbered block by block.
 
     Attributes:
-        number: by surface, the number of its component, -1 for none, int32.
-        block: by component, the id of its block.
-        measures: by component, see `label_blocks`, shape (components, 7).
-        low: by component, its lowest height [m].
-        pairs: pairs of components that meet, rows of `list_pairs`.
+        number: the component of each surface, -1 for none, shape (surfaces,), int32.
+        block: the block that each component lies in, shape (components,).
+        measures: seven numbers of each component, see `label_blocks`, shape (components, 7).
+        low: the lowest height of each component, shape (components,) [m].
+        pairs: pairs of components that meet, as `list_pairs` lists them, shape (n, 4).
     """
 
     number: Int32
@@ -63,27 +64,28 @@ class Components(NamedTuple):
         return len(self.measures)
 
     def pairs_of_kind(self, kind: int) -> Int:
-        """Return the rows of the pairs of one kind: JOINED, LINKED or STACKED."""
-        rows: Int = self.pairs[self.pairs[:, 2] == kind]
-        return rows
+        """Return the entries of `pairs` of one kind (JOINED, LINKED or STACKED), shape (n, 4)."""
+        _, _, kinds, _ = self.pairs.T
+        pairs: Int = self.pairs[kinds == kind]
+        return pairs
 
     def merge(self) -> Int32:
         """Merge components across the borders of blocks.
 
         Returns:
-            By component, the number of its merged component; these are numbered in the order of
-            their first components.
+            For each component, the number of the merged component that it is a part of, shape
+            (components,), int32. Merged components are numbered in the order of their first parts.
         """
         return label_components(self.pairs_of_kind(JOINED)[:, :2].T, self.num)
 
     def linked_pairs(self, merged: Int32) -> tuple[Int, Int]:
-        """Find the pairs of merged components that are linked.
+        """Find the pairs of different merged components that a link joins.
 
         Args:
-            merged: as `merge` returns it.
+            merged: the merged component of each component, as `merge` returns it.
 
         Returns:
-            The lower number and the higher number of each pair; each pair once.
+            The lower and the higher number of each pair, without repeats, shape (n,) each.
         """
         linked = merged[self.pairs_of_kind(LINKED)[:, :2]].astype(np.int64)
         lower = linked.min(axis=1)
@@ -100,7 +102,7 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
     Args:
         surfaces: all surfaces.
         rule: which surfaces are connected, and which are linked.
-        group: by surface, its group, less than 0 for none; only surfaces of one group are
+        group: the group of each surface, negative for none; only surfaces of one group are
             connected. If empty, all standable surfaces are one group.
     """
     blocks = Blocks(surfaces.lattice)
@@ -118,12 +120,14 @@ def find_components(surfaces: Surfaces, rule: JoinRule, group: Int32 = NO_GROUPS
 
 
 class RegionStacks(NamedTuple):
-    """Pairs of regions, one directly above the other; arrays of shape (n,), pairs may repeat.
+    """Pairs of regions, one directly above the other; arrays of shape (n,).
+
+    A pair may stand several times; its numbers of cells are then to be added up.
 
     Attributes:
         upper: the upper region, int32.
         lower: the region of the next surface below, which may be the same region, int32.
-        num_cells: in how many cells the pair occurs, int64.
+        num_cells: in how many cells the two lie above each other, int64.
     """
 
     upper: Int32
@@ -137,12 +141,13 @@ class Regions:
 
     Attributes:
         surfaces: all surfaces.
-        components: the components of regions inside of each block.
-        of_component: by component, its region, shape (components,), int32.
-        size: by region, its number of surfaces, int64.
-        num_uncovered: by region, how many of its surfaces nothing lies above, int64.
-        box: by region, its first row and column, and those past its last ones, shape (regions, 4).
-        low: by region, its lowest height [m].
+        components: the parts of regions in the blocks of the lattice.
+        of_component: the region of each component, shape (components,), int32.
+        size: how many surfaces each region has, shape (regions,), int64.
+        num_uncovered: how many of these have nothing above them, shape (regions,), int64.
+        box: the rows and columns of each region: first row, first column, end of the rows, end of
+            the columns (exclusive), shape (regions, 4).
+        low: the lowest height of each region, shape (regions,) [m].
     """
 
     surfaces: Surfaces
@@ -169,7 +174,11 @@ class Regions:
         return self.surfaces.lattice
 
     def label_surfaces(self, mask: Bool) -> LabelledSurfaces:
-        """Return the surfaces with the ids of the regions that a mask marks, shape (regions,)."""
+        """Return all surfaces, labelled with their regions as far as a mask marks these.
+
+        Args:
+            mask: the regions, shape (regions,), bool.
+        """
         is_marked = mask[self.of_component]
         region = np.where(is_marked, self.of_component, np.int32(-1)).astype(np.int32)
         return LabelledSurfaces(self.surfaces, self.components.number, region)
@@ -185,7 +194,7 @@ class Regions:
         return RegionStacks(self.of_component[upper], self.of_component[lower], num_cells)
 
     def surfaces_of(self, region: int) -> RegionSurfaces:
-        """The surfaces of a region, in the order of their cells."""
+        """Return the surfaces of a region, in the order of their cells."""
         surfaces = self.surfaces
         row0, col0, row1, col1 = self.box[region].tolist()
         # only the cells in the region's box have to be searched
@@ -219,7 +228,7 @@ class Regions:
 
 
 def region_join_rule(lattice: Lattice, agent: AgentSettings) -> JoinRule:
-    """Return the rule by which surfaces are connected to regions: by steps, and by slopes.
+    """Return the rule by which surfaces are joined into regions: by steps, and by slopes.
 
     Args:
         lattice: of the surfaces.
@@ -234,28 +243,30 @@ def find_regions(surfaces: Surfaces, agent: AgentSettings, group: Int32 = NO_GRO
     Args:
         surfaces: all surfaces.
         agent: the agent, of which the step and slope are used.
-        group: as `find_components` takes it.
+        group: the group of each surface, see `find_components`.
     """
     components = find_components(surfaces, region_join_rule(surfaces.lattice, agent), group)
     merged = components.merge()
     num = int(merged.max(initial=-1)) + 1
-    # reduce the measures of the components of each region, which stand side by side in this order
+    # sort components by region; the measures of a region are then sums, minima or maxima of a run
     order = np.argsort(merged, kind="stable")
     start = np.searchsorted(merged[order], np.arange(num))
     measures = components.measures[order]
-    sums = np.add.reduceat(measures[:, :2], start)
-    minima = np.minimum.reduceat(measures[:, 2:5], start)
-    maxima = np.maximum.reduceat(measures[:, 5:], start)
+    sums = np.add.reduceat(measures, start)
+    minima = np.minimum.reduceat(measures, start)
+    maxima = np.maximum.reduceat(measures, start)
     # number regions by their first surfaces, so that neither threads nor blocks change the order
-    by_first_surface = np.argsort(minima[:, 0])
+    by_first_surface = np.argsort(minima[:, kernels.FIRST_SURFACE])
     number = np.argsort(by_first_surface).astype(np.int32)
+    first_cells = minima[:, [kernels.FIRST_ROW, kernels.FIRST_COL]]
+    end_cells = maxima[:, [kernels.END_ROW, kernels.END_COL]]
     return Regions(
         surfaces=surfaces,
         components=components,
         of_component=number[merged],
-        size=sums[by_first_surface, 0],
-        num_uncovered=sums[by_first_surface, 1],
-        box=np.hstack([minima[by_first_surface, 1:], maxima[by_first_surface]]),
+        size=sums[by_first_surface, kernels.NUM_SURFACES],
+        num_uncovered=sums[by_first_surface, kernels.NUM_UNCOVERED],
+        box=np.hstack([first_cells, end_cells])[by_first_surface],
         low=np.minimum.reduceat(components.low[order], start)[by_first_surface],
     )
 
@@ -274,9 +285,9 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
     Returns:
         A mask of the regions that are large enough, shape (regions,), bool.
     """
-    disc = area_test(regions.lattice, settings)
+    area_test = make_area_test(regions.lattice, settings)
     is_large = np.zeros(regions.num, dtype=np.bool_)
-    candidates = np.flatnonzero(mask & (regions.size >= disc.min_cells))
+    candidates = np.flatnonzero(mask & (regions.size >= area_test.min_cells))
     # the blocks of each candidate, one candidate after the other
     is_of_candidate = np.isin(regions.of_component, candidates)
     region_of_component = regions.of_component[is_of_candidate].astype(np.int64)
@@ -293,7 +304,7 @@ def find_large_regions(regions: Regions, mask: Bool, settings: FloorSettings) ->
         candidates,
         start,
         block,
-        disc,
+        area_test,
         is_large,
     )
     return is_large
@@ -321,7 +332,7 @@ def describe_surfaces(lattice: Lattice, surfaces: RegionSurfaces) -> Patch:
 
     Args:
         lattice: the lattice of their cells.
-        surfaces: one at least.
+        surfaces: the surfaces, at least one.
     """
     row, col = np.divmod(surfaces.cell, lattice.width)
     return Patch(
@@ -339,9 +350,9 @@ def find_nearest_position(
 
     Args:
         lattice: the lattice of the cells.
-        surfaces: one at least.
-        row: a row of the lattice, not necessarily a whole number.
-        col: a column of it.
+        surfaces: the surfaces, at least one.
+        row: a row of the lattice, maybe a fraction.
+        col: a column of the lattice, maybe a fraction.
 
     Returns:
         World coordinates x, y, z [m].

@@ -1,7 +1,7 @@
-"""Which regions are no floors, though they are large enough: tops, shelves and roofs.
+"""Decide which large regions are no floors: tops, shelves and roofs.
 
-A top is the upper side of something that stands on a floor, such as a bed or a block; a shelf hangs
-over a floor; a roof lies open to the sky and has no walls around it.
+A top is the upper side of something that stands on a floor, such as a bed or a block. A shelf hangs
+over a floor. A roof lies over a floor, open to the sky, and has no walls around it.
 """
 
 from __future__ import annotations
@@ -31,37 +31,39 @@ from navbake.types import Bool, Float
 
 # A top drops to a floor along at least this share of its outline
 MIN_DROP_SHARE = 0.25
-# With room for an agent under more than this share of it, a region is a mezzanine, no top
-MEZZANINE_SHARE = 0.5
-# Beds, counters and desks are smaller. A larger top has to lie on a floor that is larger [m²]
-LARGE_TOP = 6.0
-# With a floor beside it that is at most so many times as large as itself, a large region is no top
-EQUAL_SIZE = 0.9
-# What is nowhere wider is the top of a wall, however large it is [m]
-WALL_TOP_WIDTH = 3.0
-# At least this share of a roof lies open to the sky: a higher roof's eaves may cover a lower one's
-# side, and a carport's roof continues over the tops of walls that are under the roof of the house
-SKY_SHARE = 0.5
+# A region is a mezzanine, not a top, if there is room for an agent under more than this share of it
+MAX_SHARE_OVER_ROOM = 0.5
+# Beds, counters and desks are smaller than this; a larger region is a top only on some conditions,
+# see `_find_tops` [m²]
+LARGE_TOP_AREA = 6.0
+# A large region may be a top if it drops to a floor more than this many times as large as itself
+MIN_FLOOR_RATIO = 0.9
+# A region that is nowhere wider than this is the top of a wall, however large it is [m]
+MAX_WALL_TOP_WIDTH = 3.0
+# At least this share of a roof lies open to the sky. It is not all of it: a higher roof's eaves may
+# cover a side, and a carport's roof may continue into the house, over the tops of its walls
+MIN_SKY_SHARE = 0.5
 # At least this share of a roof or of a shelf lies over a floor
-OVER_SHARE = 0.5
-# Where thick walls and eaves leave less of a roof over a floor: the least share that is over a
-# floor, the least share that is over a floor or a wall or near one, and how near that is [m]
-MIN_OVER_SHARE = 0.1
-WALLED_SHARE = 2 / 3
+MIN_SHARE_OVER_FLOOR = 0.5
+# Under a roof with thick walls and eaves there is less floor. Then at least the first of these
+# shares of it is over a floor, and at least the second one is over a floor, over a wall, or within
+# EAVES_DEPTH of either [m]
+MIN_SHARE_OVER_FLOOR_WITH_WALLS = 0.1
+MIN_SHARE_OVER_WALLS = 2 / 3
 EAVES_DEPTH = 1.5
-# A region is no roof, but a storey without its ceiling, if more than this share of its outline has
-# walls; they are higher than the agent, and than parapets, which are at most 1.2 m high [m]
-WALL_SHARE = 0.5
+# A region with walls along more than this share of its outline is no roof, but a storey without its
+# ceiling. Such walls are as high as the agent, and at least 1.5 m; parapets reach 1.2 m [m]
+MAX_WALL_SHARE = 0.5
 MIN_WALL_HEIGHT = 1.5
-# A roof is reported if it is this many times as large as the largest floor that remains (walls and
-# eaves alone add less than a third); or if it has this area [m²] and no walls under it
+# A roof is reported if it is more than this many times as large as the largest floor (walls and
+# eaves alone add less than a third); or if it has at least this area [m²] and no walls under it
 REPORTED_ROOF_RATIO = 4 / 3
 REPORTED_ROOF_AREA = 50.0
-# No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
-SHELF_DEPTH = 2.5
+# No shelf is deeper than this: pallet racks are 1.1 m, or 2.2 m back to back [m]
+MAX_SHELF_DEPTH = 2.5
 # A shelf drops along more than this share of its outline
-SHELF_DROP_SHARE = 0.5
-# So many cells are worth a call on another thread
+MIN_SHELF_DROP_SHARE = 0.5
+# Fewer cells than this are not worth a call on another thread
 MIN_LINES_PER_THREAD = 1000
 
 
@@ -69,9 +71,9 @@ class RejectedRegions(NamedTuple):
     """The large regions that are no floors; masks of shape (regions,).
 
     Attributes:
-        is_top: whether the region is a top, and no roof.
-        is_shelf: whether it is a shelf, and no roof.
-        is_roof: whether it is a roof.
+        is_top: marks the tops, except those that are roofs.
+        is_shelf: marks the shelves, except those that are roofs.
+        is_roof: marks the roofs.
     """
 
     is_top: Bool
@@ -84,13 +86,13 @@ def find_rejected_regions(
 ) -> RejectedRegions:
     """Find the large regions that are no floors.
 
-    A roof that is the only region of the scene, or of a level of the configuration, is a floor
-    nevertheless.
+    If no other floor is left in the scene, or on a level of the configuration, the roofs there
+    count as floors.
 
     Args:
         context: all regions, and how they end.
         height_ranges: the heights [low, high) of the levels of the configuration [m]; empty if
-            levels are to be found.
+            it has none.
     """
     regions = context.regions
     is_large = context.is_large
@@ -101,16 +103,20 @@ def find_rejected_regions(
     stacks = regions.find_stacks()
     size = np.maximum(regions.size, 1)
     sky_share = regions.num_uncovered / size
-    # also over furniture: a hall's roof stays over its floor whatever stands there
+    # cells over furniture count, too: a hall's roof lies over its floor whatever stands there
     num_cells_over = stacks.num_cells * (stacks.upper != stacks.lower)
     over_share = np.bincount(stacks.upper, num_cells_over, regions.num) / size
     if not context.settings.tops:
         is_top = _find_tops(context)
         is_shelf = _find_shelves(
-            context, is_large & (sky_share < SKY_SHARE) & (over_share >= OVER_SHARE)
+            context, is_large & (sky_share < MIN_SKY_SHARE) & (over_share >= MIN_SHARE_OVER_FLOOR)
         )
     if not context.settings.roofs:
-        may_be_roof = is_large & (sky_share >= SKY_SHARE) & (over_share >= MIN_OVER_SHARE)
+        may_be_roof = (
+            is_large
+            & (sky_share >= MIN_SKY_SHARE)
+            & (over_share >= MIN_SHARE_OVER_FLOOR_WITH_WALLS)
+        )
         is_roof = _find_roofs(context, may_be_roof, over_share)
     is_floor = is_large & ~(is_top | is_shelf | is_roof)
     if not is_floor.any():
@@ -127,10 +133,10 @@ class TopDrops(NamedTuple):
     """How many edges of a region drop to each of the regions below it.
 
     Attributes:
-        drops_to: by region below, how many edges drop to it; empty where `_find_tops` rules out a
-            top by its outline, or by the free space under it.
+        drops_to: region below -> how many edges drop to it. Empty if the region can't be a top
+            because it has too few drops, or room for an agent under it, see `_find_tops`.
         drops_in_holes: like `drops_to`, but only for edges at the rims of holes.
-        outline: how many edges are at the outer rim.
+        outline: how many edges the region's outer rim has.
     """
 
     drops_to: Counter[int]
@@ -141,19 +147,25 @@ class TopDrops(NamedTuple):
 def _find_tops(context: RegionContext) -> Bool:
     """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
-    A region is a top if
+    A region is a top if all of these hold:
 
-    - at least a quarter of its outline drops to floors, see `RegionContext.classify_edges`; edges
-      at the rims of holes are a part of the outline only if they drop;
-    - it has at most 6 m², is nowhere wider than 3 m, or drops to a floor larger than 0.9 of its
-      size: otherwise it is the ground beside a pool, a ditch or a track bed. It can also be a top
-      if a floor winds through it: the drops to that floor, from the rims of its holes and of the
-      objects in these, are longer than its outline;
-    - under at most half of it there is room for an agent, measured from the height of that floor
-      up; under a mezzanine there is more.
+    - At least a quarter of its outline drops to floors, see `RegionContext.classify_edges`. Edges
+      at the rims of holes are a part of the outline only if they drop.
+    - Under at most half of it there is room for an agent, at the height of the floors that it drops
+      to. (Under a mezzanine there is more.)
+    - One of these holds; otherwise it is the ground beside a pool, a ditch or a track bed:
+
+      - it has at most 6 m²;
+      - it is nowhere wider than 3 m;
+      - it drops to a floor larger than 0.9 of its own size;
+      - it drops to a floor that winds through it: more edges drop to this floor, from the rims of
+        the region's holes and from other regions, than its outer rim has.
+
+    Returns:
+        A mask, shape (regions,), bool.
     """
     regions = context.regions
-    num_drops = np.bincount(context.edges.region, context.edges.rows[:, 4], regions.num)
+    num_drops = np.bincount(context.edges.region, context.edges.has_drop, regions.num)
     may_be_top = context.is_large & (num_drops > 0)
     if not context.is_cropped.any():
         # an outline is at least as long as the box around it: most regions drop along less of it
@@ -161,7 +173,7 @@ def _find_tops(context: RegionContext) -> Bool:
         width = regions.box[:, 3] - regions.box[:, 1]
         may_be_top &= num_drops >= MIN_DROP_SHARE * 2 * (height + width)
     drops_by_region = _count_drops(context, may_be_top)
-    drops_from_all = Counter[int]()  # to each region
+    drops_from_all = Counter[int]()  # region below -> drops to it from all regions
     for drops in drops_by_region.values():
         drops_from_all.update(drops.drops_to)
     is_top = np.zeros(regions.num, dtype=np.bool_)
@@ -170,10 +182,10 @@ def _find_tops(context: RegionContext) -> Bool:
         if not drops.drops_to:
             continue
         size = regions.size[region]
-        is_small = size * regions.lattice.cell_size**2 <= LARGE_TOP
+        is_small = size * regions.lattice.cell_size**2 <= LARGE_TOP_AREA
         # or the largest floor that it drops to is larger
-        is_small |= regions.size[list(drops.drops_to)].max() > EQUAL_SIZE * size
-        # the drops to a floor in its holes, and those of things on that floor
+        is_small |= regions.size[list(drops.drops_to)].max() > MIN_FLOOR_RATIO * size
+        # for each floor in its holes: the drops to it from these holes, and from other regions
         drops_around_floor = [
             num + drops_from_all[floor] - drops.drops_to[floor]
             for floor, num in drops.drops_in_holes.items()
@@ -181,11 +193,11 @@ def _find_tops(context: RegionContext) -> Bool:
         is_wound_through = max(drops_around_floor, default=0) > drops.outline
         is_top[region] = is_small or is_wound_through
         is_too_large[region] = not is_top[region]
-    return is_top | (is_too_large & ~_mark_wider_than(context, is_too_large, WALL_TOP_WIDTH))
+    return is_top | (is_too_large & ~_mark_wider_than(context, is_too_large, MAX_WALL_TOP_WIDTH))
 
 
 def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> Bool:
-    """Mark those of some regions that are somewhere wider than a width [m]."""
+    """Mark the candidates that are wider than a width [m] at some place."""
     if not candidates.any():
         return candidates
     one_cell = {"min_area": context.regions.lattice.cell_size**2, "shrink": width / 2}
@@ -194,14 +206,14 @@ def _mark_wider_than(context: RegionContext, candidates: Bool, width: float) -> 
 
 
 def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops]:
-    """Count the drops of some regions to others, by region."""
+    """Count the drops from each candidate to the regions below; region -> its drops."""
     if not candidates.any():
         return {}
     regions = context.regions
-    edges = context.select_edges(candidates, context.reach)
+    edges = context.select_edges(candidates, context.num_cells_beyond)
     has_floor = np.asarray((~np.isnan(edges.floors_below)).any(axis=1))
     in_hole = find_hole_edges(edges, regions.lattice)
-    # without the regions that have too few floors below their outline, to classify fewer edges
+    # drop the regions that have too few floors below their outline, to classify fewer edges
     may_continue = (edges.cells_beyond[:, 0] < 0) & context.is_cropped[edges.direction]
     is_certain = ~may_continue & ~in_hole
     share = context.share_of_edges(edges, has_floor, is_certain | has_floor)
@@ -211,7 +223,7 @@ def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops
     in_hole = in_hole[is_possible]
     endings = context.classify_edges(edges)
     drops = endings.kind == DROP
-    # other holes are where things stand on the region, such as pillows
+    # edges in holes without a drop are around things that stand on the region, such as pillows
     is_known = endings.is_known & (~in_hole | drops)
     may_be_top = context.share_of_edges(edges, drops, is_known) >= MIN_DROP_SHARE
     drops_by_region = {}
@@ -221,11 +233,11 @@ def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops
         drops_to = Counter[int]()
         drops_in_holes = Counter[int]()
         if may_be_top[region] and len(floor_heights):
-            # the median, the lower one of two
+            # the median; the lower one of the two middle heights
             floor = float(floor_heights[(len(floor_heights) - 1) // 2])
             if (
                 _count_cells_over_room(context, region, floor)
-                <= MEZZANINE_SHARE * regions.size[region]
+                <= MAX_SHARE_OVER_ROOM * regions.size[region]
             ):
                 drops_to.update(endings.floor_region[is_of_region & drops].tolist())
                 drops_in_holes.update(endings.floor_region[is_of_region & drops & in_hole].tolist())
@@ -235,9 +247,15 @@ def _count_drops(context: RegionContext, candidates: Bool) -> dict[int, TopDrops
 
 
 def _count_cells_over_room(context: RegionContext, region: int, floor: float) -> int:
-    """Count a region's cells with room for an agent below them.
+    """Count a region's cells under which an agent has room.
 
-    The room is at the height of the floor beside the region [m], or higher.
+    An agent has room if another region lies below at the height of the floor beside this one, or
+    higher; or if nothing is in the way between the agent's step and height over that floor.
+
+    Args:
+        context: all regions.
+        region: the region.
+        floor: the height of the floor beside it [m].
     """
     members = context.regions.surfaces_of(region)
     cells = members.cell
@@ -262,27 +280,36 @@ def _count_cells_over_room(context: RegionContext, region: int, floor: float) ->
 def _find_roofs(context: RegionContext, candidates: Bool, over_share: Float) -> Bool:
     """Find the regions that are roofs: open to the sky, over a floor, and without walls.
 
-    A storey drawn without its ceiling has walls as high as an agent, and at least 1.5 m, along more
-    than half of its outline; parapets are lower. Half of a roof lies over a floor or furniture; or
-    two thirds lie over a floor, a wall, or within 1.5 m of one (eaves), and a tenth over a floor.
-    Where the lattice crops the scene all around, walls are unknown, and a region is no roof.
+    At least half of a roof lies over a floor or furniture; or a tenth does, and two thirds lie over
+    a floor, over a wall, or within 1.5 m of either (eaves). A region with walls along more than
+    half of its outline is no roof, but a storey drawn without its ceiling. Walls are as high as the
+    agent, and at least 1.5 m; parapets are lower. A region that the lattice crops all around is no
+    roof, as its walls are unknown.
+
+    Args:
+        context: all regions, and how they end.
+        candidates: the large regions that are open to the sky, shape (regions,).
+        over_share: the share of each region that lies over other regions, shape (regions,).
+
+    Returns:
+        A mask, shape (regions,), bool.
     """
-    is_half_over = candidates & (over_share < OVER_SHARE)
+    is_half_over = candidates & (over_share < MIN_SHARE_OVER_FLOOR)
     is_over_walls = _mark_over_walls(context, is_half_over)
     return _mark_without_walls(context, candidates & (~is_half_over | is_over_walls))
 
 
 def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
-    """Mark the regions with walls along at most half of their outline.
+    """Mark the candidates with walls along at most half of their outline.
 
-    Walls up to `floors.shrink` inside of the outline are counted, too.
+    Walls at most `floors.shrink` inside of the outline are counted, too.
     """
     if not candidates.any():
         return candidates
     height = max(context.agent.height, MIN_WALL_HEIGHT)
     agent = context.agent.model_copy(update={"height": height})
     lattice = context.regions.lattice
-    edges = _select_outer_edges(context, candidates, reach=0)
+    edges = _select_outer_edges(context, candidates, num_cells_beyond=0)
     farthest_in = -int(np.ceil(context.settings.shrink / lattice.cell_size))
     # from the innermost cells near an edge to those just beyond it
     cells_near = [
@@ -300,38 +327,44 @@ def _mark_without_walls(context: RegionContext, candidates: Bool) -> Bool:
             is_met = context.is_occupied(cells[edges_near], edges.z[edges_near], heights)
             edges_near = edges_near[is_met]
         kind[edges_near] = WALL
-    return candidates & (context.share_of_edges(edges, kind == WALL, is_known) <= WALL_SHARE)
+    return candidates & (context.share_of_edges(edges, kind == WALL, is_known) <= MAX_WALL_SHARE)
 
 
-def _select_outer_edges(context: RegionContext, candidates: Bool, reach: int) -> RegionEdges:
-    """Return the edges of some regions without those of their holes."""
-    edges = context.select_edges(candidates, reach)
+def _select_outer_edges(
+    context: RegionContext, candidates: Bool, num_cells_beyond: int
+) -> RegionEdges:
+    """Return the edges of the candidates, except those at the rims of holes."""
+    edges = context.select_edges(candidates, num_cells_beyond)
     return edges.select(~find_hole_edges(edges, context.regions.lattice))
 
 
 def _find_shelves(context: RegionContext, candidates: Bool) -> Bool:
-    """Find the regions that are shelves.
+    """Mark the candidates that are shelves.
 
-    A shelf is nowhere deeper than 2.5 m (a mezzanine is deeper), and more than half of its outline
-    drops to a floor (less does for a gallery from wall to wall).
+    A shelf is nowhere deeper than 2.5 m (a mezzanine is deeper). More than half of its outline
+    drops to a floor (of a gallery from wall to wall, less does).
     """
-    candidates = candidates & ~_mark_wider_than(context, candidates, SHELF_DEPTH)
+    candidates = candidates & ~_mark_wider_than(context, candidates, MAX_SHELF_DEPTH)
     if not candidates.any():
         return candidates
-    edges = _select_outer_edges(context, candidates, context.reach)
+    edges = _select_outer_edges(context, candidates, context.num_cells_beyond)
     endings = context.classify_edges(edges)
     drop_share = context.share_of_edges(edges, endings.kind == DROP, endings.is_known)
-    return candidates & (drop_share > SHELF_DROP_SHARE)
+    return candidates & (drop_share > MIN_SHELF_DROP_SHARE)
 
 
 def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
-    """Mark the regions that lie over others, over walls, or within `EAVES_DEPTH` of walls."""
+    """Mark the candidates that lie mostly over other regions or walls, or near these.
+
+    At least `MIN_SHARE_OVER_WALLS` of their cells are over another region or the top of a wall, or
+    within `EAVES_DEPTH` of such a cell.
+    """
     is_over_walls = np.zeros_like(candidates)
     if not candidates.any():
         return is_over_walls
     regions = context.regions
     lattice = regions.lattice
-    reach = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
+    num_cells = int(EAVES_DEPTH / lattice.cell_size + LIMIT_SLACK)
     # all regions count, also furniture
     labelled = regions.label_surfaces(np.ones_like(candidates))
     for region in np.flatnonzero(candidates).tolist():
@@ -343,19 +376,19 @@ def _mark_over_walls(context: RegionContext, candidates: Bool) -> Bool:
         # dilate by a square, first along one axis, then along the other
         for grid in (is_over, is_over.T):
             before = grid.copy()
-            for k in range(1, min(reach, len(grid) - 1) + 1):
+            for k in range(1, min(num_cells, len(grid) - 1) + 1):
                 grid[k:] |= before[:-k]
                 grid[:-k] |= before[k:]
-        is_over_walls[region] = is_over.flat[members.cell].mean() >= WALLED_SHARE
+        is_over_walls[region] = is_over.flat[members.cell].mean() >= MIN_SHARE_OVER_WALLS
     return is_over_walls
 
 
 def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool:
-    """Mark the surfaces of a roof that lie over a wall which carries the roof or ends within it.
+    """Mark the surfaces of a roof under which the top of a wall touches the roof or lies within it.
 
     Args:
         context: the hits of all columns, and the agent.
-        members: surfaces of a region.
+        members: the surfaces of the roof.
 
     Returns:
         A mask, shape (surfaces,), bool.
@@ -365,7 +398,7 @@ def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool
     first = columns.start[cell]
     end = columns.start[cell + 1]
     is_over = np.zeros(len(cell), dtype=np.bool_)
-    # pairs of hits next above each other
+    # all pairs of a hit and the next one above it
     for k in range(int((end - first).max(initial=0)) - 1):
         cell_with_pair = np.flatnonzero(first + k + 1 < end)
         lower = first[cell_with_pair] + k
@@ -381,12 +414,18 @@ def mark_over_wall_tops(context: RegionContext, members: RegionSurfaces) -> Bool
 
 
 def mark_reported_roofs(context: RegionContext, is_roof: Bool, is_floor: Bool) -> Bool:
-    """Mark the roofs to report: roofs clearly larger than any floor, and large roofs without walls.
+    """Mark the roofs to report: those that may have been meant as floors.
+
+    They are over 4/3 as large as the largest floor; or they have at least 50 m² and no walls under
+    them, as decks do.
 
     Args:
         context: all regions.
-        is_roof: the roofs, shape (regions,).
-        is_floor: the floors, shape (regions,), one at least.
+        is_roof: which regions are roofs, shape (regions,).
+        is_floor: which regions are floors, shape (regions,); at least one is True.
+
+    Returns:
+        A mask, shape (regions,), bool.
     """
     size = context.regions.size
     is_reported: Bool = is_roof & (size > REPORTED_ROOF_RATIO * size[is_floor].max())

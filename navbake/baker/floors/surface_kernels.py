@@ -22,11 +22,11 @@ from navbake.types import Float, Int32
 if TYPE_CHECKING:  # kernels depend on kernels alone
     from navbake.navgrid.lattice import Lattice
 
-# Bits of `Surfaces.marks`.
+# Bits of `Surfaces.marks`; `list_surfaces` defines them
 FLOOR_LIKE = 1  # a floor may continue at the surface
-STANDABLE = 2  # an agent can stand on it
-UNCOVERED = 4  # an agent can stand on it, and nothing lies above it
-ENCLOSED = 8  # it would be standable if the closed mesh or the plane around it were hollow
+STANDABLE = 2  # an agent can stand on the surface
+UNCOVERED = 4  # an agent can stand on the surface, and nothing lies above it
+ENCLOSED = 8  # an agent could stand there if the closed mesh or plane around it were hollow
 
 # Directions from a cell to its neighbor; rows run south, against y
 EAST = 0
@@ -34,22 +34,23 @@ SOUTH = 1
 WEST = 2
 NORTH = 3
 
-# The z of the normal of a tread's side, in a building that leans a little, is at most this
+# In a building that leans a little, the sides of treads lean, too: z of their unit normals is at
+# most this
 MAX_SIDE_UP = 0.05
 
 
 class Surfaces(NamedTuple):
-    """The floor-like surfaces of all cells: cell i has the surfaces ``[first[i], end[i])``.
+    """The FLOOR_LIKE surfaces of all cells: cell i has the surfaces ``first[i]:end[i]``.
 
-    The surfaces of a block of cells lie together in memory: their order is not that of the cells.
+    Surfaces are numbered block of cells by block of cells, not in the order of cell ids.
 
     Attributes:
         lattice: the lattice of the cells.
-        first: by cell, the id of its lowest surface, shape (cells,), int32.
-        end: by cell, the id past its highest surface, shape (cells,), int32.
+        first: the id of the lowest surface of each cell, shape (cells,), int32.
+        end: the id past the highest surface of each cell, shape (cells,), int32.
         z: heights, ascending in a cell, shape (n,), float64 [m].
-        geom: MuJoCo's geom ids, shape (n,), int32; of ENCLOSED surfaces, the id of the mesh or
-            plane around them.
+        geom: MuJoCo's geom ids, shape (n,), int32; for an ENCLOSED surface, the id of the mesh or
+            plane around it.
         marks: bits FLOOR_LIKE, STANDABLE, UNCOVERED and ENCLOSED, shape (n,), uint8.
         normal: unit normals, shape (n, 3), float32; (n, 0) where no slope rises by more than a step
             over a cell.
@@ -66,7 +67,17 @@ class Surfaces(NamedTuple):
 
 @subkernel(**NO_REFCOUNT)
 def find_planes_above(planes, lattice, cell, z):
-    """Return how many infinite planes are above a height in a cell, and the last one's geom id."""
+    """Count the infinite planes that a point over a cell's centre lies inside of.
+
+    Args:
+        planes: the planes, solid behind their normals.
+        lattice: the lattice of the cell.
+        cell: id of the cell.
+        z: the point's height [m].
+
+    Returns:
+        Their number, and the geom id of the last of them, -1 for none.
+    """
     count = 0
     geom = np.int32(-1)
     for p in range(planes.geom.shape[0]):
@@ -84,7 +95,10 @@ def find_planes_above(planes, lattice, cell, z):
 
 @subkernel(inline="always")
 def _height_above(hits, i, last):
-    """The height of the next hit above the i-th one, infinity if there is none [m]."""
+    """Return the height of the next hit above hit i of a column [m]; infinity if there is none.
+
+    `last` is the end of the column's hits.
+    """
     for j in range(i + 1, last):
         if hits.z[j] - hits.z[i] > SAME_HEIGHT:
             return hits.z[j]
@@ -93,10 +107,10 @@ def _height_above(hits, i, last):
 
 @subkernel(**NO_REFCOUNT)
 def _count_enclosing(hits, i, last):
-    """Count the closed meshes, and the other solids, that the i-th hit lies inside of.
+    """Count the closed meshes, and the other solids, that hit i of a column lies inside of.
 
-    A solid that begins at the hit's height (within SAME_HEIGHT) stands on it and encloses it; one
-    that ends there does not.
+    A solid whose underside is at the hit's height (within SAME_HEIGHT) encloses it; one whose top
+    is there does not. `last` is the end of the column's hits.
     """
     z = hits.z
     normal = hits.normal
@@ -116,7 +130,10 @@ def _count_enclosing(hits, i, last):
 
 @subkernel(inline="always")
 def _find_enclosing_mesh(hits, i, last):
-    """Find the closed mesh around the i-th hit whose top is lowest; its geom id, or -1."""
+    """Return the geom id of the closed mesh around hit i of a column, -1 if there is none.
+
+    Of several meshes it is the one whose top is lowest. `last` is the end of the column's hits.
+    """
     z = hits.z
     normal = hits.normal
     geom = hits.geom
@@ -146,11 +163,10 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
     meshes around it, or without the infinite planes above it. Of several hits at one height the
     lowest counts.
 
-    In a building that leans, a line may leave a tread by its side, at most a step above the tread
-    below. There the floor is that tread, which becomes STANDABLE.
+    In a building that leans, the line over a tread may cross the side of the next tread, at most a
+    step higher. Then the side covers the lower tread, which is STANDABLE nevertheless.
 
-    The kernel lists rows as `navbake.baker.core.blocks.list_rows` describes: height [m], geom id
-    (see `Surfaces`), marks, and normal.
+    This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
         lattice: the lattice of the cells.
@@ -158,10 +174,14 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
         planes: the infinite planes of the scene.
         limits: the `AgentLimits`.
         cells: ids of cells.
-        counts: receives the number of rows of each cell.
-        columns: the arrays of the rows; normals may have no columns.
-        begin: the first of the cells.
-        end: the index past the last one.
+        counts: receives how many rows each cell has.
+        columns: four arrays that receive the rows, a row for each surface: height [m], geom id,
+            marks and normal, as in `Surfaces`. If the normals have shape (n, 0), none are written.
+        begin: index in `cells` of the first cell.
+        end: index past the last one.
+
+    Returns:
+        The index in `cells` of the first cell whose rows had no room; `end` if all had room.
     """
     heights, geoms, marks, normals = columns
     num = 0
@@ -172,9 +192,9 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
         # every hit may become a row
         if num + last - first > heights.shape[0]:
             return n
-        standable_z = -math.inf  # of the last standable surface
-        enclosed_z = -math.inf  # of the last enclosed one
-        gentle_z = -math.inf  # of the last one that keeps the slope
+        standable_z = -math.inf  # height of the last standable surface
+        enclosed_z = -math.inf  # height of the last enclosed surface
+        gentle_z = -math.inf  # height of the last surface within the slope
         gentle_row = num
         for i in range(first, last):
             z = hits.z[i]
@@ -227,11 +247,13 @@ def list_surfaces(lattice, hits, planes, limits, cells, counts, columns, begin, 
 def slopes_join(surfaces, a, b, direction, step):
     """Return whether slopes join two surfaces of neighboring cells that no step joins.
 
-    The normal of each surface predicts the rise from `a` to `b`, and the steeper one predicts more
-    than a step. The surfaces join if the real rise lies between the two predictions, as where a
-    floor bends between the cells at a ramp's foot; or if it differs from both by at most a step.
+    The slope of each surface predicts how much the floor rises from `a` to `b`. At least one must
+    predict more than a step. The surfaces join if the real rise lies between the two predictions
+    (for example if a floor bends between the cells, at the foot of a ramp), or if it differs from
+    each prediction by at most a step.
 
     Args:
+        surfaces: all surfaces, with normals.
         a: id of a surface.
         b: id of a surface of the next cell in the direction.
         direction: EAST or SOUTH.

@@ -22,7 +22,7 @@ from navbake.types import Float, Int, Int32
 
 
 def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
-    """Find the height of the uppermost surface of each cell's column, if it is not too steep.
+    """Find the height of the uppermost surface over each cell's centre, if it is not too steep.
 
     Args:
         shapes: the geometry whose upper side is measured.
@@ -30,8 +30,8 @@ def find_standable_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) 
         agent: the agent, of which the slope is used.
 
     Returns:
-        Heights, shape (height, width), float64 [m]; NaN where nothing lies in the column, or its
-        uppermost surface is steeper than `agent.max_slope`.
+        Heights, shape (height, width), float64 [m]; NaN where there is no surface, or the uppermost
+        one is steeper than `agent.max_slope`.
     """
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     hit_cells = np.flatnonzero(np.diff(columns.start))
@@ -54,9 +54,9 @@ def may_slopes_join(lattice: Lattice, agent: AgentSettings) -> bool:
 
 
 def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -> Surfaces:
-    """Find the floor-like surfaces of all columns.
+    """Find the surfaces that floors may consist of, in all columns.
 
-    The surfaces of a block of cells lie together, which makes kernels a third faster.
+    They are numbered block of cells by block of cells, which makes kernels a third faster.
 
     Args:
         columns: the hits of all columns.
@@ -98,7 +98,7 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
 
 
 def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
-    """The cells of a chunk of rows, in the order of their blocks."""
+    """Return the ids of the cells of a chunk of rows, block by block."""
     blocks = Blocks(lattice)
     first_block = rows.first // BLOCK * blocks.cols
     end_block = -(-rows.end // BLOCK) * blocks.cols
@@ -110,13 +110,13 @@ def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
 def find_highest_within_step(
     first: Int | Int32, end: Int | Int32, heights: Float, z: Float, step: float
 ) -> Float:
-    """Find, for each cell, its highest surface that differs from a height by at most a step.
+    """Find in each cell the highest surface that differs from a height by at most a step.
 
     Args:
-        first: the index of each cell's first surface, shape (n,).
-        end: the index past its last surface, shape (n,).
+        first: the index of each cell's first surface in `heights`, shape (n,).
+        end: the index past each cell's last surface, shape (n,).
         heights: the heights of all surfaces [m].
-        z: the height to compare with, by cell, shape (n,) [m].
+        z: for each cell, the height to compare with, shape (n,) [m].
         step: the highest step [m].
 
     Returns:

@@ -93,8 +93,8 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         length = np.hypot(direction[:, 0], direction[:, 1])[:, None]
         direction = np.where(length > 1e-6, direction / np.maximum(length, 1e-6), [1.0, 0.0])
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-        half_along = _horizontal_reach(solids, axes, direction)
-        half_across = _horizontal_reach(solids, axes, normal)
+        half_along = _horizontal_half_widths(solids, axes, direction)
+        half_across = _horizontal_half_widths(solids, axes, normal)
         area = half_along * half_across
         is_smaller = area < least_area * (1 - 1e-9)  # rounding alone never picks another axis
         least_area[is_smaller] = area[is_smaller]
@@ -108,7 +108,7 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
     out.top[solids.geom] = solids.bounds[:, 5]
 
 
-def _horizontal_reach(solids: Solids, axes: Float, direction: Float) -> Float:
+def _horizontal_half_widths(solids: Solids, axes: Float, direction: Float) -> Float:
     """Return how far solids reach from their centres in horizontal directions, (n, 2); (n,) [m]."""
     local_direction = np.einsum("nij,ni->nj", axes[:, :2], direction)
     return support_distances(solids.kind, local_direction, solids.size)

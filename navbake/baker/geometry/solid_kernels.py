@@ -84,8 +84,8 @@ def _axis_gap(solids, s, prism, half, is_round):
         gap = math.hypot(_point_gap(px, py, half, is_round), height_gap) - radius
         if gap < 0.0:
             return gap
-    reach = radius + (half if is_round else half * math.sqrt(2.0))
-    return max(math.hypot(px, py) - reach, 0.0)
+    radius_sum = radius + (half if is_round else half * math.sqrt(2.0))
+    return max(math.hypot(px, py) - radius_sum, 0.0)
 
 
 @subkernel(inline="always")

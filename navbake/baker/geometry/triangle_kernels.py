@@ -195,7 +195,7 @@ def bound_parts(vertices, faces, is_flipped, part, box, largest_area, largest_tr
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def find_nearest_axes(normal, axes, reach, nearest, first, end):
+def find_nearest_axes(normal, axes, max_distance, nearest, first, end):
     """Find the axis that each unit normal is nearest to, for normals ``range(first, end)``.
 
     An axis counts in both directions.
@@ -203,7 +203,7 @@ def find_nearest_axes(normal, axes, reach, nearest, first, end):
     Args:
         normal: unit normals, (n, 3) float64.
         axes: unit vectors with ascending z, (k, 3) float64.
-        reach: a distance that no normal exceeds to its nearest axis.
+        max_distance: a distance that no normal exceeds to its nearest axis.
         nearest: receives the index of the nearest axis, (n,) int64.
         first, end: range of normals.
     """
@@ -211,10 +211,10 @@ def find_nearest_axes(normal, axes, reach, nearest, first, end):
         x = normal[n, 0]
         y = normal[n, 1]
         z = normal[n, 2]
-        first_axis = np.searchsorted(axes[:, 2], abs(z) - reach)
+        first_axis = np.searchsorted(axes[:, 2], abs(z) - max_distance)
         largest_cosine = -1.0
         for k in range(first_axis, axes.shape[0]):
-            if axes[k, 2] > abs(z) + reach:
+            if axes[k, 2] > abs(z) + max_distance:
                 break
             cosine = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
             if cosine > largest_cosine:

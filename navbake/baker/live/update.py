@@ -327,7 +327,7 @@ def _update_doors(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
         return old_doors
     lattice = baked.structure.lattice
     footprint = baked.movable_context.footprint
-    posed_leaves = pose_leaves(scene, changed_candidates, lattice, footprint.reach)
+    posed_leaves = pose_leaves(scene, changed_candidates, lattice, footprint.half_width)
     levels = baked.structure.floors.levels
     old_leaf_of_id = {leaf.candidate.id: leaf for leaf in old_doors}
     for leaf_cells in find_blocked_cells(posed_leaves, levels, footprint, lattice):

@@ -27,7 +27,7 @@ class Footprint(NamedTuple):
     high: float
 
     @property
-    def reach(self) -> float:
+    def half_width(self) -> float:
         """Return how far the footprint reaches from the cell's centre along an axis [m]."""
         return max(self.square, self.radius) + TOUCH_DEPTH
 

@@ -404,10 +404,10 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
         return num_entries
     footprint = task.footprint
     facets = task.shape_arrays.facets
-    # how far from a cell's centre its square, and any of its volumes, reach
-    square_reach = lattice.cell_size / 2 + SEARCH_MARGIN
-    reach = max(square_reach, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
-    near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, reach)
+    # how far from a cell's centre its square, and any of its volumes, search_distance
+    square_distance = lattice.cell_size / 2 + SEARCH_MARGIN
+    search_distance = max(square_distance, max(footprint.square, footprint.radius) + SEARCH_MARGIN)
+    near_geom = window_near_box(lattice, window, tile_state.geom_box, 0, search_distance)
     pending = tile_state.pending
     pending_heights = tile_state.pending_heights
     pending[:] = 0
@@ -452,12 +452,14 @@ def _check_geom(task, kind, shapes, geom, entries, num_entries):
             disc_cells |= pending[k] if is_at_height and 1 << k == BLOCKING else 0
             square_cells |= pending[k] if is_at_height and 1 << k != BLOCKING else 0
         if kind == TRIANGLE_KIND and disc_cells | square_cells != 0:
-            triangle_reach = reach if disc_cells != 0 else square_reach
-            near_shape = window_near_box(lattice, near_geom, facets.bounds, shape, triangle_reach)
+            triangle_distance = search_distance if disc_cells != 0 else square_distance
+            near_shape = window_near_box(
+                lattice, near_geom, facets.bounds, shape, triangle_distance
+            )
             disc_cells &= window_bits(window, near_shape)
             if square_cells != 0:
                 near_square = window_near_box(
-                    lattice, near_shape, facets.bounds, shape, square_reach
+                    lattice, near_shape, facets.bounds, shape, square_distance
                 )
                 square_cells &= window_bits(window, near_square)
         if disc_cells | square_cells == 0:  # so it is for most triangles of a fine mesh

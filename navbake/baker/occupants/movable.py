@@ -170,7 +170,7 @@ def update_movable_occupants(
     """
     lattice = context.lattice
     footprint = context.footprint
-    cells = cells_near_boxes(lattice, boxes, footprint.reach + 2 * TOUCH_DEPTH)
+    cells = cells_near_boxes(lattice, boxes, footprint.half_width + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
     entries = [list(row_chunks) for row_chunks in occupants.entries]
@@ -185,7 +185,7 @@ def update_movable_occupants(
         row_cells = cells[first:end]
         if not len(row_cells):
             continue
-        is_near = in_the_way & _mark_geoms_near(shapes, row_cells, lattice, footprint.reach)
+        is_near = in_the_way & _mark_geoms_near(shapes, row_cells, lattice, footprint.half_width)
         by_level = _find_over_cells(context, shapes.only(is_near), rows, row_cells)
         for k, movables in enumerate(by_level):
             standing = context.standing.levels[k]
@@ -276,7 +276,7 @@ def _find_over_cells(
 ) -> list[LevelMovables]:
     """Find what can move over some cells, ascending, of a range of rows, by level."""
     lattice = context.lattice
-    tiled = tile_shapes(shapes, lattice, context.footprint.reach)
+    tiled = tile_shapes(shapes, lattice, context.footprint.half_width)
     first, end = rows.cell_range(lattice)
     if len(cells) > MAX_POINT_SHARE * (end - first):
         columns = cast_columns(tiled, rows)
