@@ -309,7 +309,7 @@ def _geometry_at(car: Car, height: float, search: LinkSearch) -> CollisionGeomet
     tiled = tile_shapes(
         shapes.with_replaced(car_shapes, car.geoms),
         search.lattice.cut(*car.window),
-        footprint.reach,
+        footprint.half_width,
     )
     return CollisionGeometry(
         sources=[CollisionShapes(cast_columns(tiled), tiled)],

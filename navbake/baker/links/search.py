@@ -100,7 +100,7 @@ class CollisionGeometry(NamedTuple):
             shapes: the shapes to add.
             lattice: the lattice of the geometry.
         """
-        tiled = tile_shapes(shapes, lattice, self.footprint.reach)
+        tiled = tile_shapes(shapes, lattice, self.footprint.half_width)
         further_source = CollisionShapes(cast_columns(tiled), tiled)
         return self._replace(sources=[*self.sources, further_source])
 
