@@ -45,7 +45,7 @@ from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the t
 from batch_scenes import draw_room, write_scenes, wrong_rows  # noqa: E402
 from navbake.baker.bake.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import INDEX_NAME, read_index  # noqa: E402
-from navbake.batch.job import MESH_CACHE_SIZE, prepare  # noqa: E402
+from navbake.batch.job import MESH_CACHE_SIZE, prepare_worker  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402
 from ray_cluster import two_nodes  # noqa: E402
@@ -218,7 +218,7 @@ def show_slices(folder: Path, args: argparse.Namespace) -> bool:
 
 def grow(folder: str, limited: bool) -> list[int]:
     """Resident memory of a worker before its first scene and after the last, and the peak [MB]."""
-    prepare((), False)
+    prepare_worker((), False)
     cache = mujoco.mj_getCache()
     mujoco.mj_setCacheCapacity(cache, MESH_CACHE_SIZE if limited else 500 << 20)
     begin = resident()
@@ -260,7 +260,7 @@ def show_memory(folder: Path, args: argparse.Namespace) -> bool:
 
 def loop(paths: list[str], out: str, edge: float) -> float:
     """Scenes a second that are baked and written in a loop, on one thread, warm."""
-    prepare((), False)
+    prepare_worker((), False)
     begin = 0.0
     for number, path in enumerate(paths):
         if number == WARM:  # the first ones load what is left to load

@@ -10,7 +10,7 @@ from navbake.batch.products import parse_products
 from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.store import as_folder
-from navbake.batch.workers import DONE, Ended
+from navbake.batch.workers import DONE, JobEnd
 
 
 class Told:
@@ -48,7 +48,7 @@ def stay_in_process(monkeypatch, after=lambda: None):
 
     def do_jobs(jobs, work, count, **options):
         for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(pickle.loads(pickle.dumps(job))))
+            yield JobEnd(number, DONE, work(pickle.loads(pickle.dumps(job))))
             after()
 
     monkeypatch.setattr(module, "do_jobs", do_jobs)

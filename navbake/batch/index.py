@@ -1,7 +1,8 @@
 """The index of a batch: a line of JSON for each scene, and the same as Parquet.
 
-A slice of a batch writes its own part, ``index-3-of-64.jsonl``, and has a lock of its own. The next
-run of the whole batch merges the parts into the index.
+A batch may be baked in slices, for example on several machines. Each slice writes an index of its
+own, such as ``index-3-of-64.jsonl``, and holds a lock of its own. The next run of the whole batch
+merges them into the index.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import filelock
 
 from navbake.batch import store
 from navbake.batch.products import MEASURE_CLASSES
+from navbake.batch.scene_row import SceneRow
 from navbake.errors import NavbakeError
 from navbake.files import write_all
 from navbake.formats.source import import_extra
@@ -30,50 +32,56 @@ TABLE_NAME = "index.parquet"
 LOCK_NAME = ".navbake-batch.lock"
 SLICE_INDEX_PATTERN = re.compile(r"index-(\d+)-of-(\d+)\.jsonl")
 SLICE_LOCK_PATTERN = re.compile(r"\.navbake-batch-\d+-of-\d+\.lock")
-LOCK_TIMEOUT = 5.0  # for a slice that looks whether the whole batch runs [s]
+LOCK_TIMEOUT = 5.0  # how long a slice waits for a lock, which another slice may hold briefly [s]
 
 
 class Slice(NamedTuple):
-    """A slice of a batch: every `total`-th scene, from scene `number` on, counted from 1."""
+    """One of `total` slices of a batch: every `total`-th scene, beginning with scene `number`."""
 
-    number: int
-    total: int
+    number: int  #: 1 to `total`.
+    total: int  #: Number of slices.
 
     @property
-    def file(self) -> str:
-        """The file name of the slice's part of the index."""
+    def index_name(self) -> str:
+        """The name of the file with the slice's index."""
         return f"index-{self.number}-of-{self.total}.jsonl"
 
 
 @contextmanager
-def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
-    """Hold the lock of an output folder; the system releases it when the process ends.
+def only_batch(folder: Path, batch_slice: Slice | None = None) -> Iterator[None]:
+    """Hold the lock of an output folder within the with statement; make the folder if need be.
 
     A whole batch excludes all others. A slice excludes whole batches and other runs of the same
-    slice. Raises a NavbakeError if another batch holds a lock, or the folder can't be made or
-    written.
+    slice. The operating system releases the lock when the process ends.
+
+    Args:
+        folder: the output folder.
+        batch_slice: the slice that this process bakes; None for the whole batch.
+
+    Raises:
+        NavbakeError: another batch holds a lock, or the folder can't be made or written.
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
-    name = INDEX_NAME if part is None else part.file
+    name = INDEX_NAME if batch_slice is None else batch_slice.index_name
     for name_in_folder in (LOCK_NAME, name, TABLE_NAME):
         store.check_inside(folder, folder / name_in_folder)
-    slices: list[str] = []
+    slice_locks: list[str] = []  # names of the files
     with ExitStack() as stack:
 
         def hold(name: str) -> filelock.BaseFileLock:
-            lock = filelock.FileLock(folder / name, timeout=LOCK_TIMEOUT if part else 0)
+            lock = filelock.FileLock(folder / name, timeout=LOCK_TIMEOUT if batch_slice else 0)
             return stack.enter_context(lock.acquire())
 
         try:
             folder.mkdir(parents=True, exist_ok=True)
             batch_lock = hold(LOCK_NAME)
-            if part is None:
-                slices = [*filter(SLICE_LOCK_PATTERN.fullmatch, os.listdir(folder))]
-                for name_in_folder in slices:
+            if batch_slice is None:
+                slice_locks = [*filter(SLICE_LOCK_PATTERN.fullmatch, os.listdir(folder))]
+                for name_in_folder in slice_locks:
                     hold(name_in_folder)
             else:
-                hold(f".navbake-batch-{part.number}-of-{part.total}.lock")
+                hold(f".navbake-batch-{batch_slice.number}-of-{batch_slice.total}.lock")
                 batch_lock.release()
         except filelock.Timeout:
             raise NavbakeError(
@@ -82,36 +90,44 @@ def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
         except NotImplementedError:  # a file system without locks
             pass
         except OSError as error:
-            raise store.refused(f"into {folder}", error) from error
+            raise store.write_error(f"into {folder}", error) from error
         yield
-        store.remove_files(folder, slices)
+        store.remove_files(folder, slice_locks)
 
 
 class LineFile:
     """A file of JSON lines, to which several processes may append at once.
 
-    Each line is added in one write. The file is created if it is missing. If it can't be written, a
-    NavbakeError calls it `what`.
+    Each line is added in one write.
     """
 
-    def __init__(self, path: Path, what: str) -> None:
-        self._what = what
+    def __init__(self, path: Path, destination: str) -> None:
+        """Open the file to append to; create it and its folder if they are missing.
+
+        Args:
+            path: the file.
+            destination: completes the error's text ``cannot write …``: ``into out``, for example.
+
+        Raises:
+            NavbakeError: the file can't be written.
+        """
+        self._destination = destination
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
             if path.is_file() and path.stat().st_size:
                 with path.open("rb") as file:
                     file.seek(-1, os.SEEK_END)
-                    if file.read() != b"\n":  # a truncated line
+                    if file.read() != b"\n":  # the last line was truncated
                         os.write(self._file, b"\n")
         except OSError as error:
-            raise store.refused(what, error) from error
+            raise store.write_error(destination, error) from error
 
-    def add(self, line: Json) -> None:
+    def add(self, line: Mapping[str, Any]) -> None:
         try:
-            write_all(self._file, line_of(line))
+            write_all(self._file, encode_line(line))
         except OSError as error:
-            raise store.refused(self._what, error) from error
+            raise store.write_error(self._destination, error) from error
 
     def close(self) -> None:
         with suppress(OSError):
@@ -119,30 +135,40 @@ class LineFile:
 
 
 def write_index(
-    folder: store.Folder, rows: Iterable[Json], has_table: bool, part: Slice | None = None
+    folder: store.Folder,
+    rows: Iterable[SceneRow],
+    has_table: bool,
+    batch_slice: Slice | None = None,
 ) -> None:
-    """Write the index: a batch's rows in its order, then the existing rows of other scenes.
+    """Write the index: the rows of a batch, then rows that the index has of other scenes.
 
-    The existing rows include those of slices, whose parts of the index are then removed. A slice
-    writes only its own rows.
+    The indexes of slices are merged into it and then removed.
+
+    Args:
+        folder: the output folder.
+        rows: a row for each scene of the batch, in order.
+        has_table: whether the index is written as Parquet as well.
+        batch_slice: write only the index of this slice, with `rows` alone; None for the whole.
     """
     row_of_scene = {row["id"]: row for row in rows}
-    if part is not None:
-        store.write_file(folder, part.file, b"".join(map(line_of, row_of_scene.values())))
+    if batch_slice is not None:
+        store.write_file(
+            folder, batch_slice.index_name, b"".join(map(encode_line, row_of_scene.values()))
+        )
         return
-    parts = find_parts(folder)
-    earlier_rows = merge_rows(folder, (*parts, INDEX_NAME))
-    row_of_scene |= {id: row for id, row in earlier_rows.items() if id not in row_of_scene}
-    store.write_file(folder, INDEX_NAME, b"".join(map(line_of, row_of_scene.values())))
+    slice_names = find_slice_indexes(folder)
+    existing_rows = merge_rows(folder, (*slice_names, INDEX_NAME))
+    row_of_scene |= {id: row for id, row in existing_rows.items() if id not in row_of_scene}
+    store.write_file(folder, INDEX_NAME, b"".join(map(encode_line, row_of_scene.values())))
     if has_table:
         store.write_file(folder, TABLE_NAME, encode_rows(row_of_scene.values()))
     else:
-        store.remove_files(folder, [TABLE_NAME])  # outdated
-    store.remove_files(folder, parts)
+        store.remove_files(folder, [TABLE_NAME])  # it would not match the index
+    store.remove_files(folder, slice_names)
 
 
-def find_parts(folder: store.Folder) -> list[str]:
-    """Return the file names of the parts of the index that slices wrote, sorted.
+def find_slice_indexes(folder: store.Folder) -> list[str]:
+    """Return the names of the index files that slices wrote.
 
     They are sorted by the number of slices, then by the slice's number.
     """
@@ -151,59 +177,61 @@ def find_parts(folder: store.Folder) -> list[str]:
     return [match[0] for match in sorted(matches, key=lambda match: (int(match[2]), int(match[1])))]
 
 
-def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, Json]:
-    """Read an index: the last row of each scene, by the scene's id; {} without an index.
+def read_index(folder: store.Folder, name: str = INDEX_NAME) -> dict[str, SceneRow]:
+    """Read an index: scene's id -> its last row; {} without an index.
 
-    A truncated line, which a killed batch may leave, is skipped.
+    A truncated line, which a killed batch may leave, is skipped. Of a row, only the id is checked.
     """
-    rows: dict[str, Json] = {}
+    rows: dict[str, SceneRow] = {}
     content = b""
     with suppress(store.MissingFileError):
         content = store.read_file(store.join(folder, name))
     for line in content.split(b"\n"):
         try:
-            # orjson refuses halves of surrogates, which names that aren't UTF-8 have
-            row = json.loads(line, parse_constant=_refuse)
+            # not orjson: names that aren't UTF-8 have halves of surrogates, which it refuses
+            row = json.loads(line, parse_constant=_refuse_constant)
         except (ValueError, RecursionError):
             continue
         if isinstance(row, dict) and isinstance(row.get("id"), str):
-            rows[row["id"]] = row
+            rows[row["id"]] = cast(SceneRow, row)
     return rows
 
 
-def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, Json]:
-    """Merge the rows of several index files; return the latest row of each scene, by its id."""
-    rows: dict[str, Json] = {}
+def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, SceneRow]:
+    """Merge the rows of several index files: scene's id -> the row of the scene that ended last."""
+    rows: dict[str, SceneRow] = {}
     for name in names:
         for id, row in read_index(folder, name).items():
-            # ISO 8601; a scene that is ``left`` has not ended
+            # times in ISO 8601 compare as text; a scene that is ``left`` has none
             if id not in rows or str(row.get("ended", "")) > str(rows[id].get("ended", "")):
                 rows[id] = row
     return rows
 
 
-def line_of(row: Json) -> bytes:
-    """Return a row as a line of JSON."""
+def encode_line(row: Mapping[str, Any]) -> bytes:
+    """Return a JSON object as a line with its line end."""
     return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
-def _refuse(word: str) -> float:
-    """Refuse NaN and Infinity, which are no JSON."""
-    raise ValueError(word)
+def _refuse_constant(name: str) -> float:
+    """Raise a ValueError for NaN and Infinity, which aren't JSON."""
+    raise ValueError(name)
 
 
 # ---------------------------------------------------------------- as Parquet
 
 
-def encode_rows(rows: Iterable[Json]) -> bytes:
+def encode_rows(rows: Iterable[SceneRow]) -> bytes:
     """Encode rows as Parquet with the fixed columns of `_schema`; equal rows give equal bytes.
 
-    Raises a NavbakeError if a value has a type other than its column's, as in an edited index.
+    Raises a NavbakeError if a value doesn't have its column's type, which may happen in an index
+    that was edited by hand.
     """
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     pyarrow = import_extra("pyarrow", "batch", "Parquet")
     try:
-        table = pyarrow.Table.from_pylist([_cells(row) for row in rows], schema=_schema(pyarrow))
+        table_rows = [_to_table_row(row) for row in rows]
+        table = pyarrow.Table.from_pylist(table_rows, schema=_schema(pyarrow))
     except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         raise NavbakeError(f"a row of the index doesn't fit into {TABLE_NAME}: {reason}") from error
@@ -213,18 +241,18 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
 
 
 def _schema(pyarrow: ModuleType) -> object:
-    """A pyarrow.Schema of the columns: name and type, in the order of docs/batch.md."""
+    """Return the pyarrow.Schema: names and types of the columns, in the order of docs/batch.md."""
     text = pyarrow.string()
     texts = pyarrow.list_(pyarrow.string())
     number = pyarrow.float64()
     count = pyarrow.int32()
-    wide = pyarrow.int64()
-    file = pyarrow.struct([("path", text), ("size", wide), ("sha256", text)])
-    counts = pyarrow.struct([(measure, pyarrow.list_(wide)) for measure in MEASURE_CLASSES])
+    large_count = pyarrow.int64()
+    file = pyarrow.struct([("path", text), ("size", large_count), ("sha256", text)])
+    counts = pyarrow.struct([(measure, pyarrow.list_(large_count)) for measure in MEASURE_CLASSES])
     return pyarrow.schema(
         [
             *(("id", text), ("source", text), ("status", text), ("how", text), ("error", text)),
-            *(("levels", count), ("cells", wide), ("free_area", number)),
+            *(("levels", count), ("cells", large_count), ("free_area", number)),
             *(("rooms", count), ("doors", count), ("episodes", counts)),
             *(("warnings", texts), ("audit", texts)),
             *(("seconds", number), ("stages", pyarrow.map_(text, number)), ("ended", text)),
@@ -234,14 +262,15 @@ def _schema(pyarrow: ModuleType) -> object:
     )
 
 
-def _cells(row: Json) -> Json:
-    cells = dict(row)
+def _to_table_row(row: SceneRow) -> Json:
+    """Return a row for the table: its mappings become lists, as the schema has them."""
+    cells: Json = dict(row)
     stages = row.get("stages")
     if isinstance(stages, Mapping):
         cells["stages"] = [*stages.items()]
     elif stages is not None:  # pyarrow ends the process where such a list has nulls
         raise TypeError("expected an object as `stages`")
     for key in ("inputs", "files"):
-        if isinstance(row.get(key), Mapping):
-            cells[key] = [{"path": path, **(state or {})} for path, state in row[key].items()]
+        if isinstance(cells.get(key), Mapping):
+            cells[key] = [{"path": path, **(state or {})} for path, state in cells[key].items()]
     return cells

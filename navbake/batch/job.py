@@ -1,4 +1,4 @@
-"""Bakes one scene of a batch in a worker, and decides whether it is done already."""
+"""Bakes one scene of a batch in a worker process, and decides whether a scene is done already."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -30,7 +30,8 @@ from navbake.batch.products import (
     THUMBNAIL_NAME,
     make_product,
 )
-from navbake.batch.scenes import Job, outlines_of, settings_of
+from navbake.batch.scene_row import FileState, SceneRecord, SceneRow
+from navbake.batch.scenes import Job, merge_settings, room_outlines_file
 from navbake.config.settings import (
     BakeConfig,
     load_config,
@@ -50,58 +51,63 @@ from navbake.yaml_text import apply_overrides
 
 notebook = lazy("navbake.views.notebook")  # loads Pillow
 
+# statuses of a row
 OK = "ok"
 FAILED = "failed"
 LEFT_OUT = "left"
-NOT_RECORDED = "new"  # why a scene without a record isn't done
-RAISED = "error"  # of a failure in a process that goes on
-SECONDS_DECIMALS = 4  # of seconds
-# Of meshes that MuJoCo keeps in a worker [bytes]; by itself it keeps 500 MB
+NOT_RECORDED = "new"  # the reason to bake a scene that has no record
+RAISED = "error"  # a row's `how` if the bake raised an error and the process goes on
+SECONDS_DECIMALS = 4  # decimals of durations in a row
+# Size of the cache of meshes that MuJoCo keeps in a worker [bytes]; MuJoCo's default is 500 MB.
 MESH_CACHE_SIZE = 64 << 20
-# keys of a record that are not in the index: files that don't count, and parts of the key
-RECORD_ONLY_KEYS = ("more", "content", "settings", "products")
+RECORD_ONLY_KEYS = ("more", "content", "settings", "products")  # keys of a record, not of a row
 
 
 class Plan(NamedTuple):
     """The options of a batch."""
 
     folder: store.Folder  #: The output folder, a Path or a URL.
-    settings: Json  #: Those that all scenes share, by section.
-    #: ``a.b=value``, which replace those of the batch and of the scene.
+    settings: Json  #: The settings that all scenes share, by section.
+    #: Settings as ``a.b=value``; they replace the shared settings and those of a scene.
     overrides: tuple[str, ...] = ()
-    products: tuple[str, ...] = ()  #: Besides the grid, see `products.parse_products`.
+    products: tuple[str, ...] = ()  #: What to make besides the grid, see `products.parse_products`.
     thumbnail: bool = False  #: Whether to make a small picture for the batch's page.
     has_table: bool = False  #: Whether the index is written as Parquet as well.
     #: Further hosts that lists, settings and redirects on the web may lead to.
     hosts: tuple[str, ...] = ()
 
-    def place(self, job: Job) -> store.Folder:
+    def scene_folder(self, job: Job) -> store.Folder:
         """Return a scene's output folder.
 
         Raises a NavbakeError if the folder is a link that leads out of the batch's output folder.
         """
-        place = store.as_folder(store.join(self.folder, job.id))
-        store.check_inside(self.folder, place)
-        return place
+        folder = store.as_folder(store.join(self.folder, job.id))
+        store.check_inside(self.folder, folder)
+        return folder
 
     def trusted_urls(self, job: Job) -> list[str]:
-        """Return the URLs of a scene that the user gave, not those that a list gave."""
+        """Return the paths and URLs by which the user named a scene's files.
+
+        They are the list or the scene, and files of room outlines. What a list on the web names
+        isn't among them.
+        """
         settings = [self.settings, apply_overrides({}, self.overrides)]
         settings += [] if job.list else [job.settings]
-        return [name for name in (job.list or job.source, *map(outlines_of, settings)) if name]
+        names = [job.list or job.source, *map(room_outlines_file, settings)]
+        return [name for name in names if name]
 
 
 class BatchScene(NamedTuple):
     """The settings, input files and digests of a scene that is to be baked."""
 
-    config: BakeConfig  #: Its settings, with paths on this machine.
-    #: Size and digest of each input file, by its path from the output folder, or its URL.
-    inputs: dict[str, Json]
-    key: str  #: Changes when the grid or a product may change; see `open_scene`.
-    #: The key without products, id and, but of mesh scenes, the file's name: scenes with the same
-    #: have the same cells.
-    content: str
-    settings: str  #: Digest of the settings.
+    config: BakeConfig  #: The scene's settings, with paths on this machine.
+    #: For each input file, by its URL or its path from the output folder: its size and digest.
+    inputs: dict[str, FileState]
+    key: str  #: Digest that changes when the grid or a product may change; see `open_scene`.
+    #: Digest like the key, but without the products and the scene's id; without the scene file's
+    #: name, too, unless it is a mesh. Scenes with the same digest have the same cells.
+    content_digest: str
+    settings_digest: str  #: Digest of the settings.
 
 
 # ---------------------------------------------------------------- the key
@@ -109,19 +115,31 @@ class BatchScene(NamedTuple):
 
 @contextmanager
 def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[BatchScene]:
-    """Find a scene's files and compute its key; copies from stores exist inside the with statement.
+    """Find a scene's files and compute its key.
 
     The key is a digest of the settings, navbake's version, the products, and the name and content
-    (on a store: the store's digest) of each input file. Textures and skins are left out, as they
-    change no cell. With `copy_all`, all files are copied from stores; without, only files that name
-    further files.
+    (on a store: the store's digest) of each input file. Textures and skins are left out, because
+    they change no cell.
+
+    Args:
+        plan: the batch's options.
+        job: the scene.
+        copy_all: whether all files on stores are copied to this machine; otherwise only files that
+            name further files are.
+
+    Yields:
+        The scene. Its copies of files are removed at the end of the with statement.
+
+    Raises:
+        NavbakeError: the settings are wrong, or a file can't be read or is on a host that isn't
+            allowed. An OSError is raised as it is.
     """
     store.allow_hosts(plan.hosts)
     store.check_host(job.source, plan.trusted_urls(job))
     with store.Mirror(plan.trusted_urls(job)) as mirror:
         try:
-            config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
-            scene = _describe(plan, config, mirror)
+            config = merge_settings(job, plan.settings, plan.overrides, mirror.fetch)
+            scene = _describe_scene(plan, config, mirror)
             if copy_all and mirror.url_of(config.inputs[0]):
                 for path in find_inputs(
                     config.inputs[0], mirror, with_textures=True, folders=config.scene.model_path
@@ -130,171 +148,231 @@ def open_scene(plan: Plan, job: Job, *, copy_all: bool) -> Iterator[BatchScene]:
             yield scene
         except (NavbakeError, OSError) as error:
             translated = mirror.translate_paths(str(error))
-            if store.why_full(error) or translated == str(error):
+            if store.find_disk_full_error(error) or translated == str(error):
                 raise
             raise NavbakeError(translated) from error
 
 
-def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> BatchScene:
-    """The files and the key of a scene from its settings."""
-    # the grid states the name
+def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> BatchScene:
+    """Find the input files of a scene and compute its digests.
+
+    Args:
+        plan: the batch's options.
+        config: the scene's settings.
+        mirror: holds the copies of files on stores.
+    """
     home = config.inputs[0].parent
-    name = config.inputs[0].name
-    inputs: dict[str, Json] = {}
-    files: list[list[Any]] = []
+    name = config.inputs[0].name  # part of the key, because the grid states it
+    inputs: dict[str, FileState] = {}
+    file_rows: list[list[Any]] = []  # for each file: its path or URL, then the values of its state
     for config_input in config.inputs:  # the scene is the first
         for path in find_inputs(config_input, mirror, folders=config.scene.model_path):
             if mirror.has(path):
                 url = mirror.url_of(path)
                 state = mirror.describe(path)
-                inputs[_name(plan, url or path)] = state
-                files.append([store.shown(url) if url else _relative(path, home), *state.values()])
+                inputs[_index_path(plan, url or path)] = state
+                shown_path = store.without_secrets(url) if url else _relative_path(path, home)
+                file_rows.append([shown_path, *state.values()])
     settings = config.model_dump(
         mode="json", exclude={"output": True, "scene": {"path", "model_path"}}
     )
-    common = {"settings": settings, "scene": name, "version": __version__, "files": sorted(files)}
-    unnamed = {
-        **common,
+    scene_facts = {
+        "settings": settings,
+        "scene": name,
+        "version": __version__,
+        "files": sorted(file_rows),
+    }
+    unnamed_facts = {
+        **scene_facts,
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
         # parts of a mesh scene may be named after its file
         "scene": name if scene_suffix(name) in MESH_SUFFIXES else scene_suffix(name),
-        "files": sorted(["" if file[0] == name else file[0], *file[1:]] for file in files),
+        "files": sorted(["" if path == name else path, *state] for path, *state in file_rows),
     }
-    with_products = {**common, "products": list(plan.products)}
-    texts = (
-        json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        for value in (with_products, unnamed, settings)
-    )
     return BatchScene(
-        config, inputs, *(hashlib.sha256(text.encode()).hexdigest() for text in texts)
+        config=config,
+        inputs=inputs,
+        key=_digest({**scene_facts, "products": list(plan.products)}),
+        content_digest=_digest(unnamed_facts),
+        settings_digest=_digest(settings),
     )
+
+
+def _digest(value: Json) -> str:
+    """Return the sha256 of a JSON object, whatever the order of its keys."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def check_record(
     plan: Plan, job: Job, sizes: Mapping[str, int] | None = None
-) -> tuple[Json | None, str]:
-    """Return the row of a scene that is done, or the reason why it has to be baked.
+) -> tuple[SceneRow | None, str]:
+    """Check whether a scene is done: its recorded key is the same, and its files exist.
 
-    A scene is done if its recorded key is the same and its files exist. Of the two values, the row
-    is None if it isn't done. The reason is ``new``; ``made files`` if files are missing or have
-    another size; or the part of the key that changed: ``version``, ``products``, ``settings``, or
-    ``files`` and their names. `sizes` has the sizes of all files in an output folder on a store.
+    Args:
+        plan: the batch's options.
+        job: the scene.
+        sizes: path -> size of each file in the output folder [bytes], if it is on a store; None if
+            the folder is on this machine.
+
+    Returns:
+        The row of a scene that is done, and ``""``. For others, None and the reason to bake them:
+        ``new`` without a valid record; ``made files`` if files are missing or have another size; or
+        the parts of the key that changed: ``version``, ``products``, ``settings``, or ``files`` and
+        their names.
     """
     if sizes is not None and f"{job.id}/{RECORD_NAME}" not in sizes:
         return None, NOT_RECORDED
     try:
-        place = plan.place(job)
-        row = read_record(place)
-        if row["id"] != job.id:
+        folder = plan.scene_folder(job)
+        record = read_record(folder)
+        if record["id"] != job.id:
             return None, NOT_RECORDED
-        for name, state in row["files"].items():
-            path = Path(store.join(place, name))
-            size_here = os.path.getsize(path) if sizes is None and path.exists() else None
-            if (size_here if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
+        for name, state in record["files"].items():
+            path = Path(store.join(folder, name))
+            if sizes is not None:
+                size = sizes.get(f"{job.id}/{name}")
+            else:
+                size = os.path.getsize(path) if path.exists() else None
+            if size != state["size"]:
                 return None, "made files"
         with open_scene(plan, job, copy_all=False) as scene:
-            if row["key"] != scene.key:
-                now = {"version": __version__, "products": [*plan.products]}
-                now["settings"] = scene.settings
-                changed = [name for name, value in now.items() if row.get(name, value) != value]
-                names = sorted({*row["inputs"], *scene.inputs})
-                differ = [n for n in names if row["inputs"].get(n) != scene.inputs.get(n)]
-                if differ:
-                    changed.append(f"files: {' '.join(Path(name).name for name in differ)}")
-                return None, ", ".join(changed) or "files"
-        row = {key: value for key, value in row.items() if key not in RECORD_ONLY_KEYS}
+            if record["key"] != scene.key:
+                return None, _describe_changes(plan, record, scene)
+        row = {key: value for key, value in record.items() if key not in RECORD_ONLY_KEYS}
     except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
         return None, NOT_RECORDED
-    return {**row, "source": _name(plan, job.source)}, ""  # it may have moved
+    # the source may have moved
+    return cast(SceneRow, {**row, "source": _index_path(plan, job.source)}), ""
 
 
-def read_record(place: store.Folder) -> Json:
-    """Return the record of the files that a batch made in a scene's folder; {} if none."""
+def _describe_changes(plan: Plan, record: Json, scene: BatchScene) -> str:
+    """Return the parts of a scene's key that changed since its record, as text for a reason."""
+    values = {
+        "version": __version__,
+        "products": [*plan.products],
+        "settings": scene.settings_digest,
+    }
+    changes = [name for name, value in values.items() if record.get(name, value) != value]
+    paths = sorted({*record["inputs"], *scene.inputs})
+    changed_paths = [path for path in paths if record["inputs"].get(path) != scene.inputs.get(path)]
+    if changed_paths:
+        changes.append(f"files: {' '.join(Path(path).name for path in changed_paths)}")
+    return ", ".join(changes) or "files"
+
+
+def read_record(folder: store.Folder) -> Json:
+    """Return the record of what a batch made in a folder; {} if there is no valid one.
+
+    The record of a finished scene is a `SceneRecord`. Another record, of a scene's folder or of a
+    batch's shards, has `files` and maybe `more` only. The values aren't checked.
+    """
     with suppress(NavbakeError, ValueError):
-        record = json.loads(store.read_file(store.join(place, RECORD_NAME)))
+        record = json.loads(store.read_file(store.join(folder, RECORD_NAME)))
         if isinstance(record, dict) and isinstance(record.get("files"), dict):
             return record
     return {}
 
 
-def write_record(place: store.Folder, record: Json) -> None:
-    """Write the record of the files in a scene's folder, see `remove_made`."""
-    store.write_file(place, RECORD_NAME, json.dumps(record, allow_nan=False).encode())
+def write_record(folder: store.Folder, record: Mapping[str, Any]) -> None:
+    """Write the record of the files that a batch made in a folder, see `read_record`."""
+    store.write_file(folder, RECORD_NAME, json.dumps(record, allow_nan=False).encode())
 
 
-def remove_made(place: store.Folder) -> None:
-    """Remove a scene's recorded outputs and leftovers of killed writers, and nothing else.
+def remove_made_files(folder: store.Folder) -> None:
+    """Remove from a scene's folder what batches made there, and nothing else.
 
-    A scene's folder may hold the user's own files. To tell them apart, the names of all products
-    are recorded before they are made.
+    That is the grid, the recorded files, the record, and temporary files of killed processes. The
+    folder may hold the user's own files, too. To tell them apart, the names of all products are
+    recorded before the products are written.
     """
-    record = read_record(place)
-    made = filter(
+    record = read_record(folder)
+    made_names = filter(
         PRODUCT_FILE_PATTERN.fullmatch,
         {*record.get("files", ()), *record.get("more", ())} - {GRID_NAME},
     )
-    # the grid first, as it marks completeness; the record last, as it names the others
-    store.remove_files(place, [GRID_NAME, *sorted(made), RECORD_NAME])
-    if isinstance(place, Path):
-        remove_leftovers(place, age=0)
+    # the grid first, since a scene with a grid counts as done; the record last, since it names them
+    store.remove_files(folder, [GRID_NAME, *sorted(made_names), RECORD_NAME])
+    if isinstance(folder, Path):
+        remove_leftovers(folder, age=0)
 
 
 # ---------------------------------------------------------------- the bake
 
 
-def bake_scene(plan: Plan, job: Job) -> Json:
+def bake_scene(plan: Plan, job: Job) -> SceneRow:
     """Bake a scene and write all products; return the scene's row of the index.
 
     Each file appears whole, and the grid appears last. A scene that fails leaves no files, and its
-    row has the reason. Of all errors, only a MemoryError is raised, also in place of errors that
-    `lacked_memory` recognizes, as the state of the process is unknown then. If the output has no
-    room, the row's status is ``left``.
+    row has the reason. If the output has no room, the row's status is ``left``.
+
+    Raises:
+        MemoryError: the process lacked memory; it can't be trusted any more. It also replaces other
+            errors that `lacked_memory` recognizes. No other error is raised.
     """
     begin = time.perf_counter()
     try:
-        return _make(plan, job, begin)
+        return _bake_and_write(plan, job, begin)
     except Exception as error:
         if lacked_memory(error):
             raise MemoryError(str(error)) from error
-        why = str(error)
+        reason = str(error)
         if not isinstance(error, NavbakeError | OSError):
-            why = f"{traceback.format_exception_only(error)[-1].strip()} (an unexpected error)"
-        row = fail(plan, job, RAISED, printable(why), time.perf_counter() - begin)
-        if full := store.why_full(error):
-            refused = store.refused(f"into {store.shown(os.fspath(plan.place(job)))}", full)
-            return {**begin_row(plan, job, LEFT_OUT), "error": str(refused)}
+            reason = f"{traceback.format_exception_only(error)[-1].strip()} (an unexpected error)"
+        seconds = time.perf_counter() - begin
+        row = record_failure(plan, job, RAISED, printable(reason), seconds)
+        disk_full_error = store.find_disk_full_error(error)
+        if disk_full_error is not None:
+            folder_name = store.without_secrets(os.fspath(plan.scene_folder(job)))
+            row = begin_row(plan, job, LEFT_OUT)
+            row["error"] = str(store.write_error(f"into {folder_name}", disk_full_error))
         return row
 
 
-def begin_row(plan: Plan, job: Job, status: str) -> Json:
-    """Return the first fields of a scene's row in the index."""
-    return {"id": job.id, "status": status, "source": _name(plan, job.source)}
+def begin_row(plan: Plan, job: Job, status: str) -> SceneRow:
+    """Return a scene's row of the index with the fields that every row has."""
+    return {"id": job.id, "status": status, "source": _index_path(plan, job.source)}
 
 
-def fail(plan: Plan, job: Job, how: str, why: str, seconds: float) -> Json:
-    """Remove the files of a failed scene, and return its row of the index."""
+def record_failure(plan: Plan, job: Job, how: str, reason: str, seconds: float) -> SceneRow:
+    """Remove the files of a failed scene, and return its row of the index.
+
+    Args:
+        plan: the batch's options.
+        job: the scene.
+        how: the kind of failure, see `SceneRow`.
+        reason: the reason, for the row's `error`.
+        seconds: how long the last attempt took [s].
+    """
     with suppress(NavbakeError):
-        remove_made(plan.place(job))
-    return {**begin_row(plan, job, FAILED), "how": how, "error": why, **_times(seconds)}
+        remove_made_files(plan.scene_folder(job))
+    row = begin_row(plan, job, FAILED)
+    row["how"] = how
+    row["error"] = reason
+    return {**row, **_end_times(seconds)}
 
 
-def stamp() -> str:
-    """Return the current time in UTC as ISO 8601, to a millisecond."""
+def current_time() -> str:
+    """Return the current time in UTC as ISO 8601, in milliseconds."""
     now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
     return now.replace("+00:00", "Z")
 
 
-def prepare(products: Iterable[str], thumbnail: bool) -> None:
-    """Set up a worker, and make all products of a sample once.
+def prepare_worker(products: Iterable[str], thumbnail: bool) -> None:
+    """Set up a worker process: bake a sample, and make all products of it once.
 
-    Thus modules are loaded before the first scene, and don't count in its time.
+    All modules are loaded by this, so that their loading doesn't count in the first scene's time.
+
+    Args:
+        products: see `products.parse_products`.
+        thumbnail: whether to make a thumbnail, too.
     """
     limit_mesh_cache(MESH_CACHE_SIZE)
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:
         for product in products:
-            with suppress(NavbakeError):  # raised again by the scenes
+            with suppress(NavbakeError):  # the scenes will raise it again
                 make_product(product, grid, config, folder)
         if thumbnail:
             write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
@@ -302,20 +380,27 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
     audit(grid)
 
 
-def _make(plan: Plan, job: Job, begin: float) -> Json:
-    place = plan.place(job)
+def _bake_and_write(plan: Plan, job: Job, begin: float) -> SceneRow:
+    """Bake a scene, write all its files, and return its row of the index.
+
+    Args:
+        plan: the batch's options.
+        job: the scene.
+        begin: the `time.perf_counter` from which the row's `seconds` count.
+    """
+    folder = plan.scene_folder(job)
     with open_scene(plan, job, copy_all=True) as scene:
         grid = _copy_twin(plan, job, scene)
         timings = dict[str, float]()
         if grid is None:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the row has the relevant ones
+                warnings.simplefilter("ignore")  # the grid's warnings are in the row
                 result = run_bake(scene.config, threads=1)
             grid = result.grid
             timings = result.timings
-        grid.timings = {}  # the same scene, the same bytes
-        free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
-        row = {
+        grid.timings = {}  # they differ each time, but equal scenes give equal bytes
+        num_free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
+        row: SceneRow = {
             **begin_row(plan, job, OK),
             "version": __version__,
             "key": scene.key,
@@ -323,7 +408,7 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             "settings_digest": grid.navbake.get("settingsDigest"),
             "levels": len(grid.levels),
             "cells": sum(level.width * level.height for level in grid.levels),
-            "free_area": round(free * (grid.cell_size * grid.unit) ** 2, 6),  # m²
+            "free_area": round(num_free * (grid.cell_size * grid.unit) ** 2, 6),
             "rooms": len(grid.rooms),
             "doors": len(grid.doors),
             "warnings": list(grid.warnings),
@@ -331,26 +416,33 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             "inputs": scene.inputs,
             "stages": {name: round(seconds, SECONDS_DECIMALS) for name, seconds in timings.items()},
         }
-        remove_made(place)
-        row["files"] = _write_products(plan, place, grid, scene.config, row)
-        row |= _times(time.perf_counter() - begin)
-        parts = [[THUMBNAIL_NAME] * plan.thumbnail, scene.content, scene.settings, [*plan.products]]
-        write_record(place, {**row, **dict(zip(RECORD_ONLY_KEYS, parts, strict=True))})
+        remove_made_files(folder)
+        row["files"] = _write_products(plan, folder, grid, scene.config, row)
+        row = {**row, **_end_times(time.perf_counter() - begin)}
+        record: SceneRecord = {
+            **row,
+            "more": [THUMBNAIL_NAME] if plan.thumbnail else [],
+            "content": scene.content_digest,
+            "settings": scene.settings_digest,
+            "products": [*plan.products],
+        }
+        write_record(folder, record)
     return row
 
 
 def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
-    """The grid of an equal scene under this one's name, as its own bake would make it.
+    """Return the grid of the scene's twin, with this scene's id and settings in its metadata.
 
-    None without such a scene, if it isn't done, or if a warning names one of its files.
+    The grid is what a bake of this scene would give. Returns None if the scene has no twin, the
+    twin isn't done, or a warning of its grid may name one of the twin's files.
     """
     if not job.twin:
         return None
     try:
-        place = plan.place(job._replace(id=job.twin))
-        if read_record(place).get("content") != scene.content:
+        folder = plan.scene_folder(job._replace(id=job.twin))
+        if read_record(folder).get("content") != scene.content_digest:
             return None
-        grid = read_navgrid(store.read_file(store.join(place, GRID_NAME)))
+        grid = read_navgrid(store.read_file(store.join(folder, GRID_NAME)))
     except NavbakeError:
         return None
     stated_path = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
@@ -363,53 +455,66 @@ def _copy_twin(plan: Plan, job: Job, scene: BatchScene) -> NavGrid | None:
 
 
 def _write_products(
-    plan: Plan, place: store.Folder, grid: NavGrid, config: BakeConfig, row: Json
-) -> Json:
-    """Write all products, the grid last; returns size and digest of each file by its name.
+    plan: Plan, scene_folder: store.Folder, grid: NavGrid, config: BakeConfig, row: SceneRow
+) -> dict[str, FileState]:
+    """Make all products of a grid, and write them and, last, the grid into the scene's folder.
 
-    The products' values are added to the scene's `row`.
+    Args:
+        plan: the batch's options.
+        scene_folder: the folder to write into.
+        grid: the scene's grid.
+        config: the scene's settings.
+        row: the scene's row; the products' warnings and counts of episodes are added to it.
+
+    Returns:
+        For each file except the thumbnail, by its name: its size and digest.
     """
     with scratch_folder() as folder:
         for product in plan.products:
-            noted = make_product(product, grid, config, folder)
-            row["warnings"] += noted.pop("warnings", [])
-            for measure, counts in noted.pop("episodes", {}).items():
-                before = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
-                row["episodes"][measure] = [a + b for a, b in zip(before, counts, strict=True)]
+            product_fields = make_product(product, grid, config, folder)
+            row["warnings"] += product_fields.get("warnings", [])
+            for measure, counts in product_fields.get("episodes", {}).items():
+                sums = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
+                row["episodes"][measure] = [a + b for a, b in zip(sums, counts, strict=True)]
         write_navgrid(grid, folder / GRID_NAME)
         files = {name: store.describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
             write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
         other_names = [name for name in os.listdir(folder) if name != GRID_NAME]
-        # existing files are the user's until replaced
-        is_local = isinstance(place, Path)
+        # an existing file of such a name is the user's until it is replaced
+        is_local = isinstance(scene_folder, Path)
         new_names = [
             name
             for name in other_names
-            if not (is_local and os.path.lexists(store.join(place, name)))
+            if not (is_local and os.path.lexists(store.join(scene_folder, name)))
         ]
         if new_names:
-            write_record(place, {"files": {}, "more": new_names})
+            write_record(scene_folder, {"files": {}, "more": new_names})
         for name in (*other_names, GRID_NAME):
-            store.write_file(place, name, (folder / name).read_bytes())
+            store.write_file(scene_folder, name, (folder / name).read_bytes())
     return files
 
 
-def _times(seconds: float) -> Json:
-    return {"seconds": round(seconds, SECONDS_DECIMALS), "ended": stamp()}
+def _end_times(seconds: float) -> SceneRow:
+    """Return the fields of a row that say how long a scene took [s], and that it ends now."""
+    return {"seconds": round(seconds, SECONDS_DECIMALS), "ended": current_time()}
 
 
-def _name(plan: Plan, path: str | Path) -> str:
-    """The index's name of a file: its URL, or its path from the output folder."""
+def _index_path(plan: Plan, path: str | Path) -> str:
+    """Return how the index names a file: its URL, or its path from the output folder.
+
+    If the output folder is on a store, a local file has its absolute path.
+    """
     if store.is_url(path):
-        return store.shown(str(path))
+        return store.without_secrets(str(path))
     if isinstance(plan.folder, Path):
-        return _relative(path, os.path.realpath(plan.folder))
+        return _relative_path(path, os.path.realpath(plan.folder))
     return Path(os.path.abspath(path)).as_posix()
 
 
-def _relative(path: str | Path, folder: str | Path) -> str:
-    if os.pardir in Path(path).parts:  # after a link, `..` leads elsewhere than its text
+def _relative_path(path: str | Path, folder: str | Path) -> str:
+    """Return a path from a folder, with slashes; the absolute path on another drive."""
+    if os.pardir in Path(path).parts:  # `a/..` isn't the current folder if `a` is a link
         path = os.path.realpath(path)
     try:
         return Path(os.path.relpath(path, folder)).as_posix()

@@ -1,6 +1,6 @@
-"""The page of a batch, for a browser without a server or the network.
+"""Writes the page of a batch, which a browser shows without a server or the network.
 
-`page.html` and `page.js` show the data of `describe_batch`, names as text only.
+`page.html` and `page.js` show the data of `describe_batch`. Names appear as text, never as HTML.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
 from navbake.batch import store
 from navbake.batch.index import read_index
-from navbake.batch.job import FAILED, LEFT_OUT, OK, read_record, stamp, write_record
+from navbake.batch.job import FAILED, LEFT_OUT, OK, current_time, read_record, write_record
 from navbake.batch.products import GRID_NAME, MEASURE_CLASSES, THUMBNAIL_NAME
 from navbake.errors import NavbakeError, count_of, printable
 from navbake.formats.navgrid import read_navgrid
@@ -33,47 +34,54 @@ from navbake.views.page import make_page, to_text
 
 PAGE_NAME = "index.html"
 PICTURE_POLICY = "'self' file: data:"  # thumbnails are beside the page
-MIN_WRITE_INTERVAL = 15.0  # least interval of writing a running batch's page [s]
-MAX_WRITE_SHARE = 0.01  # of the time for this, at most
+MIN_WRITE_INTERVAL = 15.0  # shortest time between two writes of a running batch's page [s]
+MAX_WRITE_SHARE = 0.01  # largest share of the batch's time that goes into writing its page
 
 STATUSES = (OK, FAILED, LEFT_OUT)
 CHARTS = ("free_area", "cells", "rooms", "seconds")
-ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)  # as it is
-NUM_BINS = 24  # bars of a chart, about
-SKEWED_RATIO = 20  # ratio of maximum and median from which bars have equal ratios, not widths
-GROUPED_TEXTS = ("failures", "warnings", "audit")  # grouped by `fold`
+# keys of a row that the page's data has unchanged
+ROW_KEYS = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)
+NUM_BINS = 24  # approximate number of a chart's bars
+# If the maximum is more than this many times the median, bars have equal ratios, not equal widths.
+SKEWED_RATIO = 20
+GROUPED_TEXTS = ("failures", "warnings", "audit")  # kinds of texts that `fold_text` groups
 
-# a setting, what is quoted, and words
+# one of: a setting in backticks, a quoted text, a word
 FOLDED_PART = re.compile(
     r"""(?P<setting>`[^`]*`)|(?<!\w)'[^']*'(?!\w)|(?<!\w)"[^"]*"(?!\w)"""
     r"""|(?P<word>[^\s`'"(),;:=<>\[\]{}]+)"""
 )
-THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")  # commas within a number
-# with a unit: 5cm, 30%
+THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")  # a comma between digits, as in 1,000
+# a number, maybe with a unit: 5cm, 30%
 NUMBER = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
-# In a path, a file's name or a numbered name
+# matches within a path, a file's name or a name with a digit
 PATH_OR_NAME = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")
 
 
 def write_page(
     folder: store.Folder, path: Path | None = None, *, progress: tuple[int, int] | None = None
 ) -> None:
-    """Write the page of a batch to `path`, or into the batch's folder, whole or not at all.
+    """Write the page of a batch, whole or not at all.
 
-    `progress` is the number of ended scenes of a running batch, and the number of all scenes.
+    Args:
+        folder: the batch's output folder.
+        path: the file to write; None for `PAGE_NAME` in the folder.
+        progress: of a running batch, the number of scenes that ended, and of all scenes.
     """
     base = "."
     if path is not None:
-        try:  # lexically, as browsers don't resolve links of a file system
+        try:  # links of the file system stay unresolved, since browsers don't resolve them either
             base = os.path.relpath(folder, path.parent).replace(os.sep, "/")
         except ValueError:  # another drive on Windows
             base = Path(folder).absolute().as_posix()
-    name = (folder.resolve() if isinstance(folder, Path) else Path(store.shown(folder))).name
+    name = (
+        folder.resolve() if isinstance(folder, Path) else Path(store.without_secrets(folder))
+    ).name
     content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
-    # browsers expect the bytes of a name that is no UTF-8
-    content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
+    # of a name that isn't UTF-8, browsers expect the bytes
+    content |= {"made": current_time(), "progress": progress, "base": quote(os.fsencode(base))}
     title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
-    packed = to_text(json.dumps(content).encode())  # names may be no UTF-8
+    packed = to_text(json.dumps(content).encode())  # in ASCII: names may not be UTF-8
     page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURE_POLICY)
     if path is None:
         store.write_file(folder, PAGE_NAME, page)
@@ -82,36 +90,49 @@ def write_page(
 
 
 def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
-    """A predicate whether a scene has a thumbnail, by its id; a store is listed once."""
+    """Return a function that says whether the scene with an id has a thumbnail.
+
+    A store is listed once, now; a local folder is looked at in each call.
+    """
     if isinstance(folder, Path):
         return lambda id: os.path.isfile(folder / id / THUMBNAIL_NAME)
     sizes = store.sizes_below(folder)
     return lambda id: f"{id}/{THUMBNAIL_NAME}" in sizes
 
 
-def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
-    """Draw missing thumbnails from the grids; return how many are still missing.
+def draw_thumbnails(folder: store.Folder, show_progress: Callable[[float], None]) -> int:
+    """Draw the missing thumbnails of a batch from its grids.
 
-    `show` is called with the fraction that is done. Raises FullError if the folder has no room.
+    Args:
+        folder: the batch's output folder.
+        show_progress: is called with the fraction that is done, 0 to 1.
+
+    Returns:
+        How many thumbnails couldn't be drawn.
+
+    Raises:
+        FullError: the folder has no room.
     """
     has_thumbnail = _find_thumbnails(folder)
     num_failed = 0
-    done = [id for id, row in read_index(folder).items() if row.get("status") == OK]
-    missing = [id for id in done if not has_thumbnail(id)]
-    for number, id in enumerate(missing):
-        show(number / len(missing))
-        place = store.as_folder(store.join(folder, id))
+    done_ids = [id for id, row in read_index(folder).items() if row.get("status") == OK]
+    missing_ids = [id for id in done_ids if not has_thumbnail(id)]
+    for number, id in enumerate(missing_ids):
+        show_progress(number / len(missing_ids))
+        scene_folder = store.as_folder(store.join(folder, id))
         try:
-            store.check_inside(folder, place)
-            picture = draw_thumbnail(read_navgrid(store.read_file(store.join(place, GRID_NAME))))
-            if record := read_record(place):  # for its removal with the grid
-                write_record(place, {**record, "more": [THUMBNAIL_NAME]})
-            store.write_file(place, THUMBNAIL_NAME, picture)
+            store.check_inside(folder, scene_folder)
+            grid = read_navgrid(store.read_file(store.join(scene_folder, GRID_NAME)))
+            picture = draw_thumbnail(grid)
+            record = read_record(scene_folder)
+            if record:  # so that the thumbnail is removed together with the grid
+                write_record(scene_folder, {**record, "more": [THUMBNAIL_NAME]})
+            store.write_file(scene_folder, THUMBNAIL_NAME, picture)
         except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
-            if (why := store.why_full(error)) is not None:
-                raise store.refused(
-                    f"thumbnails into {store.shown(os.fspath(folder))}", why
-                ) from error
+            disk_full_error = store.find_disk_full_error(error)
+            if disk_full_error is not None:
+                destination = f"thumbnails into {store.without_secrets(os.fspath(folder))}"
+                raise store.write_error(destination, disk_full_error) from error
             num_failed += 1
     return num_failed
 
@@ -122,38 +143,46 @@ class LivePage:
     On a store, the page isn't written while the batch runs.
     """
 
-    def __init__(self, folder: store.Folder, total: int) -> None:
+    def __init__(self, folder: store.Folder, num_scenes: int) -> None:
         self._folder = folder
-        self._total = total
-        self._next = (
+        self._num_scenes = num_scenes
+        self._next_write = (  # time.monotonic [s]
             time.monotonic() + MIN_WRITE_INTERVAL if isinstance(folder, Path) else float("inf")
         )
 
-    def refresh(self, done: int) -> None:
-        """Write the page if it is due; `done` is the number of ended scenes."""
+    def refresh(self, num_ended: int) -> None:
+        """Write the page if enough time has passed; `num_ended` scenes have ended."""
         begin = time.monotonic()
-        if begin < self._next:
+        if begin < self._next_write:
             return
         with suppress(NavbakeError):  # raised at the end, if it can't be written then
-            write_page(self._folder, progress=(done, self._total))
+            write_page(self._folder, progress=(num_ended, self._num_scenes))
         end = time.monotonic()
-        self._next = end + max(MIN_WRITE_INTERVAL, (end - begin) / MAX_WRITE_SHARE)
+        self._next_write = end + max(MIN_WRITE_INTERVAL, (end - begin) / MAX_WRITE_SHARE)
 
 
-def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -> Json:
-    """Return the data that the page shows, from the rows of an index.
+def describe_batch(rows: Iterable[Mapping[str, Any]], has_thumbnail: Callable[[str], bool]) -> Json:
+    """Return the data that the page shows.
 
-    Its keys are ``scenes``, a list of the scenes; ``work``, see `measure_work` [s]; ``groups``,
-    which maps each status, and each text of the kinds in `GROUPED_TEXTS`, to the name of its group;
-    ``edges``, the edges of each chart's bars; and ``classes``, the lower edges of the episodes'
-    classes.
+    Args:
+        rows: the rows of an index, see `SceneRow`.
+        has_thumbnail: says whether the scene with an id has a thumbnail.
+
+    Returns:
+        An object with these keys:
+
+        - ``scenes``: a list with an object for each scene;
+        - ``work``: see `measure_work` [s];
+        - ``groups``: for ``status`` and each kind of `GROUPED_TEXTS`: text -> name of its group;
+        - ``edges``: for each chart of `CHARTS`: the edges of its bars, ascending;
+        - ``classes``: for each measure of episodes: the lower edges of its classes.
     """
     scenes: list[Json] = []
     for row in rows:
         if row.get("status") in STATUSES:
             scene: Json = {key: row.get(key) for key in ROW_KEYS}
-            why = ": ".join(filter(None, (row.get("how"), row.get("error"))))
-            scene["failures"] = [why] if row["status"] == FAILED else []
+            failure = ": ".join(filter(None, (row.get("how"), row.get("error"))))
+            scene["failures"] = [failure] if row["status"] == FAILED else []
             scene |= {key: row.get(key) or [] for key in ("warnings", "audit")}
             scene |= {"files": [*(row.get("files") or ())], "stages": row.get("stages") or {}}
             scene["thumbnail"] = row["status"] == OK and has_thumbnail(row["id"])
@@ -165,51 +194,62 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
         "classes": MEASURE_CLASSES,
         "groups": {"status": {status: status for status in STATUSES}}
         | {
-            kind: _group(text for scene in scenes for text in scene[kind]) for kind in GROUPED_TEXTS
+            kind: _group_texts(text for scene in scenes for text in scene[kind])
+            for kind in GROUPED_TEXTS
         },
-        "edges": {key: _edges([s[key] for s in scenes if s[key] is not None]) for key in CHARTS},
+        "edges": {
+            key: _histogram_edges([scene[key] for scene in scenes if scene[key] is not None])
+            for key in CHARTS
+        },
     }
 
 
 def measure_work(scenes: Iterable[Json]) -> float:
-    """Return for how long at least one scene was being baked [s], over all runs of the batch."""
+    """Return for how long at least one scene was being baked [s], over all runs of the batch.
+
+    Args:
+        scenes: objects with the keys ``seconds`` and ``ended`` of `SceneRow`, which may be None.
+    """
     work = 0.0
-    reached = -math.inf
-    spans = []
+    covered_until = -math.inf
+    spans = []  # begin and end of each scene
     for scene in scenes:
         if scene["ended"] and scene["seconds"]:
             end = datetime.fromisoformat(scene["ended"].replace("Z", "+00:00")).timestamp()
             spans.append((end - scene["seconds"], end))
     for begin, end in sorted(spans):
-        work += max(0.0, end - max(begin, reached))
-        reached = max(reached, end)
+        work += max(0.0, end - max(begin, covered_until))
+        covered_until = max(covered_until, end)
     return work
 
 
-def _edges(values: Sequence[float]) -> list[float]:
-    """The edges of a histogram: of equal widths, or equal ratios for skewed values."""
+def _histogram_edges(values: Sequence[float]) -> list[float]:
+    """Return the edges of a histogram's bars, ascending; [] without values.
+
+    The bars have equal widths; for skewed values, the ratio of each bar's edges is the same.
+    """
     if not values:
         return []
-    least = float(min(values))
-    most = float(max(values))
-    if least > 0 and most > SKEWED_RATIO * float(np.median(values)):
-        return [*np.geomspace(least, most, NUM_BINS + 1).tolist()[:-1], most]
-    step = nice_step((most - least or abs(most) or 1) / (NUM_BINS - 4))
+    lowest = float(min(values))
+    highest = float(max(values))
+    if lowest > 0 and highest > SKEWED_RATIO * float(np.median(values)):
+        return [*np.geomspace(lowest, highest, NUM_BINS + 1).tolist()[:-1], highest]
+    width = nice_step((highest - lowest or abs(highest) or 1) / (NUM_BINS - 4))
     if all(float(value).is_integer() for value in values):
-        step = max(step, 1.0)
-    first = math.floor(least / step + 1e-9)
-    last = max(math.floor(most / step + 1e-9), first) + 1
-    return [round(number * step, 12) for number in range(first, last + 1)]
+        width = max(width, 1.0)
+    first = math.floor(lowest / width + 1e-9)
+    last = max(math.floor(highest / width + 1e-9), first) + 1
+    return [round(number * width, 12) for number in range(first, last + 1)]
 
 
-def _group(texts: Iterable[str]) -> dict[str, str]:
-    """The group of each text by `fold`, or the text itself if it is alone."""
-    folded = {text: fold(text) for text in texts}
-    count = Counter(folded.values())
-    return {text: group if count[group] > 1 else text for text, group in folded.items()}
+def _group_texts(texts: Iterable[str]) -> dict[str, str]:
+    """Group texts by `fold_text`: text -> name of its group, or the text if it is alone in it."""
+    group_of_text = {text: fold_text(text) for text in texts}
+    count = Counter(group_of_text.values())
+    return {text: group if count[group] > 1 else text for text, group in group_of_text.items()}
 
 
-def fold(text: str) -> str:
+def fold_text(text: str) -> str:
     """Replace the scene-specific parts of a message, so that similar messages become equal.
 
     Quoted parts, paths, file names and words with digits become ``…``, and numbers become ``#``.
@@ -219,8 +259,8 @@ def fold(text: str) -> str:
     def replace(match: re.Match[str]) -> str:
         if match["word"] is None:
             return match["setting"] or "…"
-        core = match["word"].rstrip(".!?")
-        folded = "#" if NUMBER.fullmatch(core) else "…" if PATH_OR_NAME.search(core) else core
-        return folded + match["word"][len(core) :]
+        word = match["word"].rstrip(".!?")
+        folded = "#" if NUMBER.fullmatch(word) else "…" if PATH_OR_NAME.search(word) else word
+        return folded + match["word"][len(word) :]
 
     return FOLDED_PART.sub(replace, THOUSANDS.sub("", text))

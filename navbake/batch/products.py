@@ -1,4 +1,4 @@
-"""The products of a batch besides grids."""
+"""The products that a batch makes of each scene besides its grid."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ GRID_NAME = "grid.json.gz"  # of every scene, written last
 PICTURE_NAME = "picture.png"
 REPORT_NAME = "report.html"
 THUMBNAIL_NAME = "thumbnail.png"  # no product, as it can be made of the grid later
-# Of a scene's folder: its files and key, see `job.py`; of all: shards
+# In a scene's folder: its files and key, see `job.read_record`. In the output folder: the shards.
 RECORD_NAME = ".navbake-made"
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had
@@ -45,7 +45,7 @@ PRODUCT_FILE_PATTERN = re.compile(
     r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png|episodes-[\w-]+\.jsonl"
 )
 MEASURE_CLASSES = {measure: CLASS_EDGES[measure] for measure in ("distance", "ratio", "levels")}
-"""Measures of episodes that a scene's row counts, and the lower edges of their classes."""
+"""Measure of episodes -> the lower edges of its classes; a scene's row counts each class."""
 
 
 PRODUCT_KINDS = {
@@ -56,33 +56,45 @@ PRODUCT_KINDS = {
     "episodes": (1, 4, "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]"),
     "report": (0, 0, "report"),
 }
-"""Kinds of products: the smallest and the largest number of their values, and how they look."""
+"""For each kind of product: the smallest and the largest number of values, and its form."""
 
 
 def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
-    """Parse products written as ``KIND`` or ``KIND:VALUE:…``, and return them normalized.
+    """Parse products, and return them normalized, each once and sorted.
 
-    They are unique and sorted, and numbers have their shortest form, so that equal products give
-    equal keys in any order. Raises a ConfigError for an unknown kind or wrong values, and a
-    MissingDependencyError if an extra isn't installed.
+    In normalized products, numbers have their shortest form, and values that were left out have
+    their defaults. Thus equal products give equal keys of scenes, whatever their order.
+
+    Args:
+        texts: the products as a user wrote them: ``KIND`` or ``KIND:VALUE:…``.
+
+    Raises:
+        ConfigError: a kind is unknown, or its values are wrong.
+        MissingDependencyError: an extra that a product needs isn't installed.
     """
-    unknown = (0, -1, f"one of {', '.join(usage for *_, usage in PRODUCT_KINDS.values())}")
+    unknown_kind = (0, -1, f"one of {', '.join(usage for *_, usage in PRODUCT_KINDS.values())}")
     products = set()
     for text in texts:
-        name, *values = text.split(":")
-        least, most, usage = PRODUCT_KINDS.get(name, unknown)
-        if not least <= len(values) <= most:
+        kind, *values = text.split(":")
+        min_values, max_values, usage = PRODUCT_KINDS.get(kind, unknown_kind)
+        if not min_values <= len(values) <= max_values:
             raise ConfigError(f"expected {usage} to make, got {text!r}")
-        products.add(":".join((name, *_check_values(name, values, text))))
+        products.add(":".join((kind, *_check_values(kind, values, text))))
     pictures = sorted(product for product in products if product.startswith("picture"))
     if len(pictures) > 1:
-        layer_names = ", ".join(pictures)
-        raise ConfigError(f"expected one picture, with all its layers, to make, got {layer_names}")
+        got = ", ".join(pictures)
+        raise ConfigError(f"expected one picture, with all its layers, to make, got {got}")
     return tuple(sorted(products))
 
 
 def _check_values(kind: str, values: list[str], text: str) -> list[str]:
-    """Check the values of a product; returns them in their shortest form, with their defaults."""
+    """Check the values of a product; return them normalized, see `parse_products`.
+
+    Args:
+        kind: the kind of product.
+        values: its values.
+        text: the whole product, for errors.
+    """
     if kind == "picture":
         if not set(values) <= LAYERS.keys():
             raise ConfigError(f"expected layers of {', '.join(LAYERS)}, got {text!r} to make")
@@ -111,7 +123,17 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
 
 
 def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
-    """Write the files of a product, each whole or not at all; return fields for the scene's row."""
+    """Write the files of a product, each whole or not at all.
+
+    Args:
+        product: the product, as `parse_products` returns it.
+        grid: the scene's grid.
+        config: the scene's settings.
+        folder: the folder to write into.
+
+    Returns:
+        Fields for the scene's row: `warnings` or `episodes`, see `SceneRow`; mostly {}.
+    """
     kind, *values = product.split(":")
     if kind == "inflated":
         clearance = float(values[1]) if len(values) > 1 else None
@@ -136,33 +158,46 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
 
 
 def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
+    """Draw and write a set of episodes; return fields for the scene's row, see `make_product`.
+
+    Args:
+        grid: the scene's grid.
+        values: the task, the sampler, the number of episodes and the seed.
+        folder: the folder to write into.
+    """
     task, sampler, count, seed = values
     try:
-        drawn = make_episodes(
+        episode_set = make_episodes(
             grid, task, sampler, count=int(count), seed=int(seed), files=[GRID_NAME]
         )
     except QueryError as error:  # no such object, or no valid episode
         return {"warnings": [f"no episodes of {task}: {error}"]}
-    # all scenes' are merged into one set
+    # ids must be unique in the set into which the sets of all scenes are merged
     episodes = tuple(
         msgspec.structs.replace(episode, id=f"{episode.scene}/{episode.id}")
-        for episode in drawn.episodes
+        for episode in episode_set.episodes
     )
-    file = folder / f"episodes-{'-'.join(values)}.jsonl"
-    write_episodes(EpisodeSet(drawn.header, episodes), file)
-    measured = [episode.measures for episode in episodes]
+    path = folder / f"episodes-{'-'.join(values)}.jsonl"
+    write_episodes(EpisodeSet(episode_set.header, episodes), path)
     counts = {}
     for measure, edges in MEASURE_CLASSES.items():
-        numbers = [value for measures in measured if (value := measures[measure]) is not None]
+        measures = [episode.measures[measure] for episode in episodes]
+        numbers = [value for value in measures if value is not None]
         counts[measure] = np.histogram(numbers, [*edges, np.inf])[0].tolist()
     return {"episodes": counts}
 
 
 def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
-    """Merge several scenes' sets of episodes in order; return the pieces of the merged file.
+    """Merge the sets of episodes of several scenes, in order.
 
-    `sets` has a scene's id and file for each set. Raises a NavbakeError if the agents differ, or
-    two scenes have one id.
+    Args:
+        sets: for each set, the id of its scene and the content of its file.
+
+    Returns:
+        The content of the merged file, in pieces.
+
+    Raises:
+        NavbakeError: the sets are for agents of different sizes, or two scenes have the same id.
     """
     headers = list[Header]()
     pieces = list[bytes]()
@@ -173,15 +208,20 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
         headers.append(msgspec.structs.replace(header, grids=tuple(grids)))
         pieces.append(episodes)
     grids = [grid for header in headers for grid in header.grids]
-    again = [scene for scene, count in Counter(grid.scene for grid in grids).items() if count > 1]
-    by_agent = {header.agent: id for header, (id, _) in zip(headers, sets, strict=True)}
-    why = f"two scenes are called {again[0]!r}:" if again else ""
-    if len(by_agent) > 1:
-        sizes = [f"{a.radius:g} x {a.height:g} m in {id!r}" for a, id in by_agent.items() if a]
+    count_of_scene = Counter(grid.scene for grid in grids)
+    repeated = [scene for scene, count in count_of_scene.items() if count > 1]
+    id_of_agent = {header.agent: id for header, (id, _) in zip(headers, sets, strict=True)}
+    reason = f"two scenes are called {repeated[0]!r}:" if repeated else ""
+    if len(id_of_agent) > 1:
+        sizes = [
+            f"{agent.radius:g} x {agent.height:g} m in {id!r}"
+            for agent, id in id_of_agent.items()
+            if agent
+        ]
         remedy = "`--set agent.radius=… --set agent.height=…` gives all scenes one, or"
-        why = why or f"agents differ in size ({' and '.join(sizes[:2])}): {remedy}"
-    if why:
-        raise NavbakeError(f"the scenes' episodes are no set, as {why} use those of each scene")
+        reason = reason or f"agents differ in size ({' and '.join(sizes[:2])}): {remedy}"
+    if reason:
+        raise NavbakeError(f"the scenes' episodes are no set, as {reason} use those of each scene")
     rejected = sum((Counter(header.rejected) for header in headers), Counter[str]())
     merged = msgspec.structs.replace(
         headers[0],

@@ -1,10 +1,11 @@
 """Bakes a batch of scenes, each once, and writes the index, sets of episodes and shards.
 
-Shards are tar files as WebDataset reads them. A sample is a scene. Its key is the scene's id, with
-``%2E`` for a dot and ``%25`` for a percent sign, because a key ends at the first dot of a file's
-name. Its members are the scene's files (``0001.grid.json.gz`` for the key ``0001``) and its row of
-the index, without times (``0001.json``). Shards hold equally many scenes, in the batch's order, and
-equal scenes give equal bytes: members have no time, no owner and one mode.
+Shards are tar files that WebDataset reads. Each scene is a sample. The sample's key is the scene's
+id, with ``%2E`` for a dot and ``%25`` for a percent sign, because a key ends at the first dot of a
+file's name. The sample's members are the scene's files (``0001.grid.json.gz`` for the key ``0001``)
+and the scene's row of the index, without times (``0001.json``). The scenes are divided evenly among
+the shards, in the batch's order. Equal scenes give equal bytes: members have no time, no owner and
+the same mode.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 import re
 import tarfile
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
@@ -34,49 +35,55 @@ from navbake.batch.job import (
     bake_scene,
     begin_row,
     check_record,
-    fail,
+    current_time,
     open_scene,
-    prepare,
+    prepare_worker,
     read_record,
-    stamp,
+    record_failure,
     write_record,
 )
 from navbake.batch.products import RECORD_NAME, merge_sets
+from navbake.batch.scene_row import FileState, SceneRow
 from navbake.batch.scenes import Job, check_settings
-from navbake.batch.workers import DONE, RETRIED, Ended, JobLimits, do_jobs
+from navbake.batch.workers import DONE, RETRIED, JobEnd, JobLimits, do_jobs
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
 from navbake.types import Json
 
 MAX_RECORD_READS = 16  # scenes whose records are read at once
-# keys of a record that are not in the index
-RECORD_ONLY_KEYS = ("key", "inputs", "files", "ended")
+UNLOGGED_KEYS = ("key", "inputs", "files", "ended")  # keys of a row that the log leaves out
 SHARD_PATTERN = re.compile(r"shard-\d{6,}\.tar")
-TIME_KEYS = ("seconds", "stages", "ended")  # keys of a row that differ each time
-# why a scene isn't baked, or would be in vain
+TIME_KEYS = ("seconds", "stages", "ended")  # keys of a row that differ in each run
+# reasons of `preview` for scenes that would not be baked
 DONE_BEFORE = "done"
 BROKEN_BEFORE = "broken"
-PERCENTILES = (50, 90, 100)  # percentiles
+PERCENTILES = (50, 90, 100)  # of the cost of scenes: the median, the 90th, and the maximum
 
 
-Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
-"""Does jobs as `workers.do_jobs` does, wherever its worker processes are."""
+Executor: TypeAlias = Callable[..., Generator[JobEnd, None, None]]
+"""A function with the arguments of `workers.do_jobs` that runs jobs in worker processes."""
 
 
-OnEvent: TypeAlias = Callable[[str, Json], None]
-"""Is called with what happens: ``begin`` with how many scenes there are and are `skipped`, unless
-there is none to bake; ``scene-begin`` with an `id`; ``retry`` with why; ``scene`` with its row."""
+OnBatchEvent: TypeAlias = Callable[[str, Json], None]
+"""Is called with the name of an event and its values:
+
+- ``begin``: `scenes`, the number of scenes, and `skipped`, how many of them are done already. It
+  is left out if there is no scene to bake.
+- ``scene-begin``: the scene's `id`.
+- ``retry``: the scene's `id`, `worker` and `seconds`, and in `how` and `error` why it is retried.
+- ``scene``: the scene's row of the index, and its `worker`.
+"""
 
 
 @dataclass
 class BatchResult:
     """The outcome of a batch."""
 
-    #: Of each scene, in the batch's order, as in the index.
-    rows: list[Json] = field(default_factory=list)
+    #: The rows of the index, one for each scene, in the batch's order.
+    rows: list[SceneRow] = field(default_factory=list)
     skipped: int = 0  #: Number of scenes that were done already.
-    stopped: str | None = None  #: Why the batch ended early, None if it didn't.
+    stopped: str | None = None  #: Why the batch ended early; None if it didn't.
 
     def count(self, status: str) -> int:
         """Return the number of scenes with a status: ``ok``, ``failed`` or ``left``."""
@@ -86,97 +93,109 @@ class BatchResult:
 def run_batch(
     plan: Plan,
     jobs: Sequence[Job],
-    on_event: OnEvent,
+    on_event: OnBatchEvent,
     *,
     workers: int | None = 1,
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     max_failures: int | None = None,
     executor: Executor | None = None,
-    part: index.Slice | None = None,
+    batch_slice: index.Slice | None = None,
     only_merge: bool = False,
     shards: int | None = None,
 ) -> BatchResult:
     """Bake scenes in worker processes, each into a folder of its own.
 
-    A scene is done already if its folder has the grid and a record with its key, see
-    `job.open_scene`. One that fails, hangs or crashes its worker doesn't affect others. If the
-    folder has no room, the batch stops. Unless the process is killed, the index has a row for each
-    scene, in order; ``left`` if the batch ended before it. On this machine, each row is written at
-    once.
+    Scenes that are done already are skipped, see `job.check_record`. A scene that fails, hangs or
+    crashes its worker doesn't affect others. If the output folder has no room, the batch stops.
+    Unless the process is killed, the index has a row for each scene at the end, in order; the row's
+    status is ``left`` if the batch ended before the scene. If the output folder is on this machine,
+    each row is also written as soon as its scene ends.
 
     Args:
         plan: the batch's options.
         jobs: the scenes.
-        on_event: is called with each event, see `line_of_event`.
-        workers: number of processes, >= 1; None for each CPU of a cluster, else 1.
-        limits: of each scene.
-        max_failures: the batch ends when more scenes failed than this; None for never.
-        executor: runs the worker processes; None for this machine.
-        part: bake these of the scenes only, and write their part of the index.
-        only_merge: bake nothing, and merge the parts of the index that slices wrote. Scenes without
-            a row there are ``left`` unless they are done.
-        shards: number of tar files to pack the scenes into at the end, None for none.
+        on_event: is called with each event.
+        workers: number of worker processes, >= 1; None for as many as a cluster has CPUs, or one on
+            this machine.
+        limits: the limits of time and memory of each scene.
+        max_failures: the batch ends when more scenes than this failed; None for no such limit.
+        executor: runs the worker processes; None for processes on this machine.
+        batch_slice: bake only the scenes of this slice, and write the slice's index.
+        only_merge: bake nothing, and merge the indexes that slices wrote. Scenes without a row
+            there are ``left`` unless they are done.
+        shards: number of tar files to pack the scenes into at the end; None for no tar files.
+
+    Returns:
+        The rows of the scenes, and why the batch ended early, if it did.
 
     Raises:
         ConfigError: an override or a shared setting is wrong.
-        NavbakeError: the folder can't be written, another batch writes into it, no worker process
-            starts, or the scenes' episodes can't be merged.
+        NavbakeError: the folder can't be written, another batch writes into it, or no worker
+            process starts.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     if plan.has_table:
         import_extra("pyarrow", "batch", "Parquet")
-    if part is not None:
-        jobs = jobs[part.number - 1 :: part.total]
+    if batch_slice is not None:
+        jobs = jobs[batch_slice.number - 1 :: batch_slice.total]
     with ExitStack() as stack:
         lines: index.LineFile | None = None
         if isinstance(plan.folder, Path):
-            stack.enter_context(index.only_batch(plan.folder, part))
+            stack.enter_context(index.only_batch(plan.folder, batch_slice))
             lines = index.LineFile(
-                plan.folder / (part.file if part else index.INDEX_NAME), f"into {plan.folder}"
+                plan.folder / (batch_slice.index_name if batch_slice else index.INDEX_NAME),
+                f"into {plan.folder}",
             )
             stack.callback(lines.close)
-        rows: dict[str, Json] = {}
+        rows: dict[str, SceneRow] = {}  # scene's id -> row
         if only_merge:  # scenes that slices baked, or that failed there
             batch_ids = {job.id for job in jobs}
-            merged = index.merge_rows(plan.folder, index.find_parts(plan.folder)).items()
-            baked = ((id, row) for id, row in merged if row.get("status") in (OK, FAILED))
-            rows = {id: row for id, row in baked if id in batch_ids}
-        checked = check_records(plan, [job for job in jobs if job.id not in rows])
-        rows |= {row["id"]: row for row, _ in checked if row is not None}
+            slice_rows = index.merge_rows(plan.folder, index.find_slice_indexes(plan.folder))
+            rows = {
+                id: row
+                for id, row in slice_rows.items()
+                if id in batch_ids and row.get("status") in (OK, FAILED)
+            }
+        checks = check_records(plan, [job for job in jobs if job.id not in rows])
+        rows |= {row["id"]: row for row, _ in checks if row is not None}
         remaining = [] if only_merge else [job for job in jobs if job.id not in rows]
         result = BatchResult(skipped=len(rows))
         num_failed = 0
         if only_merge:
             result.skipped = sum(row["status"] == OK for row in rows.values())
 
-        def note(jobs: Sequence[Job], event: str, ended: Ended) -> None:
-            why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
-            why |= {"how": ended.how, "error": ended.value}
-            on_event(event, {"id": jobs[ended.number].id, **(why if event == RETRIED else {})})
+        def report_job_event(jobs: Sequence[Job], event: str, end: JobEnd) -> None:
+            values: Json = {"id": jobs[end.number].id}
+            if event == RETRIED:
+                values["worker"] = end.worker
+                values["seconds"] = round(end.seconds, 3)
+                values["how"] = end.how
+                values["error"] = end.value
+            on_event(event, values)
 
         try:
             if remaining:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
             twins = find_twins(plan, jobs, rows) if remaining else {}
-            first = [job for job in remaining if job.id not in twins]
-            then = [job._replace(twin=twins[job.id]) for job in remaining if job.id in twins]
+            baked_jobs = [job for job in remaining if job.id not in twins]
+            copied_jobs = [job._replace(twin=twins[job.id]) for job in remaining if job.id in twins]
             execute: Executor = executor or do_jobs
-            for stage_jobs in filter(None, (first, then)):
-                ended = execute(
+            for stage_jobs in filter(None, (baked_jobs, copied_jobs)):
+                job_ends = execute(
                     stage_jobs,
                     partial(bake_scene, plan),
                     workers or (None if executor else 1),
                     limits=limits,
-                    prepare=partial(prepare, plan.products, plan.thumbnail),
-                    on_event=partial(note, stage_jobs),
+                    prepare=partial(prepare_worker, plan.products, plan.thumbnail),
+                    on_event=partial(report_job_event, stage_jobs),
                 )
-                with closing(ended):
-                    for end in ended:
+                with closing(job_ends):
+                    for end in job_ends:
                         job = stage_jobs[end.number]
                         row = end.value
                         if end.how != DONE:
-                            row = fail(plan, job, end.how, end.value, end.seconds)
-                        if row["status"] == LEFT_OUT:  # no room for others, either
+                            row = record_failure(plan, job, end.how, end.value, end.seconds)
+                        if row["status"] == LEFT_OUT:  # there is no room for other scenes, either
                             result.stopped = row["error"]
                             break
                         rows[job.id] = row
@@ -196,13 +215,13 @@ def run_batch(
                 # a killed worker may leave files; on a store, the next run removes them
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
-                        remove_leftovers(Path(plan.place(job)), age=0)
+                        remove_leftovers(Path(plan.scene_folder(job)), age=0)
             result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT_OUT) for job in jobs]
             try:
-                index.write_index(plan.folder, result.rows, plan.has_table, part)
+                index.write_index(plan.folder, result.rows, plan.has_table, batch_slice)
             except store.FullError as error:
                 result.stopped = result.stopped or str(error)
-        if result.stopped is None and part is None:
+        if result.stopped is None and batch_slice is None:
             try:
                 write_sets(plan, result.rows)
                 write_shards(plan.folder, result.rows, shards)
@@ -211,10 +230,15 @@ def run_batch(
         return result
 
 
-def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
-    """Merge the scenes' sets of episodes; write one file for each product beside the index.
+def write_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
+    """Merge the scenes' sets of episodes, and write one file for each product of that kind.
 
-    Raises a NavbakeError if they can't be merged, see `products.merge_sets`, or written.
+    Args:
+        plan: the batch's options; the files get into its folder.
+        rows: the rows of the batch's scenes.
+
+    Raises:
+        NavbakeError: the sets can't be merged, see `products.merge_sets`, or written.
     """
     for product in plan.products:
         kind, *values = product.split(":")
@@ -225,44 +249,51 @@ def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
             store.write_file(plan.folder, name, merge_sets(sets))
 
 
-def write_shards(folder: store.Folder, rows: Sequence[Json], count: int | None) -> None:
-    """Pack the scenes into `count` tar files: ``shard-000000.tar`` and so on.
+def write_shards(folder: store.Folder, rows: Sequence[SceneRow], count: int | None) -> None:
+    """Pack the scenes that are ``ok`` into tar files: ``shard-000000.tar`` and so on.
 
-    If there are fewer scenes than `count`, each gets a shard. `rows` are the rows of the index;
-    scenes that aren't ``ok`` are left out. Shards are recorded as a scene's files are. Recorded
-    shards of earlier runs are removed, all of them if `count` is None; other files of such a name
-    are left alone.
+    The names of the shards are recorded in the folder. Recorded shards of earlier runs that aren't
+    written again are removed; other files with such names are the user's and stay.
+
+    Args:
+        folder: the batch's output folder.
+        rows: the rows of the index.
+        count: number of shards; with fewer scenes than this, each scene gets a shard. None for no
+            shards.
     """
-    packed = [row for row in rows if row["status"] == OK] if count else []
-    number = min(count or 0, len(packed))
-    names = [f"shard-{k:06}.tar" for k in range(number)]
-    before = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
+    packed_rows = [row for row in rows if row["status"] == OK] if count else []
+    num_scenes = len(packed_rows)
+    num_shards = min(count or 0, num_scenes)
+    names = [f"shard-{number:06}.tar" for number in range(num_shards)]
+    earlier_names = {*filter(SHARD_PATTERN.fullmatch, read_record(folder).get("files", ()))}
     if names:
-        write_record(folder, {"files": dict.fromkeys(sorted({*before, *names}))})
-    for k, name in enumerate(names):
-        shard_rows = packed[len(packed) * k // number : len(packed) * (k + 1) // number]
-        store.write_file(folder, name, _encode_shard(folder, shard_rows))
-    store.remove_files(folder, sorted(before - {*names}))
+        write_record(folder, {"files": dict.fromkeys(sorted({*earlier_names, *names}))})
+    for number, name in enumerate(names):
+        begin = num_scenes * number // num_shards
+        end = num_scenes * (number + 1) // num_shards
+        store.write_file(folder, name, _encode_shard(folder, packed_rows[begin:end]))
+    store.remove_files(folder, sorted(earlier_names - {*names}))
     if names:
         write_record(folder, {"files": dict.fromkeys(names)})
-    elif before:
+    elif earlier_names:
         store.remove_files(folder, [RECORD_NAME])
 
 
-def _encode_shard(folder: store.Folder, rows: Sequence[Json]) -> Iterator[bytes]:
-    """The pieces of a tar file."""
+def _encode_shard(folder: store.Folder, rows: Sequence[SceneRow]) -> Iterator[bytes]:
+    """Yield the content of a tar file with these scenes, in several pieces."""
     for row in rows:
         key = row["id"].replace("%", "%25").replace(".", "%2E")
         for name in sorted(row["files"]):
-            yield from _member(
+            yield from _encode_member(
                 f"{key}.{name}", store.read_file(store.join(folder, f"{row['id']}/{name}"))
             )
         timeless_row = {name: value for name, value in row.items() if name not in TIME_KEYS}
-        yield from _member(f"{key}.json", index.line_of(timeless_row))
+        yield from _encode_member(f"{key}.json", index.encode_line(timeless_row))
     yield bytes(2 * tarfile.BLOCKSIZE)
 
 
-def _member(name: str, content: bytes) -> Iterator[bytes]:
+def _encode_member(name: str, content: bytes) -> Iterator[bytes]:
+    """Yield a member of a tar file in pieces: its header, its content, and the padding."""
     info = tarfile.TarInfo(name)
     info.size = len(content)
     yield info.tobuf(tarfile.PAX_FORMAT)
@@ -270,58 +301,75 @@ def _member(name: str, content: bytes) -> Iterator[bytes]:
     yield bytes(-len(content) % tarfile.BLOCKSIZE)
 
 
-def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, str]]:
+def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[SceneRow | None, str]]:
     """Return the result of `job.check_record` for each scene, in order."""
     sizes = store.sizes_below(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(MAX_RECORD_READS) as pool:  # stores respond slowly
         return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
 
 
-def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dict[str, str]:
-    """Find scenes that aren't done but have the same content as another scene.
+def find_twins(plan: Plan, jobs: Sequence[Job], done: Container[str]) -> dict[str, str]:
+    """Find the scenes that needn't be baked because another scene of the batch is equal.
 
-    Returns the id of the twin by the scene's id. The twin is a scene that is done, or else the
-    first of the equal scenes. Scenes on stores are compared only with those of the same URL, as
-    their content isn't on this machine.
+    Scenes on stores are compared only with scenes of the same URL, because their content isn't on
+    this machine.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+        done: ids of the scenes that are done; none of them is a key of the result.
+
+    Returns:
+        For each scene that can be copied, by its id: the id of its twin. The twin is an equal scene
+        that is done, or else the first of the equal scenes.
     """
 
-    def content_of(job: Job) -> str:
+    def find_digest(job: Job) -> str:
         with suppress(NavbakeError, OSError), open_scene(plan, job, copy_all=False) as scene:
-            return scene.content
-        return ""  # it fails for a reason of its own
+            return scene.content_digest
+        return ""  # its own bake will fail, and say why
 
-    alike = defaultdict[str | int, list[Job]](list)
+    # Only files of the same size can be equal. Scenes that are done come first.
+    jobs_by_size = defaultdict[str | int, list[Job]](list)
     for job in sorted(jobs, key=lambda job: job.id not in done):
         with suppress(OSError):
-            is_here = not store.is_url(job.source)
-            alike[os.path.getsize(job.source) if is_here else job.source].append(job)
-    groups = [group for group in alike.values() if group[1:] and group[-1].id not in done]
+            is_local = not store.is_url(job.source)
+            size_or_url = os.path.getsize(job.source) if is_local else job.source
+            jobs_by_size[size_or_url].append(job)
+    groups = [
+        group for group in jobs_by_size.values() if len(group) > 1 and group[-1].id not in done
+    ]
     candidates = [job for group in groups for job in group]
     with ThreadPoolExecutor(MAX_RECORD_READS) as pool:
-        contents = [*pool.map(content_of, candidates)]
-    first_of_content: dict[str, str] = {}
+        digests = [*pool.map(find_digest, candidates)]
+    id_of_digest: dict[str, str] = {}
     twins: dict[str, str] = {}
-    for job, content in zip(candidates, contents, strict=True):
-        twin = first_of_content.setdefault(content or job.id, job.id)
+    for job, digest in zip(candidates, digests, strict=True):
+        twin = id_of_digest.setdefault(digest or job.id, job.id)
         if twin != job.id and job.id not in done:
             twins[job.id] = twin
     return twins
 
 
-def line_of_event(event: str, values: Json) -> Json:
+def describe_event(event: str, values: Json) -> Json:
     """Return an event of a batch as an object for one line of JSON, for log collectors.
 
-    It has ``time``, ``level`` (``info``, ``warning`` or ``error``) and ``event``: ``begin``,
-    ``scene-begin``, ``retry``, ``scene`` or ``end``. Its other keys are those of the index.
+    Args:
+        event: the event's name, see `OnBatchEvent`; or ``end``.
+        values: its values.
+
+    Returns:
+        An object with ``time`` (ISO 8601), ``level`` (``info``, ``warning`` or ``error``),
+        ``event``, and most of the values.
     """
     is_error = values.get("status") == FAILED or values.get("stopped") or values.get("failed")
     level = "error" if is_error else "info"
     if event == RETRIED or (values.get("warnings") and not is_error):
         level = "warning"
-    values = {key: value for key, value in values.items() if key not in RECORD_ONLY_KEYS}
+    values = {key: value for key, value in values.items() if key not in UNLOGGED_KEYS}
     if event == "begin":
         values["version"] = __version__
-    return {"time": stamp(), "level": level, "event": event, **values}
+    return {"time": current_time(), "level": level, "event": event, **values}
 
 
 # ---------------------------------------------------------------- before and after a run
@@ -330,68 +378,79 @@ def line_of_event(event: str, values: Json) -> Json:
 def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
     """Find out what a batch would do, and write nothing.
 
-    Returns an object for each scene, in order, with `id`, `source`, the `bytes` of its files, and
-    `why`. `why` is the reason why it would be baked: ``new``, ``failed before``, ``equal to ID``
-    (which is baked once for both), or a reason of `job.check_record`. For a scene that would not be
-    baked it is ``done``, or ``broken: REASON`` if the scene can't be read. Raises a ConfigError if
-    an override or a shared setting is wrong.
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+
+    Returns:
+        An object for each scene, in order, with its `id`, its `source`, the size of its input files
+        (`bytes`), and `why`. For a scene that would be baked, `why` is ``new``, ``failed before``,
+        or another reason of `job.check_record`. It is ``equal to ID`` if the grid of that scene
+        would be copied; ``done`` if the scene is done; and ``broken: REASON`` if the scene can't be
+        read.
+
+    Raises:
+        ConfigError: an override or a shared setting is wrong.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
-    checked = check_records(plan, jobs)
-    done = {row["id"]: row for row, _ in checked if row is not None}
+    checks = check_records(plan, jobs)
+    done = {row["id"]: row for row, _ in checks if row is not None}
     twins = find_twins(plan, jobs, done)
-    failed = {
+    failed_ids = {
         id for id, row in index.read_index(plan.folder).items() if row.get("status") == FAILED
     }
 
-    def measure(job: Job) -> tuple[int, str]:
+    def measure_inputs(job: Job) -> tuple[int, str]:
+        """Return the size of a scene's files [bytes], and why it can't be read, or ``""``."""
         if job.id in done:
             return _sum_sizes(done[job.id].get("inputs")), ""
         try:
             with open_scene(plan, job, copy_all=False) as scene:
-                lack = (
-                    ""
-                    if scene.inputs
-                    else f"{BROKEN_BEFORE}: no scene file {store.shown(job.source)}"
-                )
-                return _sum_sizes(scene.inputs), lack
+                if not scene.inputs:
+                    source = store.without_secrets(job.source)
+                    return 0, f"{BROKEN_BEFORE}: no scene file {source}"
+                return _sum_sizes(scene.inputs), ""
         except (NavbakeError, OSError) as error:
             return 0, f"{BROKEN_BEFORE}: {printable(str(error))}"
 
     with ThreadPoolExecutor(MAX_RECORD_READS) as pool:
-        measured = [*pool.map(measure, jobs)]
+        measures = [*pool.map(measure_inputs, jobs)]
     previews = []
-    for job, (row, why), (num_bytes, broken) in zip(jobs, checked, measured, strict=True):
+    for job, (row, why), (num_bytes, broken) in zip(jobs, checks, measures, strict=True):
         if row is not None:
             why = DONE_BEFORE
-        elif broken or job.id in twins:
-            why = broken or f"equal to {twins[job.id]}"
-        elif why == NOT_RECORDED and job.id in failed:
+        elif broken:
+            why = broken
+        elif job.id in twins:
+            why = f"equal to {twins[job.id]}"
+        elif why == NOT_RECORDED and job.id in failed_ids:
             why = "failed before"
         source = begin_row(plan, job, "")["source"]
         previews.append({"id": job.id, "source": source, "why": why, "bytes": num_bytes})
     return previews
 
 
-def measure_cost(rows: Iterable[Json]) -> Json | None:
+def measure_cost(rows: Iterable[SceneRow]) -> Json | None:
     """Return statistics of what the scenes that are ``ok`` cost; None without such a scene.
 
-    The object has the number of `scenes`, and the sum, the median, the 90th percentile and the
-    maximum of two quantities: the `seconds` of a scene, and the `bytes` of the files made of it.
+    The object has the number of these scenes (`scenes`). It has `sum`, `median`, `p90` (the 90th
+    percentile) and `max` of two quantities: the time that a scene took (`seconds`), and the size of
+    the files that were made of it (`bytes`).
     """
-    done = [row for row in rows if row.get("status") == OK]
-    if not done:
+    done_rows = [row for row in rows if row.get("status") == OK]
+    if not done_rows:
         return None
-    values = {
-        "seconds": [row.get("seconds", 0.0) for row in done],
-        "bytes": [_sum_sizes(row.get("files")) for row in done],
+    quantities: dict[str, list[float]] = {
+        "seconds": [row.get("seconds", 0.0) for row in done_rows],
+        "bytes": [_sum_sizes(row.get("files")) for row in done_rows],
     }
-    cost: Json = {"scenes": len(done)}
-    for name, each in values.items():
-        shares = np.percentile(each, PERCENTILES, method="inverted_cdf").tolist()
-        cost[name] = dict(zip(("sum", "median", "p90", "max"), (sum(each), *shares), strict=True))
+    cost: Json = {"scenes": len(done_rows)}
+    for name, values in quantities.items():
+        median, p90, maximum = np.percentile(values, PERCENTILES, method="inverted_cdf").tolist()
+        cost[name] = {"sum": sum(values), "median": median, "p90": p90, "max": maximum}
     return cost
 
 
-def _sum_sizes(files: Json | None) -> int:
+def _sum_sizes(files: Mapping[str, FileState] | None) -> int:
+    """Return the total size of files [bytes], 0 for None."""
     return sum(state["size"] for state in (files or {}).values())

@@ -1,4 +1,4 @@
-"""Lists scenes from paths, patterns, files of rows and URLs, and merges the settings of each."""
+"""Lists scenes from paths, URLs, patterns and lists of scenes, and merges each scene's settings."""
 
 from __future__ import annotations
 
@@ -27,71 +27,87 @@ from navbake.types import Json
 from navbake.yaml_text import apply_overrides, decode_yaml, override_key
 
 LIST_SUFFIXES = (".txt", ".csv", ".jsonl", ".parquet")
-SCENE_KEYS = ("scene", "config")  # of a row; one of them
-TEXT_COLUMNS = ("id", *SCENE_KEYS)  # whose `001` is text
-UNIQUE_SCENE_KEYS = ("path", "id")  # keys of the settings' `scene` that are unique
+SCENE_KEYS = ("scene", "config")  # keys of which a row of a list has exactly one
+TEXT_COLUMNS = ("id", *SCENE_KEYS)  # columns of a CSV whose values stay text, such as `001`
+UNIQUE_SCENE_KEYS = ("path", "id")  # settings of the section `scene` that scenes can't share
 LINE_END = re.compile(r"\r\n?|\n")
-# characters that some file system forbids, or drops at the end of a name
+# characters that some file system forbids or drops, and names that begin with a dot
 UNPORTABLE = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
 RESERVED_NAMES = re.compile(
     r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?"
     r"|index-\d+-of-\d+\.jsonl|shard-\d+\.tar"
 )
 NO_ROW_COLUMNS: Mapping[str, str] = MappingProxyType({})
-MAX_ID_PART = 200  # of a part of an id; file systems take 255
+MAX_ID_PART = 200  # longest part of an id between slashes [bytes]; file systems take 255
 EXPECTED_SCENE = "expected a scene, settings, a list or a pattern, got"
 
 
 class Job(NamedTuple):
     """One scene of a batch."""
 
-    id: str  #: Unique in the batch; the output folder, parts between slashes. Empty until known.
+    #: Unique in the batch; also the scene's folder in the output folder, maybe with slashes. Empty
+    #: while `list_jobs` hasn't yet given it one.
+    id: str
     source: str  #: The path or URL of the scene, or of its settings (YAML).
-    settings: Json  #: Override the batch's settings for it, by section.
-    place: str  #: Its place in a list, for messages.
-    list: str = ""  #: The URL of its list; empty for local lists and sources given by the user.
-    twin: str = ""  #: The id of an equal scene, whose grid serves for this one; empty without one.
+    settings: Json  #: The scene's own settings by section; they override those of the batch.
+    place: str  #: Where the user named the scene, for messages: ``list.csv, line 3``.
+    list: str = ""  #: The URL of the list that names the scene; empty if there is none.
+    twin: str = ""  #: The id of an equal scene whose grid is copied; empty if the scene is baked.
 
 
 def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMNS) -> list[Job]:
-    """List the scenes of sources, in their order.
+    """List the scenes that the sources of a batch name, in order.
 
-    A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
-    sorted; or a list: ``.txt`` with a path a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a row
-    a scene; all but Parquet also with ``.gz``. Each may be a URL that fsspec knows. Paths in a list
-    are relative to it. A row has ``scene`` or ``config``; it may have ``id``, and settings under
-    their keys (``agent.radius``), in JSON lines and Parquet also as ``"settings": {"agent":
-    {"radius": 0.3}}``. Empty values are ignored. A given id is the grid's, too, and overrides the
-    scene's own settings; the default is the file's name without its ending, and with the parent
-    folders needed to make it unique.
+    A source is one of these, as a path or as a URL that fsspec knows:
 
-    With `columns`, lists of other programs are read: the names of their columns by those above.
-    Their other columns are ignored. A dot leads into an object: ``files.mjcf``.
+    - a scene, or settings (YAML);
+    - a pattern with ``*``, ``?`` or ``[``; its files are sorted by name;
+    - a list: ``.txt`` with a path in each line; or ``.csv``, ``.jsonl`` or ``.parquet`` with a row
+      for each scene. All but Parquet may be compressed (``.gz``).
+
+    Paths in a list are relative to the list's folder. A row has the path of the scene (``scene``)
+    or of its settings (``config``). It may have ``id``, and settings by their keys, such as
+    ``agent.radius``; in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``.
+    Empty values are ignored.
+
+    The id of a row also becomes the grid's id, in place of the id in the scene's settings. Without
+    it, a scene's id in the batch is the file's name without its ending, with as many parent folders
+    as it takes to be unique.
+
+    Args:
+        sources: the sources.
+        columns: for a list of another program: navbake's name of a column -> its name in the list.
+            A dot leads into an object: ``files.mjcf``. Other columns of the list are ignored.
+
+    Returns:
+        A job for each scene.
 
     Raises:
-        ConfigError: a source is empty, a list is broken, or ids are not unique. Missing scenes of
-            lists and URLs fail later, each by itself.
+        ConfigError: a source is empty, a list is broken, or ids are not unique. Scenes of a list
+            and URLs aren't looked for: a missing one fails later, by itself.
         NavbakeError: a list can't be read, or a dependency for it is not installed.
     """
     listed = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
     if not listed:
         raise ConfigError("expected at least one scene, got none")
     jobs = []
-    for name, job in zip(_name(listed), listed, strict=True):
+    for name, job in zip(_choose_ids(listed), listed, strict=True):
         check_id(name, job.place)
-        job_settings = merge(job.settings, of_id(name), job.place) if job.id else job.settings
+        job_settings = (
+            merge(job.settings, id_as_settings(name), job.place) if job.id else job.settings
+        )
         jobs.append(job._replace(id=name, settings=job_settings))
-    by_folder: dict[str, Job] = {}  # by folders that are the same on some file system
+    job_of_id: dict[str, Job] = {}  # by the id as file systems compare it
     for job in jobs:
-        twin = by_folder.setdefault(fold_name(job.id), job)
-        if twin is job:
+        earlier = job_of_id.setdefault(fold_name(job.id), job)
+        if earlier is job:
             continue
-        if (twin.id, twin.source) == (job.id, job.source):
+        if (earlier.id, earlier.source) == (job.id, job.source):
             raise ConfigError(
-                f"expected each scene once, got {shorten(job.source)} at {twin.place} and at "
+                f"expected each scene once, got {shorten(job.source)} at {earlier.place} and at "
                 f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
-        first = f"{shorten(repr(twin.id))} at {twin.place}"
+        first = f"{shorten(repr(earlier.id))} at {earlier.place}"
         second = f"{shorten(repr(job.id))} at {job.place}"
         raise ConfigError(
             f"expected unique ids, got {first} and {second}: give each an `id` of its own"
@@ -100,12 +116,16 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_ROW_COLUMN
 
 
 def check_id(name: str, place: str) -> None:
-    r"""Refuse an id that may lead out of the output folder, or that some file system refuses.
+    r"""Check that an id can be a folder in the output folder on any operating system.
 
-    Raises a ConfigError if the id is empty, is absolute, or names a file that navbake writes for
-    another scene. Raises it as well if a part of the id begins with a dot, ends with a dot or a
-    space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or an
-    unprintable character.
+    Args:
+        name: the id; its parts are separated by slashes.
+        place: where the scene is named, for errors.
+
+    Raises:
+        ConfigError: a part is empty (also in an absolute path); begins with a dot or a space; ends
+            with one; is longer than `MAX_ID_PART`; has one of ``\:*?"<>|`` or an unprintable
+            character; or is a name that Windows reserves or navbake writes.
     """
     for part in name.split("/"):
         is_fit = part.isprintable() and 0 < len(part.encode()) <= MAX_ID_PART
@@ -120,37 +140,48 @@ def check_id(name: str, place: str) -> None:
 
 
 def fold_name(name: str) -> str:
-    """Fold a name by Unicode's canonical caseless matching, as some file systems compare names."""
+    """Fold a name so that names become equal that some file system takes for the same.
+
+    This is the canonical caseless matching of Unicode.
+    """
     return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
 
 
-def _name(listed: list[Job]) -> list[str]:
-    """The ids of entries: their own, or the unique ends of their paths."""
-    paths = [_parts_of(entry.source) for entry in listed]
-    depths = [1] * len(listed)
+def _choose_ids(jobs: list[Job]) -> list[str]:
+    """Return the ids of scenes: that of the job, or else the end of its path.
+
+    The end of a path has as many folders as it takes to differ from the other ids.
+    """
+    paths = [_path_parts(job.source) for job in jobs]
+    num_parts = [1] * len(jobs)  # how many parts of its path each id has
     while True:
-        rows = [*zip(listed, paths, depths, strict=True)]
-        names = [entry.id or "/".join(parts[-depth:]) for entry, parts, depth in rows]
-        counts = Counter(map(fold_name, names))
-        depths = [
-            depth + (not entry.id and counts[fold_name(name)] > 1 and depth < len(parts))
-            for (entry, parts, depth), name in zip(rows, names, strict=True)
-        ]
-        if depths == [depth for *_, depth in rows]:
+        names = []
+        for job, parts, count in zip(jobs, paths, num_parts, strict=True):
+            names.append(job.id or "/".join(parts[-count:]))
+        count_of_name = Counter(map(fold_name, names))
+        is_longest = True
+        for index, (job, parts, name) in enumerate(zip(jobs, paths, names, strict=True)):
+            is_repeated = count_of_name[fold_name(name)] > 1
+            if not job.id and is_repeated and num_parts[index] < len(parts):
+                num_parts[index] += 1
+                is_longest = False
+        if is_longest:
             return names
 
 
-def _parts_of(source: str) -> tuple[str, ...]:
-    """The parts of a path that can be an id: without its ending and the root."""
+def _path_parts(source: str) -> tuple[str, ...]:
+    """Return the parts of a path or URL that an id may have: no root or host, and no ending."""
     if store.is_url(source):
-        path = PurePosixPath("/", store.shown(source).partition("://")[2].rpartition("@")[2])
+        path = PurePosixPath(
+            "/", store.without_secrets(source).partition("://")[2].rpartition("@")[2]
+        )
         return path.with_suffix("").parts[1:] if path.name else ("",)
     return Path(os.path.splitext(os.path.abspath(source))[0]).parts[1:]
 
 
 def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
-    """The scenes of a source."""
-    name = store.shown(source)
+    """Yield the scenes that a source names, see `list_jobs`."""
+    name = store.without_secrets(source)
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
     if not store.is_url(source) and not is_pattern and not os.path.exists(source):
         settings = str(samples.find(source))
@@ -167,13 +198,13 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
         if store.is_url(source):
             paths = store.match_files(source)
         else:
-            # a folder is no scene; one that can't be read, as by a broken link, will fail
+            # A folder is no scene. A broken link stays, so that its scene fails.
             matches = sorted(glob.glob(source, recursive=True))
             paths = [path for path in matches if os.path.isfile(path) or not os.path.exists(path)]
         if not paths:
             raise ConfigError(f"expected files that match {name}, got none")
         for path in paths:
-            yield Job("", path, {}, store.shown(path))
+            yield Job("", path, {}, store.without_secrets(path))
     else:
         yield Job("", source, {}, name)
 
@@ -182,30 +213,44 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
 
 
 def _list_ending(name: str) -> str:
-    """The ending of a list's name, without ``.gz``."""
+    """Return the ending of a list's name in lower case, without ``.gz``."""
     return PurePosixPath(name.lower().removesuffix(".gz")).suffix
 
 
 def _read_list(source: str, columns: Mapping[str, str]) -> list[Job]:
-    """The scenes of a list, each with the place of its row for messages."""
-    name = store.shown(source)
-    read = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows, ".parquet": _table_rows}
+    """Read the scenes of a list; for `columns` see `list_jobs`."""
+    name = store.without_secrets(source)
+    readers = {
+        ".txt": _read_text_rows,
+        ".csv": _read_csv_rows,
+        ".jsonl": _read_json_rows,
+        ".parquet": _read_parquet_rows,
+    }
     content = store.read_file(source)
     content = unpack(content, name) if name.lower().endswith(".gz") else content
-    rows = read[_list_ending(name)](content, name, {*SCENE_KEYS, *columns.values()})
-    on_web = source if store.is_url(source) else ""
-    jobs = [
-        _entry(_pick(row, columns, place), store.parent(source), place)._replace(list=on_web)
-        for place, row in rows
-    ]
+    read_rows = readers[_list_ending(name)]
+    list_url = source if store.is_url(source) else ""
+    jobs = []
+    for place, row in read_rows(content, name, {*SCENE_KEYS, *columns.values()}):
+        job = _make_job(_select_columns(row, columns, place), store.parent(source), place)
+        jobs.append(job._replace(list=list_url))
     if not jobs:
         raise ConfigError(f"expected at least one scene in {name}, got none")
     return jobs
 
 
-def _pick(row: Json, columns: Mapping[str, str], place: str) -> Json:
-    """A row by navbake's keys, from columns of other names; the row itself without `columns`."""
-    picked: Json = {}
+def _select_columns(row: Json, columns: Mapping[str, str], place: str) -> Json:
+    """Return a row of another program's list under navbake's keys.
+
+    Args:
+        row: the row, by the list's names of columns.
+        columns: see `list_jobs`; if empty, the row is returned as it is.
+        place: the place of the row, for errors.
+
+    Raises:
+        ConfigError: the row lacks the column with the scene.
+    """
+    selected: Json = {}
     for key, column in columns.items():
         value: object = row.get(column)
         if column not in row:
@@ -215,16 +260,26 @@ def _pick(row: Json, columns: Mapping[str, str], place: str) -> Json:
         if value is None and key in SCENE_KEYS:
             present = ", ".join(map(repr, row))
             raise ConfigError(f"expected a column {column!r} at {place}, got {shorten(present)}")
-        picked[key] = value
-    return picked if columns else row
+        selected[key] = value
+    return selected if columns else row
 
 
-def _entry(row: Json, folder: store.Folder, place: str) -> Job:
-    row = _without_nones(row)
+def _make_job(row: Json, folder: store.Folder, place: str) -> Job:
+    """Return the scene of a row of a list.
+
+    Args:
+        row: the row, by navbake's keys.
+        folder: the list's folder; paths in the row are relative to it.
+        place: the place of the row, for messages.
+
+    Raises:
+        ConfigError: the row names no scene or several, or has a wrong id or an unknown setting.
+    """
+    row = _without_empty_values(row)
     sources = [row.pop(key) for key in SCENE_KEYS if key in row]
     if len(sources) != 1 or not isinstance(sources[0], str):
         hint = "; --column scene=NAME names the column that has it" if not sources and row else ""
-        if {"rooms", "walls", "objects"} <= row.keys():  # without its objects' shapes
+        if {"rooms", "walls", "objects"} <= row.keys():  # it lacks the shapes of its objects
             hint = "; a house of ProcTHOR only names the assets in it: list an MJCF of it"
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}{hint}")
     name = row.pop("id", None)
@@ -234,7 +289,7 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     if isinstance(name, bool) or not isinstance(name, str | int | None):
         actual = show_value(name)
         raise ConfigError(f"expected text or a whole number as `id` at {place}, got {actual}")
-    settings = nest([*nested.items(), *row.items()], folder, place)
+    settings = nest_settings([*nested.items(), *row.items()], folder, place)
     check_shared(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
         expected = "`id`, `scene`, `config` or a setting such as `agent.radius`"
@@ -245,23 +300,23 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     return Job("" if name is None else str(name), store.join(folder, sources[0]), settings, place)
 
 
-def _without_nones(row: Mapping[str, Any]) -> Json:
-    """A row, or settings in it, without empty values."""
-    cleaned = {}
+def _without_empty_values(row: Mapping[str, Any]) -> Json:
+    """Return a row, and the objects in it, without None, NaN, empty texts and empty objects."""
+    result = {}
     for key, value in row.items():
-        cleaned_value = _without_nones(value) if isinstance(value, Mapping) else value
-        if (
-            cleaned_value not in (None, "", {}) and cleaned_value == cleaned_value
-        ):  # NaN is none, too
-            cleaned[key] = cleaned_value
-    return cleaned
+        new_value = _without_empty_values(value) if isinstance(value, Mapping) else value
+        is_nan = new_value != new_value
+        if new_value not in (None, "", {}) and not is_nan:
+            result[key] = new_value
+    return result
 
 
 Rows: TypeAlias = Iterator[tuple[str, Json]]
-"""The rows of a list, each with its place."""
+"""The rows of a list. Each is a pair: its place, such as ``list.csv, line 3``, and its values."""
 
 
-def _lines(content: bytes, name: str) -> list[str]:
+def _split_lines(content: bytes, name: str) -> list[str]:
+    """Decode a list and split it into lines; `name` is the list's name, for errors."""
     try:
         return LINE_END.split(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -269,14 +324,14 @@ def _lines(content: bytes, name: str) -> list[str]:
         raise ConfigError(f"expected UTF-8 in {name}, line {number}: {error.reason}") from error
 
 
-def _text_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
-    for number, line in enumerate(_lines(content, name), 1):
+def _read_text_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
+    for number, line in enumerate(_split_lines(content, name), 1):
         if line.strip() and not line.strip().startswith("#"):
             yield f"{name}, line {number}", {"scene": line.strip()}
 
 
-def _json_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
-    for number, line in enumerate(_lines(content, name), 1):
+def _read_json_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
+    for number, line in enumerate(_split_lines(content, name), 1):
         place = f"{name}, line {number}"
         if not line.strip():
             continue
@@ -289,12 +344,18 @@ def _json_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
         yield place, row
 
 
-def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
-    """The rows by their first line, as a quoted value may span several.
+def _read_csv_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
+    """Read the rows of a CSV; the place of a row that spans several lines is its first line.
 
-    One of the columns `scenes` is expected.
+    Args:
+        content: the file's content.
+        name: the file's name, for errors.
+        scene_columns: names of columns that may have the scene.
+
+    Raises:
+        ConfigError: the file is broken, or has none of `scene_columns`.
     """
-    text = (f"{line}\n" for line in _lines(content, name))
+    text = (f"{line}\n" for line in _split_lines(content, name))
     lines = csv.reader(text, strict=True, skipinitialspace=True)
     columns: list[str] = []
     place = f"{name}, line 1"
@@ -302,7 +363,7 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
         for values in lines:
             if values and not columns:
                 columns = values
-                if not {*columns} & scenes:
+                if not {*columns} & scene_columns:
                     expected = "expected names of columns, `scene` or `config` among them"
                     got = show_value(",".join(columns))
                     raise ConfigError(f"{expected}, got {got} at {place}")
@@ -311,22 +372,25 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
                 got = show_value(",".join(values))
                 raise ConfigError(f"{expected}, got {len(values)}: {got}")
             elif values:
-                cells = zip(columns, values, strict=False)
-                yield place, {key: v if key in TEXT_COLUMNS else _plain(v) for key, v in cells if v}
+                row: Json = {}
+                for key, text_value in zip(columns, values, strict=False):
+                    if text_value:
+                        row[key] = text_value if key in TEXT_COLUMNS else _parse_cell(text_value)
+                yield place, row
             place = f"{name}, line {lines.line_num + 1}"
     except csv.Error as error:
         raise ConfigError(f"broken CSV at {place}: {error}") from error
 
 
-def _plain(text: str) -> Any:
-    """A cell of a CSV: a number, true, false, a list or an object as in JSON, else text."""
+def _parse_cell(text: str) -> Any:
+    """Return the value of a cell of a CSV: what it is in JSON, or else the text itself."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
         return text
 
 
-def _table_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
+def _read_parquet_rows(content: bytes, name: str, scene_columns: set[str]) -> Rows:
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     try:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()
@@ -334,7 +398,7 @@ def _table_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigError(f"broken Parquet in {name}: {reason}") from error
     for number, row in enumerate(rows, 1):
-        # pandas adds an index column
+        # a column that pandas adds
         without_index = {
             key: value for key, value in row.items() if not key.startswith("__index_level_")
         }
@@ -347,16 +411,19 @@ def _table_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
 def read_shared(path: str | os.PathLike[str]) -> Json:
     """Read the settings that all scenes share from a YAML file; its path may be a URL.
 
-    Raises a ConfigError for a missing file, no YAML, no mapping, or settings that select a scene.
+    Raises a NavbakeError if the file can't be read. Raises a ConfigError if it is broken, is no
+    mapping, or selects a scene.
     """
     text = store.plain_path(os.fspath(path))
-    settings = nest(_read_mapping(text).items(), store.parent(text), store.shown(text))
-    check_shared(settings, store.shown(text))
+    settings = nest_settings(
+        _read_mapping(text).items(), store.parent(text), store.without_secrets(text)
+    )
+    check_shared(settings, store.without_secrets(text))
     return settings
 
 
 def check_shared(settings: Mapping[str, Any], place: str) -> None:
-    """Refuse shared settings that select a scene."""
+    """Raise a ConfigError, which names `place`, if settings select a scene."""
     scene = {} if settings.get("scene") is None else settings["scene"]
     hint = "the batch's sources name the scenes"
     if not isinstance(scene, Mapping):
@@ -368,60 +435,87 @@ def check_shared(settings: Mapping[str, Any], place: str) -> None:
 
 
 def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str]) -> None:
-    """Check the shared settings and overrides before any scene is baked.
+    """Check the shared settings and the overrides before any scene is baked.
 
-    A file of room outlines must exist. It isn't checked if it is on a store, or if an override
-    names it relative to each scene's YAML. Raises a ConfigError.
+    A file of room outlines must exist. It isn't checked if it is on a store, or if its path is
+    relative and a source is a YAML file, because then it may be relative to that file.
+
+    Args:
+        sources: the paths of the scenes, or of their settings.
+        shared: the settings that all scenes share.
+        overrides: settings as ``a.b=value``.
+
+    Raises:
+        ConfigError: a setting is wrong, or selects a scene.
     """
     for override in overrides:
         key = override_key(override)
         if key[0] == "scene" and (len(key) == 1 or key[1] in UNIQUE_SCENE_KEYS):
             raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
-    outlines = outlines_of(apply_overrides(shared, overrides))
-    is_of_each = outlines and not os.path.isabs(outlines) and any(map(is_settings, sources))
-    if is_of_each or store.is_url(outlines):
+    outlines = room_outlines_file(apply_overrides(shared, overrides))
+    is_relative = outlines and not os.path.isabs(outlines) and any(map(is_settings, sources))
+    if is_relative or store.is_url(outlines):
         overrides = [*overrides, "rooms.polygons=[]"]
-    settings_of(Job("scene", "scene.xml", {}, "the batch"), shared, overrides)
+    merge_settings(Job("scene", "scene.xml", {}, "the batch"), shared, overrides)
 
 
-def settings_of(
+def merge_settings(
     job: Job,
     shared: Json,
     overrides: Sequence[str],
     fetch: Callable[[str], Path] = Path,
 ) -> BakeConfig:
-    """Return a scene's settings, merged from four sources; each replaces those before it.
+    """Merge the settings of a scene.
 
-    In order: the batch's shared settings, the scene's YAML file, the scene's row in a list, and the
-    overrides. Paths in the YAML and in overrides are relative to the YAML's folder. `fetch` returns
-    the local path of a file, after copying it if it is on a store. Raises a ConfigError.
+    They come from the batch's shared settings, the scene's YAML file, the scene's row in a list,
+    and the overrides. Settings that come later in this order replace earlier ones. Paths in the
+    YAML file and in overrides are relative to the YAML file's folder.
+
+    Args:
+        job: the scene.
+        shared: the settings that all scenes share.
+        overrides: settings as ``a.b=value``.
+        fetch: returns the local path of a file; it copies a file that is on a store.
+
+    Returns:
+        The settings, with local paths.
+
+    Raises:
+        ConfigError: a setting is wrong.
     """
     place = f"the settings of {job.place}"
     own_settings: Mapping[str, Any] = {"scene": {"path": job.source}}
-    outlines = outlines_of(apply_overrides({}, overrides))
+    outlines = room_outlines_file(apply_overrides({}, overrides))
     if is_settings(job.source):
         folder = store.parent(job.source)
-        own_settings = _with_files(_read_mapping(job.source), lambda name: store.join(folder, name))
+        own_settings = _map_paths(_read_mapping(job.source), lambda name: store.join(folder, name))
         outlines = outlines and store.join(folder, outlines)
-    settings = dict(of_id(job.id))
-    for part in (shared, own_settings, job.settings):
-        settings = merge(settings, part, place)
-    settings = _with_files(settings, lambda name: str(fetch(name)))
-    if outlines:  # JSON is YAML, whatever the path is
+    settings = dict(id_as_settings(job.id))
+    for layer in (shared, own_settings, job.settings):
+        settings = merge(settings, layer, place)
+    settings = _map_paths(settings, lambda name: str(fetch(name)))
+    if outlines:  # quoted as in JSON, any path is valid YAML
         overrides = [*overrides, f"rooms.polygons={json.dumps(str(fetch(outlines)))}"]
     return parse_config(settings, place, overrides)
 
 
-def of_id(name: str) -> Json:
-    """Return settings with a scene's id as `scene.id`, in which ``_`` replaces slashes."""
+def id_as_settings(name: str) -> Json:
+    """Return settings whose `scene.id` is a scene's id, with ``_`` in place of slashes."""
     return {"scene": {"id": name.replace("/", "_")}}
 
 
-def nest(settings: Iterable[tuple[str, Any]], folder: store.Folder, place: str) -> dict[str, Any]:
-    """Nest flat settings with keys such as ``agent.radius`` into sections.
+def nest_settings(
+    settings: Iterable[tuple[str, Any]], folder: store.Folder, place: str
+) -> dict[str, Any]:
+    """Nest settings with keys such as ``agent.radius`` into sections.
 
-    Relative paths are joined to `folder`. Raises a ConfigError, which names `place`, if a key is
-    unknown, or continues below a key that has a value.
+    Args:
+        settings: pairs of a key and a value.
+        folder: the folder that relative paths in the settings are joined to.
+        place: where the settings are from, for errors.
+
+    Raises:
+        ConfigError: a key is no valid key, or continues below a key that has a value.
     """
     nested: dict[str, Any] = {}
     for key, value in settings:
@@ -438,19 +532,20 @@ def nest(settings: Iterable[tuple[str, Any]], folder: store.Folder, place: str) 
         path = store.join(folder, name)
         return path if store.is_url(path) else os.path.abspath(path)
 
-    return _with_files(nested, resolve)
+    return _map_paths(nested, resolve)
 
 
-def outlines_of(settings: Mapping[str, Any]) -> str | None:
-    """Return the path of the file of room outlines in settings, None if there is none."""
+def room_outlines_file(settings: Mapping[str, Any]) -> str | None:
+    """Return the path of the file of room outlines (`rooms.polygons`); None if it isn't a path."""
     rooms = settings.get("rooms")
     name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
     return name if isinstance(name, str) else None
 
 
 def _read_mapping(path: str) -> Mapping[str, Any]:
-    value = decode_yaml(store.read_file(path), store.shown(path))
-    name = store.shown(path)
+    """Read settings from a YAML file; {} if it is empty."""
+    value = decode_yaml(store.read_file(path), store.without_secrets(path))
+    name = store.without_secrets(path)
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
@@ -458,8 +553,11 @@ def _read_mapping(path: str) -> Mapping[str, Any]:
     return value
 
 
-def _with_files(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Settings with changed paths of their scene and files of room outlines, areas and links."""
+def _map_paths(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """Return settings in which `change` has replaced each path.
+
+    Paths are those of the scene and of files with room outlines, areas and links.
+    """
     changed = dict(settings)
     for key in ("areas", "links"):
         if isinstance(changed.get(key), str):

@@ -1,4 +1,7 @@
-"""Files of a batch, on this machine or on a store of fsspec; errors name the file."""
+"""Accesses the files of a batch, on this machine or on a store that fsspec knows.
+
+Errors name the file.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 from urllib.parse import urljoin, urlsplit
 
+from navbake.batch.scene_row import FileState
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
 from navbake.files import check_regular, scratch_folder, write_whole
 from navbake.formats.source import import_extra
@@ -22,19 +26,20 @@ from navbake.types import Json
 Folder: TypeAlias = Path | str
 """A folder: a Path of this machine, or the URL of one on a store."""
 
-URL_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
+# a URL's scheme, of at least two letters (`C://` is a path of Windows), and the rest
+URL_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
 URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
 LOCAL_SCHEMES = ("file", "local")  # schemes of this machine's own files
 WEB_SCHEMES = ("http", "https")  # a query (`?…`) may follow the path; folders have no listing
-# Schemes with atomic uploads. Elsewhere a file is written under another name and moved, which on an
-# object store would be a second upload.
+# Schemes whose uploads are atomic. On other stores, a file is written under a temporary name and
+# then moved; on an object store, that would be a second upload.
 OBJECT_STORES = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "obs", "memory")
-# a store's fingerprints of a file: a digest or a version, else a time of change
+# where a store's entry of a file has a fingerprint: a digest or a version, else a time of change
 VERSION_KEYS = (
     *("etag", "md5hash", "md5", "content_md5", "content-md5", "sha", "digest", "generation"),
     *("lastmodified", "last_modified", "last-modified", "mtime", "modified", "updated", "created"),
 )
-# errors of a full file system, and what is missing
+# number of an operating system's error if there is no room for a file -> what a user can do
 FULL_DISK_REMEDIES = {
     errno.ENOSPC: "free space",
     getattr(errno, "EDQUOT", errno.ENOSPC): "free space",  # Windows has no quotas
@@ -42,7 +47,7 @@ FULL_DISK_REMEDIES = {
 }
 
 
-_hosts: set[str] = set()  # see `allow_hosts`
+_hosts: set[str] = set()  # allowed hosts in lower case, see `allow_hosts`
 
 
 class FullError(NavbakeError):
@@ -50,14 +55,17 @@ class FullError(NavbakeError):
 
 
 class MissingFileError(NavbakeError):
-    """Raised for a missing file."""
+    """Raised when a file is missing."""
 
 
 # ---------------------------------------------------------------- URLs
 
 
 def is_url(path: object) -> bool:
-    """Return whether a path is the URL of a file on a store; ``file://`` URLs are local."""
+    """Return whether a path is the URL of a file on a store.
+
+    A ``file://`` URL isn't one, since its file is on this machine.
+    """
     match = URL_PATTERN.match(path) if isinstance(path, str) else None
     return match is not None and match[1].lower() not in LOCAL_SCHEMES
 
@@ -67,13 +75,13 @@ def _is_web(url: str) -> bool:
 
 
 def plain_path(path: str) -> str:
-    """Return the path of a URL such as ``file:///a/b``; other paths and URLs stay as they are."""
+    """Return the path in a URL such as ``file:///a/b``; other paths and URLs stay as they are."""
     match = URL_PATTERN.match(path)
     return match[2] if match is not None and match[1].lower() in LOCAL_SCHEMES else path
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
-    """Return a folder as a URL without a slash at its end, or as a Path if it is local."""
+    """Return a folder: a URL without a slash at its end, or a Path if it is on this machine."""
     text = plain_path(os.fspath(path))
     return text.rstrip("/") if is_url(text) else Path(text)
 
@@ -86,7 +94,7 @@ def parent(path: str) -> Folder:
 
 
 def join(folder: Folder, name: str) -> str:
-    """Return the path of a name in a folder; a URL or an absolute path stays as it is.
+    """Join a name to a folder; a name that is a URL or an absolute path stays as it is.
 
     Raises a ConfigError if the name leads out of the folder's store.
     """
@@ -99,18 +107,21 @@ def join(folder: Folder, name: str) -> str:
     host = path.partition("/")[0]
     path = posixpath.normpath(posixpath.join(path, name))
     if path.partition("/")[0] != host:
-        raise ConfigError(f"expected a path within {shown(folder)}, got {name}")
+        raise ConfigError(f"expected a path within {without_secrets(folder)}, got {name}")
     return f"{scheme}://{path}"
 
 
-def shown(url: str) -> str:
-    """Return a URL without its password and query, to show in messages and the index."""
+def without_secrets(url: str) -> str:
+    """Return a URL without its password and query, for messages and the index.
+
+    On the web, the user is left out, too. A path stays as it is.
+    """
     match = URL_PATTERN.match(url)
     if match is None:
         return url
     authority, slash, path = _without_query(url).partition("://")[2].partition("/")
     user, at, host = authority.rpartition("@")
-    # web services use tokens as users
+    # on the web, the user may be a secret token
     user = "" if match[1].lower() in WEB_SCHEMES or not at else f"{user.partition(':')[0]}@"
     return f"{match[1]}://{user}{host}{slash}{path}"
 
@@ -125,11 +136,11 @@ def allow_hosts(hosts: Iterable[str]) -> None:
 
 
 def check_host(url: str, trusted_urls: Iterable[str]) -> None:
-    """Check that a URL that a list or settings on the web name is on a trusted host.
+    """Check that the host of a URL is allowed, so that a list on the web can't name any host.
 
     Args:
-        url: the URL that they name.
-        trusted_urls: URLs that the user gave. Their hosts are allowed, and those of `allow_hosts`.
+        url: a URL, or a path, which is always allowed.
+        trusted_urls: URLs that the user gave. Allowed are their hosts and those of `allow_hosts`.
 
     Raises:
         NavbakeError: the URL is on the web, and on a host that isn't allowed.
@@ -140,7 +151,7 @@ def check_host(url: str, trusted_urls: Iterable[str]) -> None:
         expected = " or ".join(sorted(filter(None, hosts))) or "no host"
         raise NavbakeError(
             f"expected a file of {expected}, got "
-            f"{shown(url)}: --allow-hosts {host} lets lists and redirects lead there"
+            f"{without_secrets(url)}: --allow-hosts {host} lets lists and redirects lead there"
         )
 
 
@@ -149,9 +160,9 @@ def _host(url: str) -> str:
 
 
 @cache
-def _client_options() -> Json:
-    """Options that keep a web client on allowed hosts."""
-    import aiohttp  # for fsspec's web client; in no extra
+def _web_client_options() -> Json:
+    """Return options for fsspec's web client, by which redirects lead to allowed hosts only."""
+    import aiohttp  # fsspec's web client needs it; no extra of navbake installs it
 
     async def check_redirect(
         session: aiohttp.ClientSession,
@@ -180,10 +191,10 @@ def check_inside(folder: Folder, path: Folder) -> None:
 
 def read_file(path: str | Path) -> bytes:
     """Read a whole file; raises a NavbakeError if it can't be read."""
-    with _naming("read", path):
+    with _errors_naming_file("read", path):
         if isinstance(path, str) and is_url(path):
-            system, inner = _open_store(path)
-            return bytes(system.cat_file(inner))
+            filesystem, inner = _open_store(path)
+            return bytes(filesystem.cat_file(inner))
         check_regular(path)
         return Path(path).read_bytes()
 
@@ -194,50 +205,53 @@ def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> N
     Raises a FullError if the folder has no room, and a NavbakeError if the file can't be written
     for another reason.
     """
-    with _naming("write", folder):
+    with _errors_naming_file("write", folder):
         if isinstance(folder, Path):
             check_inside(folder, folder / name)
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, folder / name)
             return
         content = content if isinstance(content, bytes) else b"".join(content)
-        system, path = _open_store(f"{folder}/{name}")
+        filesystem, path = _open_store(f"{folder}/{name}")
         if folder.partition("://")[0].lower() in OBJECT_STORES:
-            system.pipe_file(path, content)
+            filesystem.pipe_file(path, content)
             return
-        above = path.rpartition("/")[0]
-        beside = f"{above}/.navbake-{os.urandom(8).hex()}.tmp"
-        system.makedirs(above, exist_ok=True)
+        parent_path = path.rpartition("/")[0]
+        temporary_path = f"{parent_path}/.navbake-{os.urandom(8).hex()}.tmp"
+        filesystem.makedirs(parent_path, exist_ok=True)
         try:
-            system.pipe_file(beside, content)
+            filesystem.pipe_file(temporary_path, content)
             with suppress(FileNotFoundError):  # some stores don't move over existing files
-                system.rm_file(path)
-            system.mv(beside, path)
+                filesystem.rm_file(path)
+            filesystem.mv(temporary_path, path)
         except BaseException:
             with suppress(Exception):
-                system.rm_file(beside)
+                filesystem.rm_file(temporary_path)
             raise
 
 
 def remove_files(folder: Folder, names: Iterable[str]) -> None:
-    """Remove files in the given order; missing files are skipped."""
-    with _naming("write", folder):
+    """Remove files from a folder, in the given order; missing files are skipped."""
+    with _errors_naming_file("write", folder):
         for name in names:
             with suppress(FileNotFoundError, NotADirectoryError):
                 if isinstance(folder, Path):
                     (folder / name).unlink()
                 else:
-                    system, path = _open_store(f"{folder}/{name}")
-                    system.rm_file(path)
+                    filesystem, path = _open_store(f"{folder}/{name}")
+                    filesystem.rm_file(path)
 
 
 def sizes_below(folder: str) -> dict[str, int]:
-    """Return the size of each file below a folder of a store [bytes], by the file's path."""
-    with _naming("list", folder):
-        system, path = _open_store(folder)
-        system.invalidate_cache()  # others may have written since
+    """List the files in a folder of a store and its subfolders: path -> size [bytes].
+
+    The paths are relative to the folder.
+    """
+    with _errors_naming_file("list", folder):
+        filesystem, path = _open_store(folder)
+        filesystem.invalidate_cache()  # another process may have written since the last listing
         try:
-            infos = system.find(path, detail=True)
+            infos = filesystem.find(path, detail=True)
         except FileNotFoundError:
             return {}
         start = len(path.rstrip("/"))
@@ -250,22 +264,25 @@ def match_files(pattern: str) -> list[str]:
     If a file has exactly the pattern as its name, only this file is returned. Hidden files, whose
     names begin with a dot, are left out.
     """
-    with _naming("list", pattern):
-        system, path = _open_store(pattern)
-        if system.exists(path):
+    with _errors_naming_file("list", pattern):
+        filesystem, path = _open_store(pattern)
+        if filesystem.exists(path):
             return [pattern]
         is_hidden = re.compile(r"/\.").search
-        infos = system.glob(path, detail=True)
+        infos = filesystem.glob(path, detail=True)
         names = sorted(name for name, info in infos.items() if info["type"] == "file")
-        inner = path.lstrip("/")  # a store's paths have no host
-        root = pattern.removesuffix(inner)
+        store_path = path.lstrip("/")  # fsspec's paths have no scheme, and often no host
+        root = pattern.removesuffix(store_path)
         urls = [root + name.lstrip("/") for name in names if not is_hidden(name)]
-        return urls if pattern.endswith(inner) else [*map(system.unstrip_protocol, names)]
+        return urls if pattern.endswith(store_path) else [*map(filesystem.unstrip_protocol, names)]
 
 
 @lru_cache(maxsize=1 << 16)
 def _digest(path: str, size: int, modified_ns: int) -> str:
-    """The sha256 of a file, cached for scenes that share it."""
+    """Return the sha256 of a file; it is cached, as scenes share files.
+
+    The size and the time of change are arguments so that a changed file is read again.
+    """
     digest = hashlib.sha256()
     with open(path, "rb") as file:
         while chunk := file.read(1 << 20):
@@ -273,7 +290,7 @@ def _digest(path: str, size: int, modified_ns: int) -> str:
     return digest.hexdigest()
 
 
-def describe_file(path: Path) -> Json:
+def describe_file(path: Path) -> FileState:
     """Return the size and the sha256 of a local file."""
     status = os.stat(path)
     digest = _digest(str(path), status.st_size, status.st_mtime_ns)
@@ -284,25 +301,28 @@ def describe_file(path: Path) -> Json:
 
 
 class Mirror(ExitStack):
-    """A temporary folder for copies of stores' files, at their paths on the stores.
+    """A temporary folder with copies of files on stores, each at its path on the store.
 
-    It implements `scene_files.Files`: a file is copied when it is read. Local files stay in place.
+    It implements `scene_files.Files`: a file is copied when it is read. Local files aren't copied.
     """
 
     def __init__(self, trusted_urls: Iterable[str] = ()) -> None:
-        """Make an empty mirror; `trusted_urls` as in `check_host`."""
+        """Make an empty mirror; for `trusted_urls` see `check_host`."""
         super().__init__()
         self._trusted_urls = list(trusted_urls)
-        self._folder: Path | None = None
-        self._urls: dict[Path, str] = {}  # of roots of stores, and of files
-        self._listed: dict[str, dict[str, Any]] = {}  # stores' entries by folder
-        self.entries: dict[Path, Mapping[str, Any] | None] = {}  # of stores, by path
+        self._folder: Path | None = None  # made for the first file
+        # path in the folder -> URL; for the root of each store, and for files
+        self._urls: dict[Path, str] = {}
+        # path of a listed folder on its store -> name of a file there -> the store's entry of it
+        self._listings: dict[str, dict[str, Any]] = {}
+        # path in the folder -> the store's entry of the file; None if the store doesn't have it
+        self.entries: dict[Path, Mapping[str, Any] | None] = {}
 
-    def place(self, url: str) -> Path:
-        """Return the path that a store's file has in the folder, whether or not it is copied."""
+    def local_path(self, url: str) -> Path:
+        """Return the path that a store's file has in the folder; the file isn't copied by this."""
         if self._folder is None:
             self._folder = Path(os.path.realpath(self.enter_context(scratch_folder())))
-        scheme, _, authority_path = shown(url).partition("://")
+        scheme, _, authority_path = without_secrets(url).partition("://")
         authority, _, path = authority_path.partition("/")
         root = self._folder / scheme / authority
         self._urls[root] = "/".join(_without_query(url).split("/")[:3])
@@ -312,17 +332,17 @@ class Mirror(ExitStack):
     def url_of(self, path: Path) -> str | None:
         """Return the URL of a path in the folder; None for a path outside of it."""
         path = Path(os.path.abspath(path))
-        for above in (path, *path.parents) if self._urls else ():
-            if above in self._urls:
-                inner = path.relative_to(above).parts
-                return "/".join([self._urls[above], *inner])
+        for ancestor in (path, *path.parents) if self._urls else ():
+            if ancestor in self._urls:
+                return "/".join([self._urls[ancestor], *path.relative_to(ancestor).parts])
         return None
 
     def has(self, path: Path) -> bool:
-        return self._find(path) is not None
+        """Return whether a file exists, on its store or on this machine."""
+        return self._find_entry(path) is not None
 
     def ensure_local(self, path: Path) -> None:
-        """Copy a file from its store unless that is done already."""
+        """Copy a file from its store, unless it is copied already or is on this machine."""
         url = self.url_of(path)
         if url is not None and not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -336,59 +356,65 @@ class Mirror(ExitStack):
         if not is_url(name):
             return Path(name)
         check_host(name, self._trusted_urls)
-        path = self.place(name)
+        path = self.local_path(name)
         self.ensure_local(path)
         return path
 
-    def describe(self, path: Path) -> Json:
+    def describe(self, path: Path) -> FileState:
         """Return the size and a fingerprint of a file: the store's tag, or else its sha256."""
-        info = self._find(path) or {}
-        facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
-        tag = next((f"{key}:{facts[key]}" for key in VERSION_KEYS if key in facts), None)
-        if tag is None or facts.get("size") is None:
+        entry = self._find_entry(path) or {}
+        values = {key.lower(): value for key, value in entry.items() if value not in (None, "")}
+        tag = next((f"{key}:{values[key]}" for key in VERSION_KEYS if key in values), None)
+        if tag is None or values.get("size") is None:
             self.ensure_local(path)
             return describe_file(path)
-        return {"size": facts["size"], "tag": tag}
+        return {"size": values["size"], "tag": tag}
 
     def translate_paths(self, text: str) -> str:
         """Replace the mirror's local paths in a text by the URLs of the files on their stores."""
         return re.sub(re.escape(f"{self._folder}{os.sep}") + r"([\w+.-]+)[/\\]", r"\1://", text)
 
-    def _find(self, path: Path) -> Mapping[str, Any] | None:
-        """The store's entry of a file, {} for a local one; None if it doesn't exist."""
+    def _find_entry(self, path: Path) -> Mapping[str, Any] | None:
+        """Return the store's entry of a file, {} for a local file; None if it doesn't exist."""
         url = self.url_of(path)
         if url is None:
             return {} if os.path.isfile(path) else None
         path = Path(os.path.abspath(path))
         if path not in self.entries:
-            self.entries[path] = self._look(url)
+            self.entries[path] = self._look_up(url)
         return self.entries[path]
 
-    def _look(self, url: str) -> Mapping[str, Any] | None:
-        with _naming("read", url):
-            system, path = _open_store(url)
+    def _look_up(self, url: str) -> Mapping[str, Any] | None:
+        """Ask a store for its entry of a file; None if the file doesn't exist.
+
+        Except on the web, the file's whole folder is listed, and the listing is kept.
+        """
+        with _errors_naming_file("read", url):
+            filesystem, path = _open_store(url)
             folder, _, name = path.rpartition("/")
-            info: Mapping[str, Any] | None = None
+            entry: Mapping[str, Any] | None = None
             with suppress(FileNotFoundError, NotADirectoryError):
-                if _is_web(url):  # which has no listings
-                    info = system.info(path)
-                elif folder in self._listed:
-                    info = self._listed[folder].get(name)
+                if _is_web(url):  # the web has no listings
+                    entry = filesystem.info(path)
                 else:
-                    self._listed[folder] = {}  # where the folder is missing
-                    infos = system.ls(folder, detail=True)
-                    self._listed[folder] = {
-                        posixpath.basename(info["name"]): info for info in infos
-                    }
-                    info = self._listed[folder].get(name)
-            return info if info is not None and info.get("type", "file") == "file" else None
+                    if folder not in self._listings:
+                        self._listings[folder] = {}  # it stays empty if the folder is missing
+                        self._listings[folder] = {
+                            posixpath.basename(file_entry["name"]): file_entry
+                            for file_entry in filesystem.ls(folder, detail=True)
+                        }
+                    entry = self._listings[folder].get(name)
+            return entry if entry is not None and entry.get("type", "file") == "file" else None
 
 
 # ---------------------------------------------------------------- errors
 
 
-def why_full(error: BaseException | None) -> OSError | None:
-    """Return the system's "disk full" error among an error and its causes; None if none is."""
+def find_disk_full_error(error: BaseException | None) -> OSError | None:
+    """Return the first of an error and its causes that says that there is no room; else None.
+
+    That is an error of the operating system with a number of `FULL_DISK_REMEDIES`.
+    """
     while error is not None:
         if isinstance(error, OSError) and error.errno in FULL_DISK_REMEDIES:
             return error
@@ -396,50 +422,69 @@ def why_full(error: BaseException | None) -> OSError | None:
     return None
 
 
-def refused(what: str, error: OSError) -> NavbakeError:
-    """Return the error to raise for a failed write; a FullError if there is no room."""
-    why = error.strerror or str(error)
+def write_error(destination: str, error: OSError) -> NavbakeError:
+    """Return the error to raise for a failed write; a FullError if there is no room.
+
+    Args:
+        destination: completes the text ``cannot write …``: ``into out``, for example.
+        error: the error of the operating system.
+    """
+    reason = error.strerror or str(error)
+    message = f"cannot write {destination}: {reason}"
     if error.errno in FULL_DISK_REMEDIES:
         remedy = FULL_DISK_REMEDIES[error.errno]
-        return FullError(f"cannot write {what}: {why}: {remedy} and run the same command again")
-    return NavbakeError(f"cannot write {what}: {why}")
+        return FullError(f"{message}: {remedy} and run the same command again")
+    return NavbakeError(message)
 
 
 def _open_store(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path there."""
+    """Return the fsspec file system of a URL, and the path in it."""
     core = import_extra("fsspec.core", "batch", f"{url.partition('://')[0]}://")
     options: Json = {}
     if _is_web(url):
         try:
-            options["client_kwargs"] = _client_options()
+            options["client_kwargs"] = _web_client_options()
         except ImportError as error:
             raise MissingDependencyError("https:// needs aiohttp: pip install aiohttp") from error
-    system, path = core.url_to_fs(url, **options)
-    return system, str(path)
+    filesystem, path = core.url_to_fs(url, **options)
+    return filesystem, str(path)
 
 
 @contextmanager
-def _naming(doing: str, path: Folder) -> Iterator[None]:
-    """Turn errors of the system or a store into ones that name the file, without passwords."""
-    name = shown(str(path))
+def _errors_naming_file(action: str, path: Folder) -> Iterator[None]:
+    """Turn errors of the with statement into NavbakeErrors that name the file, without passwords.
+
+    Args:
+        action: what is done to the file, for errors: ``read``, ``write`` or ``list``.
+        path: the file or folder.
+
+    Raises:
+        FullError: there is no room to write.
+        MissingFileError: the file is missing.
+        MissingDependencyError: fsspec needs a package that isn't installed.
+        NavbakeError: another error; NavbakeErrors and MemoryErrors stay as they are.
+    """
+    name = without_secrets(str(path))
     try:
         yield
     except (NavbakeError, MemoryError):
         raise
     except Exception as error:  # stores' libraries raise many types
-        full = why_full(error) if doing == "write" else None
-        if doing == "write" and not is_url(path) and isinstance(error, OSError):
-            raise refused(f"into {name}", error) from error
-        if full is not None:
-            raise refused(f"into {name}", full) from error
-        cause = None if name != str(path) else error  # it may contain the password
+        disk_full_error = find_disk_full_error(error) if action == "write" else None
+        if action == "write" and not is_url(path) and isinstance(error, OSError):
+            raise write_error(f"into {name}", error) from error
+        if disk_full_error is not None:
+            raise write_error(f"into {name}", disk_full_error) from error
+        # if the URL has a password, the store's error may contain it, and isn't shown
+        cause = None if name != str(path) else error
         if isinstance(error, FileNotFoundError):
-            raise MissingFileError(f"cannot {doing} {name}: there is no such file") from cause
+            raise MissingFileError(f"cannot {action} {name}: there is no such file") from cause
         if cause is None:
-            why = type(error).__name__
+            reason = type(error).__name__
         else:
             text = " ".join(str(error).split()) or type(error).__name__
-            why = printable(URL_IN_TEXT.sub(lambda match: shown(match[0]), text)[:400])
-        # fsspec names the missing package
-        kind = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
-        raise kind(f"cannot {doing} {name}: {why}") from cause
+            text = URL_IN_TEXT.sub(lambda match: without_secrets(match[0]), text)
+            reason = printable(text[:400])
+        # an ImportError of fsspec names the missing package
+        error_type = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
+        raise error_type(f"cannot {action} {name}: {reason}") from cause

@@ -1,7 +1,8 @@
-"""Does jobs that may hang, crash or take too much memory, in worker processes.
+"""Runs jobs that may hang, crash or take too much memory, in worker processes.
 
-They are on this machine, or on a Ray cluster: there each job is a Ray task with a worker of its
-own, with the same limits, retries and reasons. Ray repeats a task whose node is lost.
+The workers run on this machine or on a Ray cluster. On a cluster, each job is a Ray task with a
+worker process of its own; limits, retries and the reasons of failures are the same. Ray repeats a
+task if it loses the node.
 """
 
 from __future__ import annotations
@@ -31,51 +32,54 @@ from navbake.files import scratch_folder
 from navbake.formats.source import import_extra
 from navbake.processes import end_with_parent, ending_of, limit_memory
 
-POLL_INTERVAL = 0.5  # interval at which the parent looks for begun jobs [s]
-MAX_OVERSLEEP = 1.0  # excess of a wait that shows that this process was stopped [s]
-JOBS_PER_WORKER = 3  # submitted jobs per worker, so that none waits for the parent
-MAX_BROKEN_POOLS = 3  # of consecutive pools without a finished job, before an error
-MAX_STDERR_TEXT = 200  # characters of a worker's stderr
+POLL_INTERVAL = 0.5  # how often the parent checks which jobs have begun [s]
+# A wait that lasts this much longer than `POLL_INTERVAL` shows that this process was suspended [s].
+MAX_OVERSLEEP = 1.0
+JOBS_PER_WORKER = 3  # jobs submitted ahead for each worker, so that no worker waits for the parent
+MAX_BROKEN_POOLS = 3  # an error is raised after so many pools in a row broke without a finished job
+MAX_STDERR_TEXT = 200  # characters of a worker's stderr that are quoted in a reason
+# how a job ended
 DONE = "done"
 CRASHED = "crashed"
 TOO_LONG = "too long"
 TOO_LARGE = "too large"
-# events besides the ends of jobs
+# events that `on_event` receives
 SCENE_BEGUN = "scene-begin"
 RETRIED = "retry"
-# of a cluster
-MAX_RAY_RETRIES = 3  # retries of a task whose node or process was lost
-CLUSTER_CHECK_INTERVAL = 5.0  # between checks of the cluster's size [s]
-CONNECTION_TIMEOUT = 10.0  # for a connection to a cluster [s]
-OBJECT_STORE_SIZE = 80 << 20  # of the object store in a cluster of one's own [bytes]
-# Read by Ray as it is imported: its processes listen on the loopback device only, and send no usage
-# statistics.
+# settings of a Ray cluster
+MAX_RAY_RETRIES = 3  # how often a task is retried whose node or process was lost
+CLUSTER_CHECK_INTERVAL = 5.0  # how often the cluster's number of CPUs is read [s]
+CONNECTION_TIMEOUT = 10.0  # longest wait for a connection to a cluster [s]
+OBJECT_STORE_SIZE = 80 << 20  # object store of a cluster that is started here [bytes]
+# Ray reads these when it is imported. With them, its processes listen on the loopback device only,
+# and send no usage statistics.
 RAY_ENVIRONMENT = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
+AnyJob = TypeVar("AnyJob")
+AnyResult = TypeVar("AnyResult")
 
 
 class JobLimits(NamedTuple):
-    """The limits of time and memory of one job, and how often it is retried."""
+    """The time and memory that one job may take, and how often it is retried."""
 
-    seconds: float | None = None  #: Time [s]; None for no limit.
-    #: Beyond the process's own at its start [GiB]; None for no limit. On Linux only.
+    seconds: float | None = None  #: Time for one attempt [s]; None for no limit.
+    #: Memory in addition to what the process has at its start [GiB]; None for no limit. Linux only.
     memory: float | None = None
-    retries: int = 0  #: Of a job that crashed or exceeded a limit.
+    retries: int = 0  #: How often a job is retried that crashed or exceeded a limit.
 
 
-class Ended(NamedTuple):
-    """The end of a job, or of an attempt at it."""
+class JobEnd(NamedTuple):
+    """How a job ended, or one attempt at it."""
 
-    number: int  #: The job's place among the jobs.
-    how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``.
-    value: Any  #: The job's result, of any type, if it is done; else the reason.
-    seconds: float = 0.0  #: Duration of the last attempt.
-    worker: int = 0  #: The id of its process, 0 if unknown.
+    number: int  #: The job's index in the sequence of jobs.
+    how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``; empty if it has just begun.
+    value: Any  #: If done, what the job returned; else the reason, a text.
+    seconds: float = 0.0  #: Duration of the last attempt [s].
+    worker: int = 0  #: The process id of its worker, 0 if unknown.
 
 
-OnEvent = Callable[[str, Ended], None]
+OnJobEvent = Callable[[str, JobEnd], None]
+"""Is called with `SCENE_BEGUN` when a job begins, and with `RETRIED` when it will be retried."""
 
 
 def do_jobs(
@@ -83,15 +87,16 @@ def do_jobs(
     work: Callable[[Any], Any],
     count: int,
     *,
-    on_event: OnEvent = lambda event, ended: None,
+    on_event: OnJobEvent = lambda event, end: None,
     **options: Any,
-) -> Generator[Ended, None, None]:
-    """Run jobs in at most `count` worker processes; see `Workers` for the arguments and errors.
+) -> Generator[JobEnd, None, None]:
+    """Run jobs in at most `count` worker processes; yield the end of each job as it ends.
 
-    The workers end when the iterator is closed or exhausted.
+    See `Workers` for the other arguments and for errors. The workers stop when the iterator is
+    closed or exhausted.
     """
     with Workers(work, min(count, len(jobs)), **options) as workers:
-        yield from workers.do(jobs, on_event)
+        yield from workers.run(jobs, on_event)
 
 
 class Workers:
@@ -105,10 +110,13 @@ class Workers:
         limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
         prepare: Callable[[], None] | None = None,
     ) -> None:
-        """Set up `count` workers, >= 1, that call `work` for each job.
+        """Set up the workers; none is started yet.
 
-        `work` is a module's function with a picklable result. `limits` apply to each job. Each
-        worker calls `prepare`, a module's function, before its first job.
+        Args:
+            work: a function at module level that does one job; its result must be picklable.
+            count: number of worker processes, >= 1.
+            limits: the limits of each job.
+            prepare: a function at module level that each worker calls before its first job.
         """
         self._work = work
         self._count = count
@@ -118,137 +126,164 @@ class Workers:
         self._pool: ProcessPool | None = None
 
     def __enter__(self) -> Workers:
-        # temporary files, and each worker's stderr by its id
+        # for the workers' temporary files, and each worker's stderr in a file named by its pid
         self._folder = self._closing.enter_context(scratch_folder())
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop()
+        self._stop_pool()
         self._closing.close()
 
-    def do(self, jobs: Sequence[Any], on_event: OnEvent) -> Iterator[Ended]:
-        """Run picklable jobs, and yield their results in the order of completion.
+    def run(self, jobs: Sequence[Any], on_event: OnJobEvent) -> Iterator[JobEnd]:
+        """Run picklable jobs, and yield the end of each as it ends.
 
-        `on_event` is called when a job begins, and when it will be retried. A job that crashed its
-        worker, or took too much memory, is retried after the other jobs, in a process of its own,
-        in case an earlier job in the process was the cause. Raises a NavbakeError if no worker
-        starts.
+        A job that crashed its worker or took too much memory is run again after all other jobs, in
+        a process of its own, since an earlier job in the same process may be the cause. Only that
+        second run counts as an attempt. A job that took too long has used up an attempt at once.
+
+        Raises:
+            NavbakeError: no worker process starts.
         """
         num_failures = [0] * len(jobs)
-        num_breaks = 0  # of the pool, in a row
-        alone = False
+        num_broken_pools = 0  # in a row
+        is_isolated = False  # whether each job has a process of its own
         waiting = deque(range(len(jobs)))
-        retried = deque[int]()
+        to_retry = deque[int]()
         while waiting:
-            for ended in self._in_pool(jobs, waiting, alone, on_event):
-                num_breaks = 0
-                is_to_blame = alone or ended.how == TOO_LONG
-                num_failures[ended.number] += is_to_blame and ended.how != DONE
-                if ended.how == DONE or num_failures[ended.number] > self._limits.retries:
-                    yield ended
+            for end in self._run_in_pool(jobs, waiting, is_isolated, on_event):
+                num_broken_pools = 0
+                if end.how != DONE and (is_isolated or end.how == TOO_LONG):
+                    num_failures[end.number] += 1
+                if end.how == DONE or num_failures[end.number] > self._limits.retries:
+                    yield end
                 else:
-                    on_event(RETRIED, ended)
-                    retried.append(ended.number)
-            if waiting or retried or alone:
-                self._stop()
-            if waiting:
-                num_breaks += 1
+                    on_event(RETRIED, end)
+                    to_retry.append(end.number)
+            if waiting or to_retry or is_isolated:
+                self._stop_pool()
+            if waiting:  # the pool broke
+                num_broken_pools += 1
             else:
-                waiting = retried
-                retried = deque()
-                alone = True
-            if num_breaks == MAX_BROKEN_POOLS:
-                reason = self._last_words(None)
+                waiting = to_retry
+                to_retry = deque()
+                is_isolated = True
+            if num_broken_pools == MAX_BROKEN_POOLS:
+                reason = self._last_stderr_line(None)
                 details = f": {reason}" if reason else ""
                 raise NavbakeError(f"cannot start a worker process{details}")
 
-    def _stop(self) -> None:
+    def _stop_pool(self) -> None:
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
             self._pool.join()
             self._pool = None
 
-    def _in_pool(
-        self, jobs: Sequence[Any], waiting: deque[int], alone: bool, on_event: OnEvent
-    ) -> Iterator[Ended]:
-        """Do the waiting jobs in a pool until all are done, or it breaks.
+    def _start_pool(self, num_jobs: int, is_isolated: bool) -> ProcessPool:
+        """Make a pool; its workers start with its first job."""
+        return ProcessPool(
+            max_workers=min(self._count, num_jobs) if is_isolated else self._count,
+            max_tasks=1 if is_isolated else 0,
+            initializer=_set_up_worker,
+            initargs=(os.getpid(), self._folder, self._limits.memory, self._prepare),
+            context=get_context("spawn"),
+        )
 
-        Unfinished jobs of a pool that breaks go back to `waiting`. If `alone`, each job has a new
-        process.
+    def _run_in_pool(
+        self, jobs: Sequence[Any], waiting: deque[int], is_isolated: bool, on_event: OnJobEvent
+    ) -> Iterator[JobEnd]:
+        """Run the waiting jobs in a pool until all have ended, or the pool breaks.
+
+        Args:
+            jobs: all jobs.
+            waiting: the indices of the jobs to run. They are taken out when they are submitted; if
+                the pool breaks, unfinished jobs are put back.
+            is_isolated: whether each job gets a new process.
+            on_event: is called when a job begins.
+
+        Yields:
+            The end of each job that ended.
         """
         if self._pool is None:
-            self._pool = ProcessPool(
-                max_workers=min(self._count, len(waiting)) if alone else self._count,
-                max_tasks=1 if alone else 0,
-                initializer=_settle,
-                initargs=(os.getpid(), self._folder, self._limits.memory, self._prepare),
-                context=get_context("spawn"),
-            )
-        number_of: dict[Future[Any], int] = {}
-        begun: dict[Future[Any], float] = {}
+            self._pool = self._start_pool(len(waiting), is_isolated)
+        job_numbers: dict[Future[Any], int] = {}  # of submitted jobs
+        begin_times: dict[Future[Any], float] = {}  # by the pool's clock [s]
         limit = self._limits.seconds
         seconds = None if limit == float("inf") else limit
-        excused: set[Future[Any]] = set()  # not late: this process, and so its workers, was stopped
-        while waiting or number_of:
-            while waiting and len(number_of) < JOBS_PER_WORKER * self._count:
-                arguments = (self._work, jobs[waiting[0]], alone, self._limits.memory)
+        # While this process was suspended, its workers were, too: these jobs took no longer.
+        suspended: set[Future[Any]] = set()
+        while waiting or job_numbers:
+            while waiting and len(job_numbers) < JOBS_PER_WORKER * self._count:
+                arguments = (self._work, jobs[waiting[0]], is_isolated, self._limits.memory)
                 try:
-                    with _ctrl_c_waits():  # the first one starts the workers
-                        future: Future[Any] = self._pool.schedule(_do, arguments, timeout=seconds)
-                except RuntimeError:  # it is broken
-                    waiting.extendleft(number_of.values())
+                    with _ctrl_c_blocked():  # the first job starts the workers
+                        future: Future[Any] = self._pool.schedule(
+                            _run_job, arguments, timeout=seconds
+                        )
+                except RuntimeError:  # the pool is broken
+                    waiting.extendleft(job_numbers.values())
                     return
-                number_of[future] = waiting.popleft()
-            before = time.time()  # the pool's clock
-            done, _ = wait(number_of, POLL_INTERVAL, FIRST_COMPLETED)
-            if time.time() - before > POLL_INTERVAL + MAX_OVERSLEEP:
-                excused.update(number_of)
-            for future in number_of.keys() - begun.keys():
-                if future.running() or future in done:
-                    begun[future] = before
-                    on_event(SCENE_BEGUN, Ended(number_of[future], "", ""))
-            for future in done:
-                number = number_of.pop(future)
-                duration = time.time() - begun.pop(future)
+                job_numbers[future] = waiting.popleft()
+            wait_begin = time.time()  # the pool's clock
+            ended, _ = wait(job_numbers, POLL_INTERVAL, FIRST_COMPLETED)
+            if time.time() - wait_begin > POLL_INTERVAL + MAX_OVERSLEEP:
+                suspended.update(job_numbers)
+            for future in job_numbers.keys() - begin_times.keys():
+                if future.running() or future in ended:
+                    begin_times[future] = wait_begin
+                    on_event(SCENE_BEGUN, JobEnd(job_numbers[future], "", ""))
+            for future in ended:
+                number = job_numbers.pop(future)
+                duration = time.time() - begin_times.pop(future)
                 error = future.exception()
                 if isinstance(error, BrokenProcessPool):
-                    waiting.extendleft([number, *number_of.values()])
+                    waiting.extendleft([number, *job_numbers.values()])
                     return
-                if isinstance(error, TimeoutError) and future in excused:
+                if isinstance(error, TimeoutError) and future in suspended:
                     waiting.append(number)
+                elif error is None:
+                    worker, how, value = future.result()
+                    yield JobEnd(number, how, value, duration, worker)
                 else:
-                    yield self._ended(number, future, error, duration)
+                    yield self._describe_failure(number, error, duration)
 
-    def _ended(
-        self, number: int, future: Future[Any], error: BaseException | None, seconds: float
-    ) -> Ended:
-        if error is None:
-            worker, how, value = future.result()
-            return Ended(number, how, value, seconds, worker)
+    def _describe_failure(self, number: int, error: BaseException, seconds: float) -> JobEnd:
+        """Say how a job ended of which the pool reports an error.
+
+        Args:
+            number: the job's index.
+            error: the pool's error.
+            seconds: how long the job ran [s].
+        """
         if isinstance(error, TimeoutError):
-            why = f"it took more than {self._limits.seconds:g} s"
-            return Ended(number, TOO_LONG, why, seconds)
+            reason = f"it took more than {self._limits.seconds:g} s"
+            return JobEnd(number, TOO_LONG, reason, seconds)
         if isinstance(error, ProcessExpired):
-            text = self._last_words(error.pid)
-            how = f"{'with' if error.exitcode >= 0 else 'by'} {ending_of(error.exitcode)}"
-            why = f"its process ended {how}{f': {text}' if text else ''}"
-            return Ended(number, CRASHED, why, seconds, error.pid)
-        why = printable(f"{type(error).__name__}: {error}".strip())
-        return Ended(number, CRASHED, why, seconds)
+            preposition = "with" if error.exitcode >= 0 else "by"
+            reason = f"its process ended {preposition} {ending_of(error.exitcode)}"
+            stderr_line = self._last_stderr_line(error.pid)
+            if stderr_line:
+                reason += f": {stderr_line}"
+            return JobEnd(number, CRASHED, reason, seconds, error.pid)
+        reason = printable(f"{type(error).__name__}: {error}".strip())
+        return JobEnd(number, CRASHED, reason, seconds)
 
-    def _last_words(self, pid: int | None) -> str:
-        """The last line of stderr of a worker, or of any, where libraries print reasons."""
-        text = b""
+    def _last_stderr_line(self, pid: int | None) -> str:
+        """Return the last line that a worker wrote to stderr, where libraries print reasons.
+
+        Args:
+            pid: the worker's process id; None for any worker.
+        """
+        content = b""
         with suppress(OSError):
             for path in self._folder.glob(str(pid or "[0-9]*")):
-                text = path.read_bytes()[-16 * MAX_STDERR_TEXT :] or text
-        lines = [line.strip() for line in text.decode(errors="replace").splitlines()]
+                content = path.read_bytes()[-16 * MAX_STDERR_TEXT :] or content
+        lines = [line.strip() for line in content.decode(errors="replace").splitlines()]
         return printable(next((line for line in reversed(lines) if line), "")[:MAX_STDERR_TEXT])
 
 
 @contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
-    """Block Ctrl-C inside; processes and threads that start inside keep it blocked.
+def _ctrl_c_blocked() -> Iterator[None]:
+    """Block Ctrl-C within the with statement; processes and threads started there keep it blocked.
 
     Without it, Ctrl-C prints the traceback of each worker that is still importing modules.
     """
@@ -258,54 +293,76 @@ def _ctrl_c_waits() -> Iterator[None]:
     from multiprocessing import resource_tracker  # Windows has none
 
     resource_tracker.ensure_running()  # its start would unblock the signal
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 # ---------------------------------------------------------------- in the worker
 
 
-def _settle(
-    parent: int, folder: Path, memory: float | None, prepare: Callable[[], None] | None
+def _set_up_worker(
+    parent_pid: int,
+    folder: Path,
+    memory: float | None,
+    prepare: Callable[[], None] | None,
 ) -> None:
-    """Prepare a worker: signals, terminal, end with the parent, and memory limit."""
+    """Set up this worker process: its signals, streams, temporary folder and limit of memory.
+
+    Args:
+        parent_pid: the parent's process id; the worker ends when the parent ends.
+        folder: gets the worker's temporary files, and its stderr in a file named by its process id.
+        memory: the limit of memory, see `JobLimits` [GiB]; None for none.
+        prepare: is called before the limit is set; may be None.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    end_with_parent(parent)
-    nothing = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nothing, 0)
-    os.dup2(nothing, 1)
-    words = os.open(folder / str(os.getpid()), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-    os.dup2(words, 2)
-    tempfile.tempdir = str(folder)  # removed after a killed worker
+    end_with_parent(parent_pid)
+    null_device = os.open(os.devnull, os.O_RDWR)
+    os.dup2(null_device, 0)
+    os.dup2(null_device, 1)
+    stderr_path = folder / str(os.getpid())
+    stderr_file = os.open(stderr_path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    os.dup2(stderr_file, 2)
+    tempfile.tempdir = str(folder)  # the parent removes it, even if this worker is killed
     if prepare is not None:
         prepare()
-    global _unlimited
-    _unlimited = limit_memory(memory)
+    global _lift_memory_limit
+    _lift_memory_limit = limit_memory(memory)
 
 
-_unlimited: Callable[[], None] = lambda: None  # noqa: E731 ends this worker's limit of memory
+# takes this worker's limit of memory away
+_lift_memory_limit: Callable[[], None] = lambda: None  # noqa: E731 as `limit_memory` returns one
 
 
-def _do(
-    work: Callable[[Job], Result], job: Job, alone: bool, memory: float | None
-) -> tuple[int, str, Result | str]:
-    """Do a job; return the process, how it ended, and the result or the reason."""
+def _run_job(
+    work: Callable[[AnyJob], AnyResult], job: AnyJob, is_isolated: bool, memory: float | None
+) -> tuple[int, str, AnyResult | str]:
+    """Do a job in this worker process.
+
+    Args:
+        work: does the job.
+        job: the job.
+        is_isolated: whether the process does this job only.
+        memory: the limit of memory, for the reason [GiB].
+
+    Returns:
+        The process id; `DONE` or `TOO_LARGE`; and what `work` returned, or the reason.
+    """
     os.ftruncate(2, 0)
     try:
         return os.getpid(), DONE, work(job)
     except MemoryError as error:
-        if not alone:
-            os._exit(1)  # its state is unknown
-        _unlimited()  # the message needs memory
-        most = "there is" if memory is None else f"{memory:g} GiB"
-        text = f" ({printable(str(error))})" if str(error) else ""
-        return os.getpid(), TOO_LARGE, f"it took more memory than {most}{text}"
+        if not is_isolated:
+            os._exit(1)  # after a failed allocation, its state is unknown
+        _lift_memory_limit()  # the message needs memory
+        available = "there is" if memory is None else f"{memory:g} GiB"
+        details = f" ({printable(str(error))})" if str(error) else ""
+        return os.getpid(), TOO_LARGE, f"it took more memory than {available}{details}"
 
 
 # ---------------------------------------------------------------- on a Ray cluster
@@ -317,102 +374,144 @@ def do_on_ray(
     count: int | None,
     *,
     address: str | None,
-    witness: Path | None = None,
+    probe_file: Path | None = None,
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     prepare: Callable[[], None] | None = None,
-    on_event: OnEvent = lambda event, ended: None,
-) -> Generator[Ended, None, None]:
-    """Run jobs on a Ray cluster, as `do_jobs` does on one machine.
+    on_event: OnJobEvent = lambda event, end: None,
+) -> Generator[JobEnd, None, None]:
+    """Run jobs on a Ray cluster; yield the end of each job as it ends, as `do_jobs` does.
 
-    All nodes must be able to import `work`; see `Workers` for the arguments that aren't listed
-    here.
+    All nodes must be able to import `work`. The arguments that aren't listed here are those of
+    `Workers`.
 
     Args:
         count: the largest number of tasks at once; None for the cluster's number of CPUs. More
-            tasks than CPUs are requested, so that an autoscaling cluster grows.
+            tasks than CPUs are submitted, so that an autoscaling cluster grows.
         address: the cluster's address; ``local`` starts a cluster on this machine's loopback device
             for the batch; None for ``RAY_ADDRESS``, else ``local``.
-        witness: a file in the output folder, by which each node checks that it sees the folder;
-            None for no such check.
+        probe_file: an existing file in the output folder. A node that doesn't see it doesn't share
+            the folder, which is an error. None for no such check.
+        on_event: is called when a job is submitted, and when it was retried.
 
     Raises:
         NavbakeError: there is no cluster, a node can't do the jobs, or ray isn't installed.
     """
     if not jobs:
         return
-    seen = None if witness is None else os.path.abspath(witness)
-    enter = partial(_enter_node, os.getcwd(), seen, __version__)
-    make = partial(Workers, work, 1, limits=limits, prepare=prepare)
-    with _connected(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
-        do = ray.remote(num_cpus=1, max_retries=MAX_RAY_RETRIES, scheduling_strategy="SPREAD")(
-            _do_task
-        )
-        shared = ray.put((enter, make))
-        numbers = iter(range(len(jobs)))
-        number_of = dict[Any, int]()
+    probe_path = None if probe_file is None else os.path.abspath(probe_file)
+    enter_node = partial(_enter_node, os.getcwd(), probe_path, __version__)
+    make_workers = partial(Workers, work, 1, limits=limits, prepare=prepare)
+    with _ray_connection(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
+        remote_options = {
+            "num_cpus": 1,
+            "max_retries": MAX_RAY_RETRIES,
+            "scheduling_strategy": "SPREAD",
+        }
+        remote_task = ray.remote(**remote_options)(_run_task)
+        node_functions = ray.put((enter_node, make_workers))
+        remaining_numbers = iter(range(len(jobs)))
+        job_numbers = dict[Any, int]()  # of submitted tasks
         while True:
             # twice the CPUs: no node waits for this process
-            most = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-            while len(number_of) < most and (number := next(numbers, None)) is not None:
-                number_of[do.remote(shared, number, jobs[number])] = number
-                on_event(SCENE_BEGUN, Ended(number, "", ""))
-            if not number_of:
+            max_tasks = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            while len(job_numbers) < max_tasks:
+                number = next(remaining_numbers, None)
+                if number is None:
+                    break
+                task = remote_task.remote(node_functions, number, jobs[number])
+                job_numbers[task] = number
+                on_event(SCENE_BEGUN, JobEnd(number, "", ""))
+            if not job_numbers:
                 return
-            for task in ray.wait([*number_of], timeout=CLUSTER_CHECK_INTERVAL)[0]:
-                number = number_of.pop(task)
+            ended_tasks, _ = ray.wait([*job_numbers], timeout=CLUSTER_CHECK_INTERVAL)
+            for task in ended_tasks:
+                number = job_numbers.pop(task)
                 try:
-                    ended, tries = ray.get(task)
+                    end, failed_attempts = ray.get(task)
                 except ray.exceptions.RayTaskError as error:
                     raise NavbakeError(_last_line(error.cause or error)) from error
                 except ray.exceptions.RayError as error:
-                    why = f"it was lost {MAX_RAY_RETRIES + 1} times, as {_last_line(error)}"
-                    ended = Ended(number, CRASHED, why)
-                    tries = []
-                for each in tries:
-                    on_event(RETRIED, each)
-                yield ended
+                    reason = f"it was lost {MAX_RAY_RETRIES + 1} times, as {_last_line(error)}"
+                    end = JobEnd(number, CRASHED, reason)
+                    failed_attempts = []
+                for attempt in failed_attempts:
+                    on_event(RETRIED, attempt)
+                yield end
 
 
-def _enter_node(folder: str, witness: str | None, version: str) -> None:
-    """Enter the batch's current folder on a node, which has to see its files."""
+def _enter_node(folder: str, probe_path: str | None, version: str) -> None:
+    """Change to the batch's current folder on a node of the cluster.
+
+    Args:
+        folder: the folder, absolute.
+        probe_path: a file that the node must see, see `do_on_ray`.
+        version: navbake's version where the batch was started.
+
+    Raises:
+        NavbakeError: the node has another version of navbake, or doesn't see the folder or file.
+    """
     why = None
     if version != __version__:
         why = f"it has navbake {__version__}, and the batch is one of {version}"
     elif not os.path.isdir(folder):
         why = f"it lacks {folder}: run the batch in a folder that all nodes have"
-    elif witness is not None and not os.path.exists(witness):
-        why = f"it lacks {witness}: write into a folder that all nodes share"
+    elif probe_path is not None and not os.path.exists(probe_path):
+        why = f"it lacks {probe_path}: write into a folder that all nodes share"
     if why is not None:
         node = socket.gethostname()
         raise NavbakeError(printable(f"no worker can work on node {node}: {why}"))
     os.chdir(folder)
 
 
-def _do_task(
-    shared: tuple[Callable[[], None], Callable[[], Workers]], number: int, job: object
-) -> tuple[Ended, list[Ended]]:
-    """Do a job on a node; returns how it ended, and earlier failed attempts."""
-    enter, make = shared
-    enter()
-    # else each process started here imports Ray's main module first
+def _run_task(
+    node_functions: tuple[Callable[[], None], Callable[[], Workers]], number: int, job: object
+) -> tuple[JobEnd, list[JobEnd]]:
+    """Do a job on a node of the cluster, in a worker process.
+
+    Args:
+        node_functions: checks the node and enters the batch's folder; and makes the workers.
+        number: the job's index in the batch.
+        job: the job.
+
+    Returns:
+        The job's end, and the ends of failed attempts that were retried.
+    """
+    enter_node, make_workers = node_functions
+    enter_node()
+    # without its path, worker processes don't import Ray's main module first
     vars(sys.modules["__main__"]).pop("__file__", None)
     global _workers
     if _workers is None:
-        _workers = make().__enter__()
-    tries: list[Ended] = []
-    (ended,) = _workers.do([job], lambda event, each: tries.extend([each] * (event == RETRIED)))
-    return ended._replace(number=number), [each._replace(number=number) for each in tries]
+        _workers = make_workers().__enter__()
+    failed_attempts: list[JobEnd] = []
+
+    def on_event(event: str, end: JobEnd) -> None:
+        if event == RETRIED:
+            failed_attempts.append(end._replace(number=number))
+
+    (end,) = _workers.run([job], on_event)
+    return end._replace(number=number), failed_attempts
 
 
 _workers: Workers | None = None  # kept for all tasks of a batch in this Ray process
 
 
 @contextmanager
-def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
-    """Connect to a Ray cluster inside; an existing connection is kept."""
+def _ray_connection(address: str | None, num_cpus: int) -> Iterator[Any]:
+    """Connect to a Ray cluster for a with statement; yield the module ``ray``.
+
+    If this process has a connection already, it is used, and stays open.
+
+    Args:
+        address: see `do_on_ray`.
+        num_cpus: number of CPUs of a cluster that is started here.
+
+    Raises:
+        NavbakeError: there is no cluster at the address, or none can be started.
+    """
     address = address or os.environ.get("RAY_ADDRESS") or "local"
-    is_own = address == "local"
-    if is_own:
+    is_started_here = address == "local"
+    if is_started_here:
         for name, value in RAY_ENVIRONMENT.items():
             os.environ.setdefault(name, value)
     ray = import_extra("ray", "ray", "--executor ray")
@@ -421,22 +520,26 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
         return
     _check_reachable(address)
     handler = signal.getsignal(signal.SIGTERM)
-    with scratch_folder(Path("/tmp")) if is_own else nullcontext() as folder:
+    with scratch_folder(Path("/tmp")) if is_started_here else nullcontext() as folder:
         local_options = {
             "num_cpus": num_cpus,
             "include_dashboard": False,
             "object_store_memory": OBJECT_STORE_SIZE,
             "_temp_dir": str(folder),
         }
-        options = local_options if is_own else {}
+        options = local_options if is_started_here else {}
         try:
             ray.init(address=address, logging_level="ERROR", log_to_driver=False, **options)
-        except Exception as error:  # of many kinds
-            what = "start a Ray cluster" if is_own else f"connect to a Ray cluster at {address}"
-            raise NavbakeError(f"cannot {what}: {' '.join(str(error).split())[:300]}") from error
+        except Exception as error:  # Ray raises many types
+            action = (
+                "start a Ray cluster"
+                if is_started_here
+                else f"connect to a Ray cluster at {address}"
+            )
+            raise NavbakeError(f"cannot {action}: {' '.join(str(error).split())[:300]}") from error
         finally:
             if threading.current_thread() is threading.main_thread():
-                signal.signal(signal.SIGTERM, handler)  # Ray's own ends this process at once
+                signal.signal(signal.SIGTERM, handler)  # Ray's handler ends this process at once
         try:
             yield ray
         finally:
@@ -445,10 +548,13 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
 
 
 def _check_reachable(address: str) -> None:
-    """Fail at once if nobody listens at an address, which takes Ray minutes."""
+    """Raise a NavbakeError at once if nobody listens at an address; Ray would take minutes.
+
+    Addresses without a port, such as ``auto``, aren't checked: Ray looks them up.
+    """
     host, _, port = address.rpartition(":")
     if "/" in address or not port.isdigit():
-        return  # looked up by Ray, as "auto"
+        return
     try:
         with socket.create_connection((host.strip("[]"), int(port)), CONNECTION_TIMEOUT):
             pass
@@ -458,6 +564,9 @@ def _check_reachable(address: str) -> None:
 
 
 def _last_line(error: BaseException) -> str:
-    """Ray's reason for a lost task: the first sentence of the message's last line."""
+    """Return Ray's reason for a lost task: the first sentence of the message's last line.
+
+    It is at most 200 characters long, and the error's type if there is no message.
+    """
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return printable((lines or [type(error).__name__])[-1].partition(". ")[0][:200])

@@ -59,7 +59,9 @@ class SceneOptions:
         "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
     )
     overrides: Overrides = None
-    piece: str | None = option("K/N", "Every N-th scene from the K-th; then --merge.", "--slice")
+    slice_text: str | None = option(
+        "K/N", "Every N-th scene from the K-th; then --merge.", "--slice"
+    )
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
-    batch_slice = _read_slice(scene_options.piece)
+    batch_slice = _read_slice(scene_options.slice_text)
     _check_options(batch_slice, product_options, worker_options, run_options)
     hosts = tuple(scene_options.allow_hosts or ())
     store.allow_hosts(hosts)
@@ -152,7 +154,7 @@ def batch(
         _print_preview(plan, jobs, run_options.as_json)
         return
     with ExitStack() as stack:
-        watch = _Watch(
+        watch = _BatchWatch(
             stack,
             plan.folder,
             as_json=run_options.as_json,
@@ -170,7 +172,7 @@ def batch(
                 ),
                 max_failures=worker_options.max_failures,
                 executor=_ray_executor(worker_options, plan.folder),
-                part=batch_slice,
+                batch_slice=batch_slice,
                 only_merge=run_options.merge,
                 shards=product_options.shards,
             )
@@ -222,13 +224,13 @@ def _ray_executor(worker_options: WorkerOptions, folder: store.Folder) -> run.Ex
     if worker_options.executor != "ray":
         return None
     # workers of a cluster stop when the lock of this process is gone
-    witness = folder / index.LOCK_NAME if isinstance(folder, Path) else None
-    return partial(workers.do_on_ray, address=worker_options.ray_address, witness=witness)
+    probe_file = folder / index.LOCK_NAME if isinstance(folder, Path) else None
+    return partial(workers.do_on_ray, address=worker_options.ray_address, probe_file=probe_file)
 
 
 def _written_names(batch_slice: index.Slice | None, product_options: ProductOptions) -> list[str]:
     """The names of the files that a batch writes beside its scenes."""
-    names = [index.INDEX_NAME if batch_slice is None else batch_slice.file]
+    names = [index.INDEX_NAME if batch_slice is None else batch_slice.index_name]
     if product_options.parquet:
         names.append(index.TABLE_NAME)
     if product_options.shards:
@@ -298,7 +300,7 @@ def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
     return f": {', '.join(names)}"
 
 
-class _Watch:
+class _BatchWatch:
     """Shows a batch's progress, as lines of JSON or a bar with failures, and writes its page."""
 
     def __init__(
@@ -376,7 +378,7 @@ class _Watch:
     def _log(self, event: str, values: Json) -> None:
         if event == "end":
             values = {**values, "seconds": round(time.perf_counter() - self._begin, 3)}
-        line = run.line_of_event(event, values)
+        line = run.describe_event(event, values)
         for write_line in self._line_writers:
             write_line(line)
 
@@ -419,7 +421,7 @@ class _Watch:
             print_error(f"stopped: {result.stopped}")
         num_warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {num_warned} with warnings" if num_warned else ""
-        files = ", ".join(store.shown(os.path.join(self._folder, name)) for name in names)
+        files = ", ".join(store.without_secrets(os.path.join(self._folder, name)) for name in names)
         counts = _describe_counts(self._counts)
         say_unless_quiet(f"{counts}{notes} in {seconds:.1f} s: {files}")
         cost = run.measure_cost(result.rows)

@@ -14,7 +14,7 @@ from batch_scenes import draw_room
 from navbake.batch import run as run_module
 from navbake.batch.index import INDEX_NAME
 from navbake.batch.page import describe_batch
-from navbake.batch.workers import DONE, Ended
+from navbake.batch.workers import DONE, JobEnd
 from navbake.episodes import digest_of, make_episodes, read_episodes
 from navbake.errors import ConfigError
 
@@ -61,7 +61,7 @@ def test_one_set_of_all_scenes_is_beside_the_index(scenes, monkeypatch):
 def test_the_order_in_which_scenes_end_changes_no_byte(scenes, monkeypatch):
     def backwards(jobs, work, count, **options):
         for number, job in reversed([*enumerate(jobs)]):
-            yield Ended(number, DONE, work(job))
+            yield JobEnd(number, DONE, work(job))
 
     monkeypatch.setattr(run_module, "do_jobs", backwards)
     run(*scenes, products=MAKE)

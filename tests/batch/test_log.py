@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from navbake.batch.index import LineFile
-from navbake.batch.job import stamp
-from navbake.batch.run import line_of_event
+from navbake.batch.job import current_time
+from navbake.batch.run import describe_event
 from navbake.batch.workers import CRASHED, RETRIED, SCENE_BEGUN
 from navbake.errors import NavbakeError
 
@@ -24,12 +24,12 @@ def test_lines_say_when_how_serious_and_what():
         ("begin", {"scenes": 3, "skipped": 1}),
         (SCENE_BEGUN, {"id": "a"}),
         (RETRIED, retry),
-        ("scene", {**row, "seconds": 1.5, "ended": stamp(), "worker": 23}),
+        ("scene", {**row, "seconds": 1.5, "ended": current_time(), "worker": 23}),
         ("scene", {**row, "id": "b", "warnings": ["low"]}),
         ("scene", {"id": "c", "status": "failed", "how": "error", "error": "none"}),
         ("end", {"baked": 2, "failed": 0, "stopped": None, "seconds": 1.235}),
     ]
-    lines = [line_of_event(*event) for event in events]
+    lines = [describe_event(*event) for event in events]
     times = [datetime.fromisoformat(line.pop("time").replace("Z", "+00:00")) for line in lines]
     assert times == sorted(times) and times[0].tzinfo == timezone.utc
     assert abs((datetime.now(timezone.utc) - times[-1]).total_seconds()) < 60

@@ -23,7 +23,7 @@ from navbake.batch.page import (
     LivePage,
     describe_batch,
     draw_thumbnails,
-    fold,
+    fold_text,
     measure_work,
     write_page,
 )
@@ -97,12 +97,12 @@ def test_time_is_that_in_which_any_scene_was_baked():
     ],
 )
 def test_names_and_numbers_are_folded_and_settings_stay(text, folded):
-    assert fold(text) == folded
+    assert fold_text(text) == folded
 
 
 @given(st.text(max_size=200))
 def test_any_text_is_folded_once(text):
-    assert fold(fold(text)) == fold(text)
+    assert fold_text(fold_text(text)) == fold_text(text)
 
 
 def test_texts_of_a_kind_are_one_group_and_one_alone_is_itself():

@@ -281,7 +281,9 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
     Path("out", INDEX_NAME).unlink()
     if then == "is lost":  # with its worker: the batch's own process clears up
         job = list_jobs([ALL[0]])[0]
-        row = job_module.fail(job_module.Plan(Path("out"), SETTINGS), job, "too long", "60 s", 60)
+        row = job_module.record_failure(
+            job_module.Plan(Path("out"), SETTINGS), job, "too long", "60 s", 60
+        )
         assert row["status"] == "failed"
     if then == "fails":
         Path(ALL[0]).write_text("<mujoco>")
@@ -705,7 +707,7 @@ def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch
 
     monkeypatch.setattr(job_module, "make_product", make)
     monkeypatch.setattr(job_module, "write_bytes", lambda _, path: folders.append(path.parent))
-    job_module.prepare((), True)
-    job_module.prepare(("report",), True)
+    job_module.prepare_worker((), True)
+    job_module.prepare_worker(("report",), True)
     assert len(folders) == 3 and len(made) == 1 and made[0] > 1
     assert not any(folder.exists() for folder in folders)

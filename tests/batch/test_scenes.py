@@ -8,7 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from navbake.batch.scenes import Job, list_jobs, nest, of_id, read_shared, settings_of
+from navbake.batch.scenes import (
+    Job,
+    id_as_settings,
+    list_jobs,
+    merge_settings,
+    nest_settings,
+    read_shared,
+)
 from navbake.config.keywords import merge
 from navbake.errors import ConfigError
 
@@ -130,7 +137,7 @@ def test_lists_of_any_system_are_read(folder, end, mark):
         (folder / name).write_bytes((mark + end.join([*lines, ""])).encode())
         jobs = list_jobs([name])
         assert [(job.id, job.source) for job in jobs] == [("a", "a.xml"), ("b", "b.xml")]
-        assert all(not job.settings or job.settings == of_id(job.id) for job in jobs)
+        assert all(not job.settings or job.settings == id_as_settings(job.id) for job in jobs)
         assert jobs[1].place == f"{name}, line {len(lines)}"
 
 
@@ -210,9 +217,9 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
     (folder / "a" / "own.yaml").write_text(
         "scene: {path: hall.xml}\nagent: {radius: 0.2}\ngrid:\noutput: a.grid.json\n"
     )
-    row = nest([("agent.traversable_floor_height", 0.1)], Path(), "here")
+    row = nest_settings([("agent.traversable_floor_height", 0.1)], Path(), "here")
     job = Job("own", "a/own.yaml", row, "here")
-    config = settings_of(job, read_shared("all.yaml"), ["agent.max_slope=30"])
+    config = merge_settings(job, read_shared("all.yaml"), ["agent.max_slope=30"])
     assert str(config.scene.path) == "a/hall.xml" and config.scene.id == "own"
     assert config.agent.model_dump() == {
         **{"height": 2.0, "radius": 0.2, "traversable_floor_height": 0.1, "max_slope": 30.0}
@@ -220,7 +227,7 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
     assert config.grid.cell_size == 0.3 and not config.names.enabled
     (folder / "a" / "own.yaml").write_text("- 1\n")
     with pytest.raises(ConfigError, match=r"expected a mapping of settings in a/own.yaml"):
-        settings_of(job, {}, [])
+        merge_settings(job, {}, [])
     (folder / "all.yaml").write_text("scene: {id: a}\n")
     with pytest.raises(ConfigError, match=r"expected no `scene.id` in all.yaml"):
         read_shared("all.yaml")
@@ -233,7 +240,7 @@ def test_settings_are_laid_over_each_other_section_by_section():
     assert merge(below, {"a": None, "d": None}, "here") == {**below, "d": None}
     assert merge(below, {"a": {}, "d": {}, "g": {}}, "here") == {**below, "g": {}}
     given = {"scene.joints.door.hinge": 1, "a": {"b": 2}, "a.c": 3, "d": None, "d.e": 1}
-    assert nest(given.items(), Path(), "here") == {
+    assert nest_settings(given.items(), Path(), "here") == {
         "scene": {"joints": {"door.hinge": 1}},
         "a": {"b": 2, "c": 3},
         "d": {"e": 1},
@@ -252,13 +259,13 @@ def test_settings_are_laid_over_each_other_section_by_section():
 def test_keys_do_not_undo_a_short_form(folder, shared, own, row, message):
     (folder / "own.yaml").write_text(f"{own}\n")
     with pytest.raises(ConfigError, match=f"{message}.* in the settings of here: write"):
-        settings_of(Job("own", "own.yaml", row, "here"), shared, [])
+        merge_settings(Job("own", "own.yaml", row, "here"), shared, [])
 
 
 def test_a_short_form_stays_until_another_value_replaces_it(folder):
     for own, sources in (("agent: {radius: 1}", []), ("rooms: {}", []), ("rooms: auto", ["auto"])):
         (folder / "own.yaml").write_text(f"scene: {{path: a/hall.xml}}\n{own}\n")
-        config = settings_of(Job("own", "own.yaml", {}, "here"), {"rooms": "none"}, [])
+        config = merge_settings(Job("own", "own.yaml", {}, "here"), {"rooms": "none"}, [])
         assert config.rooms.sources == sources
 
 
@@ -278,7 +285,7 @@ def test_an_id_of_a_row_is_that_of_the_grid(folder):
     )
     jobs = list_jobs(["list.csv"])
     assert [job.id for job in jobs] == ["k/7", "own", "b/8", "kitchen"]
-    found = [settings_of(job, {"scene": {"geoms": "all"}}, []).scene for job in jobs]
+    found = [merge_settings(job, {"scene": {"geoms": "all"}}, []).scene for job in jobs]
     assert [scene.id for scene in found] == ["k_7", "mine", "b_8", "kitchen"]
     assert {scene.geoms for scene in found} == {"all"}
 

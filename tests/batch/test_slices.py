@@ -23,7 +23,7 @@ from navbake import samples
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
 from navbake.batch.index import INDEX_NAME, Slice, only_batch, read_index
-from navbake.batch.job import MESH_CACHE_SIZE, prepare
+from navbake.batch.job import MESH_CACHE_SIZE, prepare_worker
 from navbake.batch.products import RECORD_NAME
 from navbake.batch.run import measure_cost
 from navbake.batch.scenes import list_jobs
@@ -78,7 +78,9 @@ def timeless(rows):
 
 def test_slices_merge_into_the_bytes_of_one_run():
     make, slices = ["episodes:point:uniform:5"], [Slice(number, 3) for number in (1, 2, 3)]
-    found = [run(out="parts", part=part, products=make)[0] for part in slices[1:] + slices[:1]]
+    found = [
+        run(out="parts", batch_slice=part, products=make)[0] for part in slices[1:] + slices[:1]
+    ]
     assert sorted(chain.from_iterable(found)) == ["a", "b.v2", "bad", "c", "d", "e", "f"]
     assert {len(ids) for ids in found} == {2, 3}
     assert not Path("parts", INDEX_NAME).exists() and not [*Path("parts").glob("episodes*")]
@@ -100,7 +102,7 @@ def test_slices_merge_into_the_bytes_of_one_run():
 
 
 def test_what_slices_leave_is_done_by_the_next_run():
-    run(out="out", part=Slice(1, 2))
+    run(out="out", batch_slice=Slice(1, 2))
     part = Path("out/index-1-of-2.jsonl")
     part.write_bytes(part.read_bytes() + b'{"id": "b.v')  # killed while it wrote
     _, merged = run(out="out", only_merge=True)
@@ -121,7 +123,7 @@ def test_slices_keep_the_rows_of_scenes_whose_folder_is_not_named_in_utf_8():
         (folder / name).write_text("<mujoco>")
     run_broken = partial(run_sources, "d*/*.xml", out="out", settings=SETTINGS)
     for number in (1, 2):
-        run_broken(part=Slice(number, 2))
+        run_broken(batch_slice=Slice(number, 2))
     _, merged = run_broken(only_merge=True)
     assert [Path(row["source"]).parts[-2:] for row in merged.rows] == [
         (folder.name, "a.xml"),
@@ -134,10 +136,10 @@ def test_slices_keep_the_rows_of_scenes_whose_folder_is_not_named_in_utf_8():
 def test_of_slices_of_other_numbers_the_row_that_ended_last_counts(totals, scenes):
     text = (scenes / "a.xml").read_text()
     (scenes / "a.xml").write_text("<mujoco>")
-    run(out="out", part=Slice(1, totals[0]))
-    assert read_index(Path("out"), Slice(1, totals[0]).file)["a"]["status"] == "failed"
+    run(out="out", batch_slice=Slice(1, totals[0]))
+    assert read_index(Path("out"), Slice(1, totals[0]).index_name)["a"]["status"] == "failed"
     (scenes / "a.xml").write_text(text)
-    run(out="out", part=Slice(1, totals[1]))
+    run(out="out", batch_slice=Slice(1, totals[1]))
     shutil.copytree("out", "other")
     _, merged = run(out="out", only_merge=True)
     assert merged.rows[0]["status"] == read_index(Path("out"))["a"]["status"] == "ok"
@@ -150,7 +152,7 @@ def test_slices_write_into_a_store():
     fsspec = pytest.importorskip("fsspec")
     store = fsspec.filesystem("memory")
     for number in (1, 2):
-        run(out="memory://sliced", part=Slice(number, 2))
+        run(out="memory://sliced", batch_slice=Slice(number, 2))
     assert store.exists("/sliced/index-2-of-2.jsonl") and not store.exists("/sliced/index.jsonl")
     _, merged = run(out="memory://sliced", only_merge=True, shards=1)
     assert (merged.count("ok"), merged.count("failed"), merged.count("left")) == (6, 1, 0)
@@ -170,9 +172,9 @@ def test_slices_run_beside_each_other_and_not_beside_the_whole(monkeypatch):
         only_batch(Path("out")),
         pytest.raises(NavbakeError, match="another batch writes into out"),
     ):
-        run(out="out", part=Slice(1, 2))
+        run(out="out", batch_slice=Slice(1, 2))
     with only_batch(Path("out"), Slice(1, 2)):
-        run(out="out", part=Slice(2, 2))
+        run(out="out", batch_slice=Slice(2, 2))
         with pytest.raises(NavbakeError, match="another batch writes into out"):
             run(out="out")
         with pytest.raises(NavbakeError, match="another batch writes into out"):
@@ -395,7 +397,7 @@ def test_a_worker_keeps_few_meshes():
     cache = mujoco.mj_getCache()
     before = mujoco.mj_getCacheCapacity(cache)
     try:
-        prepare((), thumbnail=False)
+        prepare_worker((), thumbnail=False)
         assert mujoco.mj_getCacheCapacity(cache) == MESH_CACHE_SIZE
     finally:
         mujoco.mj_setCacheCapacity(cache, before)
