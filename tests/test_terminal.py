@@ -15,7 +15,7 @@ import pytest
 from command_line import run_command
 from grid_maps import level_from
 from navbake.cli.main import COMMANDS
-from navbake.cli.printing import LOG, print_error, say, say_unless_quiet, volume
+from navbake.cli.printing import LOG, print_error, say, say_unless_quiet, use_verbosity
 from project_paths import ROOT
 
 ESCAPE = "\x1b[31mred"
@@ -97,7 +97,7 @@ def test_lines_that_are_said_control_no_terminal(capsys, name):
     say_unless_quiet(name)
     print_error(name)
     level = LOG.level
-    with volume(quiet=False, verbose=True):
+    with use_verbosity(quiet=False, verbose=True):
         LOG.debug(name)
     assert LOG.level == level
     printed = capsys.readouterr()
@@ -109,7 +109,7 @@ def test_lines_that_are_said_control_no_terminal(capsys, name):
 
 def test_verbose_is_over_with_its_command_and_says_no_warning_twice(capsys):
     before = LOG.level, list(LOG.handlers)
-    with volume(quiet=False, verbose=True):
+    with use_verbosity(quiet=False, verbose=True):
         LOG.debug("read")
         LOG.warning("a warning, which the command prints itself")
     assert (LOG.level, LOG.handlers) == before

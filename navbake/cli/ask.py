@@ -14,7 +14,7 @@ from navbake.cli.printing import print_json, print_tables, print_warnings, say
 from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
-# Functions import views when they run: --help loads no numpy.
+# Functions import `navbake.views` only when they run, so that --help doesn't load numpy.
 
 NAME_PREFIXES = ("room:", "object:")
 PLACE_METAVAR = f"{PLACE}|room:NAME"
@@ -33,16 +33,16 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if as_json:
         print_json(facts)
         return
-    lists = [
+    tables_of_file = [
         tables.door_table(content.doors, content.level_names),
         tables.link_table(content.links, content.level_names),
         tables.area_table(facts["areas"]),
         tables.agent_table(facts["agents"]),
     ]
-    shown = [table for table in lists if table.rows]
+    nonempty_tables = [table for table in tables_of_file if table.rows]
     made_by = [(name.replace("_", " "), value) for name, value in facts["made_by"].items()]
     summary = [("type", facts["type"]), *tables.summarize(facts), *made_by]
-    print_tables(tables.make_table(("", ""), summary), tables.level_table(facts), *shown)
+    print_tables(tables.make_table(("", ""), summary), tables.level_table(facts), *nonempty_tables)
     print_warnings(content.warnings)
 
 
@@ -150,11 +150,11 @@ def path(
         origin = finder.snap(middles[0] if middles else (0.0, 0.0, 0.0), room=name)
         if origin is None:
             raise QueryError(f"no agent can stand in room {name!r}")
-    places = [options.position_of_place(content, p, "--to") for p in ends]
+    places = [options.position_of_place(content, end, "--to") for end in ends]
     goal: Any = goals[0] if is_named else places
     path_found = finder.find_path(origin, goal, by=by, smooth=smooth)
     reason = None if path_found else finder.why_not(origin, goal)
-    with options.beside_output(output):
+    with options.keep_stdout_for(output):
         if as_json:
             facts = {key: getattr(path_found, key) for key in PATH_FIELDS} if path_found else None
             print_json({"path": facts, "reason": reason})

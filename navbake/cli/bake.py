@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 
-# Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
+# Functions import what reads scenes only when they run, so that --help loads no MuJoCo or numpy.
 
 
 def init(
@@ -65,15 +65,15 @@ def samples(
 
     Example: navbake samples house -o try
     """
-    from navbake import samples as known  # not for --help
+    from navbake import samples as sample_files  # not for --help
 
     if not names:
-        for name in known.names():
-            first = known.path(name).read_text(encoding="utf-8").splitlines()[0]
+        for name in sample_files.names():
+            first = sample_files.path(name).read_text(encoding="utf-8").splitlines()[0]
             say(f"{name:<10} {first.removeprefix('# ')}")
         return
     for name in names:
-        settings = known.copy(name, folder)[0]
+        settings = sample_files.copy(name, folder)[0]
         say_unless_quiet(f"{settings}: a sample's settings; `navbake bake {settings}` bakes it")
 
 
@@ -141,10 +141,10 @@ def voxelize(
     endings = [output.suffix.lower() for output in outputs]
     has_binvox = ".binvox" in endings
     is_octree = [ending in OCTREE_SUFFIXES for ending in endings]
-    has_ids = bool(segments) and has_binvox
+    binvox_has_ids = bool(segments) and has_binvox
     options.refuse_unused(
-        ("--compact", compact, has_ids, ".binvox with --segment"),
-        ("--twin", twin, has_ids, ".binvox with --segment"),
+        ("--compact", compact, binvox_has_ids, ".binvox with --segment"),
+        ("--twin", twin, binvox_has_ids, ".binvox with --segment"),
         ("--airsim", airsim, has_binvox, ".binvox"),
         ("--free", free, any(is_octree), ".bt and .ot"),
     )
@@ -170,19 +170,19 @@ def voxelize(
     )
     print_warnings(grid.notes)
     num_notes = len(grid.notes)
-    form: Literal["airsim", "binvox"] = "airsim" if airsim else "binvox"
+    layout: Literal["airsim", "binvox"] = "airsim" if airsim else "binvox"
     for output, ending in zip(outputs, endings, strict=True):
         mapping: Literal["compact"] | None = None
         if compact and ending == ".binvox":
             mapping = "compact"
-        write_voxels(grid, output, free=free, layout=form, mapping=mapping)
+        write_voxels(grid, output, free=free, layout=layout, mapping=mapping)
         say_unless_quiet(output)
         if grid.is_segmented and ending not in OCTREE_SUFFIXES:
             say_unless_quiet(id_table_path(output))
         if twin and grid.is_segmented and ending == ".binvox":
-            beside = output.with_suffix(".occupied.binvox")
-            write_voxels(grid.without_ids(), beside, layout=form)
-            say_unless_quiet(beside)
+            twin_path = output.with_suffix(".occupied.binvox")
+            write_voxels(grid.without_ids(), twin_path, layout=layout)
+            say_unless_quiet(twin_path)
     print_warnings(grid.notes[num_notes:])
     low = _format_corner(grid.bounds[0])
     high = _format_corner(grid.bounds[1])
@@ -196,7 +196,15 @@ def _format_corner(corner: Iterable[float]) -> str:
 
 
 def _parse_segments(words: list[str] | None) -> str | dict[str, int] | None:
-    """``geom``, ``body`` or ``top`` alone, or patterns, with IDs or counted from 1."""
+    """Read the values of --segment.
+
+    Returns:
+        ``geom``, ``body`` or ``top`` if it is the only value; else pattern of a name -> ID, where
+        a pattern without an ID gets its number among the values, from 1. None without values.
+
+    Raises:
+        BadParameter: an ID is no whole number, or a pattern is empty.
+    """
     if not words:
         return None
     if words in (["geom"], ["body"], ["top"]):
@@ -259,7 +267,7 @@ def bake(
         raise BadParameter(f"{text}: a new folder is written {output}/", param_hint="-o")
     options.refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
-        fill_name(name, "id", Path("stem"))
+        fill_file_name(name, "id", Path("stem"))
     options.refuse_unused(
         ("--isolate-seconds", seconds is not None, isolate, "--isolate"),
         ("--isolate-memory", memory is not None, isolate, "--isolate"),
@@ -280,20 +288,20 @@ def bake(
     jobs: list[tuple[Path, BakeConfig]] = []
     failed: list[Path] = []
     for path in configs:
-        with _going_on(path, failed, len(configs)):
+        with _continue_after_errors(path, failed, len(configs)):
             jobs.append((path, load_config(path, overrides)))
             options.say_if_sample(path)
     written: set[Path] = set()
-    for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
-        with _going_on(path, failed, len(configs)):
+    for (path, config), target in zip(jobs, list_output_files(jobs, output, name), strict=True):
+        with _continue_after_errors(path, failed, len(configs)):
             if target.resolve() in written:
                 text = f"{target} was written for another scene: give each its own `scene.id`"
                 raise ConfigError(f"{text}, or name files, as by --name '{{parent}}-{{stem}}'")
-            is_own = target == config.output
+            is_settings_output = target == config.output
             inputs = (path, *config.inputs)
-            suffixes = () if is_own else options.GRID_SUFFIXES
-            may_make = not (is_file or is_own)
-            options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
+            suffixes = () if is_settings_output else options.GRID_SUFFIXES
+            may_make_folder = not (is_file or is_settings_output)
+            options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make_folder)
             if not target.name.lower().endswith(options.GRID_SUFFIXES) and target != options.STDOUT:
                 text = (
                     f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)} as `output`"
@@ -307,8 +315,16 @@ def bake(
 
 
 @contextmanager
-def _going_on(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
-    """Print an error and note the failed file if there are others; else raise it."""
+def _continue_after_errors(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
+    """Let a command go on after a NavbakeError in the with statement, if it has several CONFIGs.
+
+    The error is printed.
+
+    Args:
+        path: the CONFIG that is worked on.
+        failed: after an error, `path` is appended to it.
+        num_configs: number of CONFIGs; if it is 1, the error is raised.
+    """
     try:
         yield
     except NavbakeError as error:
@@ -326,7 +342,16 @@ def _bake_one(
     limits: dict[str, float] | None,
     with_timings: bool,
 ) -> None:
-    """Bake and write a grid; `limits` are the stated ones of compiling in a process, or None."""
+    """Bake a grid, write it, and print its levels and warnings.
+
+    Args:
+        config: the settings.
+        target: the file to write, or stdout.
+        threads: number of threads; None for the default.
+        limits: arguments of `CompileLimits`, to compile the scene in a process of its own; None to
+            compile it in this process.
+        with_timings: whether the grid has its timings.
+    """
     from navbake.baker.bake.pipeline import run_bake
     from navbake.baker.scene.model import CompileLimits
     from navbake.formats.navgrid import encode_files
@@ -352,7 +377,7 @@ def _bake_one(
     if printing.VERBOSITY.quiet:
         print_warnings(result.warnings)
         return
-    with options.beside_output(target):
+    with options.keep_stdout_for(target):
         if target != options.STDOUT:
             say(target)
         printing.print_tables(level_table(describe(result.grid)))
@@ -370,20 +395,22 @@ def is_folder(output: str) -> bool:
     return output.endswith(("/", os.sep)) or os.path.isdir(output)
 
 
-def lay_out(
+def list_output_files(
     jobs: Sequence[tuple[Path, BakeConfig]], output: str | None, name: str | None
 ) -> list[Path]:
     """Return the output file of each CONFIG.
 
-    If `output` is a file, it is that file. Otherwise it is a file in the folder `output`, by
-    default the current folder, named by `name`, or else by the scene's id. The settings' output
-    comes first if neither `output` nor `name` is given.
+    Args:
+        jobs: the path of each CONFIG, and its settings.
+        output: a file, which is the output; or a folder to write into. None for the output that the
+            settings name, if `name` is None, too; else for the current folder.
+        name: the name of a file in the folder, see `fill_file_name`; None for the scene's id.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
     targets = []
     for path, config in jobs:
-        filled = fill_name(name or "{id}", str(config.scene.id), path.resolve())
+        filled = fill_file_name(name or "{id}", str(config.scene.id), path.resolve())
         if not filled:
             raise ConfigError(f"`--name {name}` makes no file name of {path}")
         settings_output = config.output if output is None and name is None else None
@@ -391,8 +418,17 @@ def lay_out(
     return targets
 
 
-def fill_name(name: str, scene_id: str, path: Path) -> str:
-    """Fill in the fields of a file's name; refuse a name that leads out of the folder."""
+def fill_file_name(name: str, scene_id: str, path: Path) -> str:
+    """Fill in the fields of a file's name.
+
+    Args:
+        name: the name, without its ending; may have the fields ``{id}``, ``{stem}``, ``{parent}``.
+        scene_id: the value of ``{id}``.
+        path: the CONFIG; ``{stem}`` is its name without its ending, ``{parent}`` its folder's name.
+
+    Raises:
+        BadParameter: the name has another field, is empty, or may lead out of the folder.
+    """
     try:
         filled = name.format(id=scene_id, stem=path.stem, parent=path.parent.name)
     except (AttributeError, LookupError, ValueError) as error:

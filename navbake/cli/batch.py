@@ -37,12 +37,12 @@ else:  # --help loads neither MuJoCo nor numpy
     workers = lazy("navbake.batch.workers")
 
 INDEX_NAME = "index.jsonl"
-MAX_LISTED_SCENES = 5  # of scenes in a line of --plan
+MAX_LISTED_SCENES = 5  # most scenes that a line of --plan names
 
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """The options that say which scenes a batch bakes, and with which settings."""
+    """The options for the scenes that a batch bakes, and for their settings."""
 
     sources: list[str] = argument(
         "SOURCE",
@@ -190,7 +190,7 @@ def _check_options(
     worker_options: WorkerOptions,
     run_options: RunOptions,
 ) -> None:
-    """Refuse options that contradict each other or have no effect."""
+    """Raise a BadParameter for options that contradict each other or have no effect."""
     has_address = worker_options.ray_address is not None
     is_ray = worker_options.executor == "ray"
     is_complete = batch_slice is None
@@ -209,7 +209,7 @@ def _check_options(
 
 
 def _check_log(log: Path, jobs: list[scenes.Job], scene_options: SceneOptions, output: str) -> None:
-    """Refuse a log that is an input, or a file that the batch writes."""
+    """Raise an error if the log is an input, or a file that the batch writes."""
     written = [
         os.path.join(output, name) for name in (index.INDEX_NAME, page.PAGE_NAME, index.TABLE_NAME)
     ]
@@ -220,16 +220,16 @@ def _check_log(log: Path, jobs: list[scenes.Job], scene_options: SceneOptions, o
 
 
 def _ray_executor(worker_options: WorkerOptions, folder: store.Folder) -> run.Executor | None:
-    """Runs worker processes on a Ray cluster; None for this machine."""
+    """Return a function that runs jobs on a Ray cluster; None to run them on this machine."""
     if worker_options.executor != "ray":
         return None
-    # workers of a cluster stop when the lock of this process is gone
+    # nodes of the cluster check that they see the lock file, and so the output folder
     probe_file = folder / index.LOCK_NAME if isinstance(folder, Path) else None
     return partial(workers.do_on_ray, address=worker_options.ray_address, probe_file=probe_file)
 
 
 def _written_names(batch_slice: index.Slice | None, product_options: ProductOptions) -> list[str]:
-    """The names of the files that a batch writes beside its scenes."""
+    """Return the names of the files that a batch writes beside its scenes' folders."""
     names = [index.INDEX_NAME if batch_slice is None else batch_slice.index_name]
     if product_options.parquet:
         names.append(index.TABLE_NAME)
@@ -239,7 +239,7 @@ def _written_names(batch_slice: index.Slice | None, product_options: ProductOpti
 
 
 def _read_slice(text: str | None) -> index.Slice | None:
-    """Read ``K/N``."""
+    """Read the value of --slice, ``K/N``; None for None."""
     if text is None:
         return None
     number, _, total = text.partition("/")
@@ -250,7 +250,7 @@ def _read_slice(text: str | None) -> index.Slice | None:
 
 
 def _print_preview(plan: job.Plan, jobs: list[scenes.Job], as_json: bool) -> None:
-    """Print what a batch would bake: a line for each reason, or of JSON for each scene."""
+    """Print what a batch would bake: a line for each reason, or a line of JSON for each scene."""
     previews = run.preview(plan, jobs)
     if as_json:
         for scene in previews:
@@ -287,7 +287,12 @@ def _print_preview(plan: job.Plan, jobs: list[scenes.Job], as_json: bool) -> Non
 
 
 def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
-    """The ids of the first scenes with a reason, and what it says of each; for a line of --plan."""
+    """Return the end of a line of --plan: the first scenes with a reason, and their details.
+
+    Args:
+        reason: the reason.
+        scenes_of_reason: the scenes with this reason, see `run.preview`.
+    """
     if reason == run.DONE_BEFORE:
         return ""
     names = []
@@ -301,7 +306,10 @@ def _name_scenes(reason: str, scenes_of_reason: list[Json]) -> str:
 
 
 class _BatchWatch:
-    """Shows a batch's progress, as lines of JSON or a bar with failures, and writes its page."""
+    """Shows the progress of a batch, and writes its page and its log.
+
+    On the terminal, progress is a bar, and a line for each failure; or it is lines of JSON.
+    """
 
     def __init__(
         self,
@@ -330,9 +338,9 @@ class _BatchWatch:
         self._page: page.LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
-        """Handle an event of the batch, see `run.OnEvent`."""
+        """Handle an event of the batch, see `run.OnBatchEvent`."""
         if event == "begin":
-            self._prepare(values)
+            self._begin_batch(values)
         self._log(event, values)
         if event == "begin":
             self._open_views()
@@ -345,8 +353,12 @@ class _BatchWatch:
         if event in ("begin", "scene"):
             self._refresh()
 
-    def _prepare(self, values: Json) -> None:
-        """Compile the kernels, and count the scenes that are to be baked."""
+    def _begin_batch(self, values: Json) -> None:
+        """Compile the kernels, and note how many scenes are to be baked.
+
+        Args:
+            values: the values of the event ``begin``.
+        """
         from navbake import compiled  # loads numba
 
         if compiled.cache_folder() is None:
@@ -436,12 +448,12 @@ class _BatchWatch:
 
 
 def _describe_counts(counts: Json) -> str:
-    """Counts of scenes in words."""
+    """Return numbers of scenes as text: name of an outcome -> number of scenes."""
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no scene"
 
 
 def draw_missing_thumbnails(folder: store.Folder) -> None:
-    """Draw the missing thumbnails of a batch's page."""
+    """Draw the missing thumbnails of a batch's page; print a warning if some can't be drawn."""
     try:
         with printing.progress_bars("page", VERBOSITY.quiet) as show:
             num_missing = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))

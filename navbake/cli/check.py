@@ -47,11 +47,17 @@ VERIFY_COLUMNS = {
     "floors off": "floors_off",
     "places lost": "lost",
 }
-"""Headings, and which of a level's counts stand under them: the grid first, then the scene."""
-SAMPLED_CELLS = 100_000
-MAX_LISTED_FINDINGS = 20  # printed disagreements
-CHECKED_SAMPLE = "apartment"
-USUAL_BAKE_SECONDS = 0.5  # [s] a warm bake of the sample takes 0.05 to 0.2 s on a desktop's cores
+"""Heading of a column -> the attribute of `LevelCounts` in it.
+
+In a heading such as ``free, touches``, the first word is the grid's verdict on the cells, the
+second the scene's.
+"""
+SAMPLED_CELLS = 100_000  # how many cells `verify` looks at by default
+MAX_LISTED_FINDINGS = 20  # how many disagreements `verify` prints
+CHECKED_SAMPLE = "apartment"  # the sample that `doctor` bakes
+# a bake of the sample takes longer only if something is wrong: usual are 0.05 to 0.2 s [s]
+USUAL_BAKE_SECONDS = 0.5
+# a requirement of a package: its name, and the extra that needs it
 REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:;.*?extra == ["'](?P<extra>[\w-]+)["'])?""")
 
 
@@ -96,30 +102,30 @@ def verify(
         tolerance=tolerance,
         force=force,
     )
-    with options.beside_output(output):
+    with options.keep_stdout_for(output):
         if as_json:
             print_json(report.to_json())
         else:
-            _print(report)
+            _print_report(report)
     if output is not None:
         marks = [
             (finding.level, *finding.position[:2], finding.kind) for finding in report.findings
         ]
-        drawn = navbake.load(grid)
-        options.write_picture(drawn, output, layers=("occupancy",), marks=marks)
+        content = navbake.load(grid)
+        options.write_picture(content, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
 
 
-def _print(report: VerifyReport) -> None:
-    shown = [*report.levels, report.total] if report.levels[1:] else report.levels
-    rows = [[getattr(level, key) for key in VERIFY_COLUMNS.values()] for level in shown]
+def _print_report(report: VerifyReport) -> None:
+    levels = [*report.levels, report.total] if report.levels[1:] else report.levels
+    rows = [[getattr(level, key) for key in VERIFY_COLUMNS.values()] for level in levels]
     print_tables(make_table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"}))
     if report.sweeps is not None:
-        swept = report.sweeps
+        sweeps = report.sweeps
         say(
-            f"{swept.paths} paths of {swept.length:.0f} m in all swept with {swept.radius:g} m: "
-            f"{swept.touching} touch, {swept.beside} meet what lies within a step of their ends"
+            f"{sweeps.paths} paths of {sweeps.length:.0f} m in all swept with {sweeps.radius:g} m: "
+            f"{sweeps.touching} touch, {sweeps.beside} meet what lies within a step of their ends"
         )
     for note in report.notes:
         say(f"note: {note}")
@@ -138,7 +144,9 @@ def audit(
     grid: GridFile,
     as_json: AsJson = False,
     output: Path | None = PICTURE_OPTION,
-    on: Path | None = option("FILE", "GRID is a graph of routes on this grid or map.", "--grid"),
+    routes_grid: Path | None = option(
+        "FILE", "GRID is a graph of routes on this grid or map.", "--grid"
+    ),
     radius: float | None = option(
         "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
     ),
@@ -149,20 +157,21 @@ def audit(
 
     Example: navbake audit house.grid.json -o remarks.png
     """
-    options.refuse_unused(("--radius", radius is not None, on is not None, "--grid"))
+    options.refuse_unused(("--radius", radius is not None, routes_grid is not None, "--grid"))
     if output is not None:
-        options.check_output(output, ".png", ".svg", inputs=[grid, *([on] if on else [])])
-    from navbake.auditor.audit import audit as look_at  # loads numpy
+        inputs = [grid] if routes_grid is None else [grid, routes_grid]
+        options.check_output(output, ".png", ".svg", inputs=inputs)
+    from navbake.auditor.audit import audit as audit_grid  # loads numpy
 
-    if on is None:
+    if routes_grid is None:
         content = navbake.load(grid)
-        report = look_at(content)
+        report = audit_grid(content)
     else:
         from navbake.auditor.routes import audit_routes  # loads it too
 
-        content = read_as(on)
+        content = read_as(routes_grid)
         report = audit_routes(grid, content, radius=radius)
-    with options.beside_output(output):
+    with options.keep_stdout_for(output):
         if as_json:
             print_json(report.to_json())
         else:
@@ -198,7 +207,7 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
     settings = config.load_config(samples.path(CHECKED_SAMPLE))
     seconds_taken = []
     try:
-        for _ in range(2):  # the first time with what compiling there is to do
+        for _ in range(2):  # the first bake may compile
             begin = time.perf_counter()
             grid = pipeline.bake(settings)
             seconds_taken.append(time.perf_counter() - begin)
@@ -215,7 +224,8 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
     print(f"{'bake':<12} {text}")
 
 
-def _installed(package: str) -> str | None:
+def _installed_version(package: str) -> str | None:
+    """Return the version of an installed package; None if it isn't installed."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -223,8 +233,12 @@ def _installed(package: str) -> str | None:
 
 
 def _describe_installation() -> Iterator[tuple[str, str]]:
-    """What `doctor` prints of versions, the machine, compiled code and extras: names and texts."""
-    needed: dict[str, list[str]] = {"": []}  # packages by extra, those of navbake itself under ""
+    """Yield the lines that `doctor` prints on versions, the machine, compiled code and extras.
+
+    Each is a pair of a name and a text.
+    """
+    # extra -> packages that it needs; "" -> packages that navbake always needs
+    needed: dict[str, list[str]] = {"": []}
     for line in requires("navbake") or ():
         match = REQUIREMENT.match(line)
         assert match is not None
@@ -232,7 +246,10 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
     yield "python", f"{platform.python_version()} in {sys.executable}"
     yield "system", f"{platform.platform()}, {platform.machine()}"
-    yield "packages", ", ".join(f"{name} {_installed(name) or 'MISSING'}" for name in needed[""])
+    yield (
+        "packages",
+        ", ".join(f"{name} {_installed_version(name) or 'MISSING'}" for name in needed[""]),
+    )
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     yield "cores", f"{os.cpu_count()}, usable {usable}, threads of a bake {threads.num_threads()}"
     libraries = ", ".join(filter(find_library, ("EGL", "OSMesa", "GL"))) or "none"
@@ -255,11 +272,15 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     for extra in ("test", "bench", "docs", "tensors-test"):  # of developers
         needed.pop(extra, None)
     for extra, packages in sorted(needed.items()):
-        have = ", ".join(f"{name} {_installed(name)}" for name in packages if _installed(name))
-        missing = ", ".join(name for name in packages if not _installed(name))
-        lack = f'missing {missing}: pip install "navbake[{extra}]"' if missing else ""
-        yield f"[{extra}]", "; ".join(filter(None, [have, lack]))
+        version_of_package = {name: _installed_version(name) for name in packages}
+        installed = ", ".join(
+            f"{name} {number}" for name, number in version_of_package.items() if found
+        )
+        missing = ", ".join(name for name, number in version_of_package.items() if not number)
+        install_hint = f'missing {missing}: pip install "navbake[{extra}]"' if missing else ""
+        yield f"[{extra}]", "; ".join(filter(None, [installed, install_hint]))
 
 
 def _megabytes(files: list[Path]) -> str:
+    """Return the total size of files [MB] as text."""
     return f"{sum(path.stat().st_size for path in files) / 1e6:.1f}"

@@ -20,7 +20,7 @@ from navbake.views.tables import make_table
 
 EPISODE_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet")
 SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", "molmospaces")
-"""Formats of other programs that hold sets."""
+"""Names of other programs' formats of sets of episodes."""
 
 
 def episodes(
@@ -89,16 +89,24 @@ def episodes(
         files=[grid.name for grid in grids],
     )
     sets.write_episodes(content, output)
-    refused = content.header.rejected
-    say_unless_quiet(f"{output}: {len(content)} episodes, {sum(refused.values())} draws refused")
-    for reason, number in refused.items():
+    rejected_draws = content.header.rejected
+    num_rejected = sum(rejected_draws.values())
+    say_unless_quiet(f"{output}: {len(content)} episodes, {num_rejected} draws refused")
+    for reason, number in rejected_draws.items():
         say_unless_quiet(f"  {number:>8} {reason}")
     if len(content) < count:
         say(f"only {len(content)} of {count}: the rules refuse the rest")
 
 
 def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
-    """Convert a set of episodes, and print which data the new file lacks."""
+    """Convert a set of episodes to another format, and print which data the new file lacks.
+
+    Args:
+        source: the file to read.
+        output: the file to write.
+        form: the format to write; None for the one of the file's ending.
+        scenes: name of a scene -> what the other program calls it.
+    """
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
 
     options.check_output(output, inputs=[source])
@@ -108,10 +116,10 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
         name = min(scenes)
         fault = f"--scene {name}={scenes[name]} fits no scene of {source}"
         raise ConfigError(f"{fault}: {suggest(name, sorted(scene_names))}")
-    lost = write_episodes(content, output, form, scenes)
+    missing_data = write_episodes(content, output, form, scenes)
     say_unless_quiet(output)
-    if lost:
-        say(f"{output} doesn't hold: {', '.join(lost)}")
+    if missing_data:
+        say(f"{output} doesn't hold: {', '.join(missing_data)}")
 
 
 def score(
@@ -139,19 +147,19 @@ def score(
     from navbake import scores  # loads numpy
     from navbake.episodes import read_episodes  # loads numpy
 
-    wanted = read_episodes(content)
+    episode_set = read_episodes(content)
     if not grids:
-        names = [entry.file for entry in wanted.header.grids if entry.file]
+        names = [entry.file for entry in episode_set.header.grids if entry.file]
         beside = {name: content.parent / name for name in names}
         grids = [path if path.exists() else Path(name) for name, path in beside.items()]
     if not grids:
         raise QueryError(f"expected the grids of {content}, which names none: give them")
     rows = scores.score_set(
-        wanted, scores.read_trajectories(trajectories), [navbake.load(file) for file in grids],
+        episode_set, scores.read_trajectories(trajectories), [navbake.load(file) for file in grids],
         threshold=threshold, force=force, partial=partial,
     )  # fmt: skip
     groups = scores.summarize(rows, by, seed=seed)
-    with options.beside_output(output):
+    with options.keep_stdout_for(output):
         if as_json:
             facts = [
                 group | {k: group[k]._asdict() for k in scores.MEAN_FIELDS} for group in groups

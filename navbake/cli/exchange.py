@@ -39,9 +39,10 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import Path as Route
     from navbake.runtime.search import Search
 
-EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
+# endings of sets of episodes that no grid has
+EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")
 
-# Functions import what reads grids when they run: --help stays quick.
+# Functions import what reads grids only when they run, so that --help stays quick.
 
 
 def convert(
@@ -120,27 +121,27 @@ def convert(
         convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
-    reader = _find(source, origin, ("--from", "IN"), writing=False)
-    writer = _find(output, to, ("--to", "OUT"), writing=True)
+    reader = _find_format(source, origin, ("--from", "IN"), writing=False)
+    writer = _find_format(output, to, ("--to", "OUT"), writing=True)
     read_options = {
         key: given_options.pop(key) for key in reader.read_options if key in given_options
     }
     for key in given_options.keys() - {*writer.write_options}:
-        takers = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
-        takers += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
+        purposes = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
+        purposes += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
-        raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
+        raise BadParameter(f"does nothing here: it is for {', '.join(purposes)}", param_hint=hint)
     inputs = [source, *(value for value in given_options.values() if isinstance(value, Path))]
     options.check_output(output, inputs=inputs)
-    of_level = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
-    if not source.exists() and of_level.is_file():
+    level_file = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
+    if not source.exists() and level_file.is_file():
         missing = f"cannot read {source}: No such file or directory"
-        raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
+        raise FormatError(f"{missing}, but {level_file} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_as(source, reader.name, **read_options)
     if route:
         inflated = grid if radius is None else grid.inflate(radius)
-        given_options["route"] = [_plan(inflated, text) for text in route]
+        given_options["route"] = [_plan_route(inflated, text) for text in route]
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     files = encode_as(grid, target, writer.name, **given_options)
     if output == STDOUT:
@@ -155,8 +156,17 @@ def convert(
         say_unless_quiet(path)
 
 
-def _plan(grid: NavGrid, text: str) -> Route:
-    """The path of a route: a position, a space and a goal."""
+def _plan_route(grid: NavGrid, text: str) -> Route:
+    """Plan the path of a value of --route.
+
+    Args:
+        grid: the grid.
+        text: the start (a place), a space, and the goal: a place, ``room:NAME`` or
+            ``object:NAME``.
+
+    Raises:
+        QueryError: there is no path.
+    """
     start, _, end = text.partition(" ")
     origin = options.position_of_place(grid, options.parse_place(start, "--route"), "--route")
     goal: str | list[float] = end.strip()
@@ -186,8 +196,18 @@ convert.__doc__ = "\n\n".join(
 )
 
 
-def _find(path: Path, name: str | None, hints: tuple[str, str], **table: Any) -> FileFormat:
-    """Find a file's format; an error is of the option that names it, or else of the file's."""
+def _find_format(path: Path, name: str | None, hints: tuple[str, str], **table: Any) -> FileFormat:
+    """Find the format of a file.
+
+    Args:
+        path: the file.
+        name: the format that the user named; None to find it by the file's ending.
+        hints: for errors, the option that names the format, and the argument that names the file.
+        table: keyword arguments of `find_format`.
+
+    Raises:
+        BadParameter: there is no such format.
+    """
     try:
         return find_format(path, name, **table)
     except FormatError as error:
@@ -233,9 +253,10 @@ def inflate(
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     options.check_output(output, *GRID_SUFFIXES, inputs=[grid])
     before = navbake.load(grid)
-    held = before.inflated_radius if mode == "exact" else 0.0
-    if held > radius:
-        print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
+    earlier_radius = before.inflated_radius if mode == "exact" else 0.0
+    if earlier_radius > radius:
+        remedy = "inflate the grid as it was baked"
+        print_warnings([f"{grid} stays inflated for {earlier_radius:g} m: {remedy}"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     (content,) = encode_files(after, output).values()
     options.write_output(content, output)
@@ -246,13 +267,20 @@ def inflate(
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
     if mode == "exact":
         _warn_of_closed_connections(Search(before), Search(after), radius)
-    with options.beside_output(output):
+    with options.keep_stdout_for(output):
         line = f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share}"
-        say_unless_quiet(f"{line} for an agent of radius {max(radius, held):g} m ({mode})")
+        total_radius = max(radius, earlier_radius)
+        say_unless_quiet(f"{line} for an agent of radius {total_radius:g} m ({mode})")
 
 
 def _warn_of_closed_connections(before: Search, after: Search, radius: float) -> None:
-    """Warn of the doors, links and stairs that an inflation closed."""
+    """Print a warning that names what no agent can pass any more after an inflation.
+
+    Args:
+        before: a search on the grid before the inflation.
+        after: a search on the inflated grid.
+        radius: the radius of the inflation, for the warning [m].
+    """
     from navbake.runtime.passage import find_closed_connections  # loads numpy
 
     closed = find_closed_connections(before, after)
@@ -279,7 +307,7 @@ def routes(
 
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    _find(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
+    _find_format(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
     options.check_output(output, inputs=[grid])
     content = navbake.load(grid)
     route_agent = find_agent(content, agent)
@@ -326,8 +354,8 @@ def map_descriptor(
         raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
     if (rows is None) != (cols is None):
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
-    of_grids = {"level": level, "corner": corner, "square": square, "explored": explored}
-    for name, value in of_grids.items():
+    grid_options = {"level": level, "corner": corner, "square": square, "explored": explored}
+    for name, value in grid_options.items():
         options.refuse_unused((f"--{name}", value is not None, decode is None, "a GRID"))
     import numpy as np  # not for --help
 
@@ -345,8 +373,8 @@ def map_descriptor(
         if number >= len(levels):
             raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
         edge = descriptor.SQUARE if square is None else square
-        placed = descriptor.place_squares(levels[number], square=edge, corner=corner, shape=shape)
-        filled = descriptor.find_obstacles(levels[number], placed)
+        squares = descriptor.place_squares(levels[number], square=edge, corner=corner, shape=shape)
+        filled = descriptor.find_obstacles(levels[number], squares)
         explored_cells = np.ones_like(filled) if explored is None else read_npy(explored)
         part1, part2 = descriptor.encode(explored_cells, filled)
     drawing = descriptor.draw(explored_cells, filled)

@@ -26,9 +26,9 @@ from navbake.cli.options import (
 from navbake.cli.printing import print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 
-# Functions import what they need when they run: --help loads no numpy, no MuJoCo and no viser.
+# Functions import what they need only when they run: --help loads no numpy, MuJoCo or viser.
 
-GRID_ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
+GRID_ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # the ending of a grid file's name
 
 
 def plot(
@@ -113,13 +113,13 @@ def report(
         message = f"expected one for each GRID, {len(grids)}, got {len(verifications)}"
         raise BadParameter(message, param_hint="--verify")
     options.check_output(output, ".html", ".htm", inputs=[*grids, *(verifications or ())])
-    read = [read_verification(path) for path in verifications or ()]
+    reports = [read_verification(path) for path in verifications or ()]
     contents = [navbake.load(path) for path in grids]
     page = render_report(
         contents,
         names=[GRID_ENDING.sub("", path.name) or path.name for path in grids],
         audits=[audit(content) for content in contents] if with_audit else None,
-        verifications=read or None,
+        verifications=reports or None,
     )
     options.write_output(page, output)
     if output != STDOUT:
@@ -156,7 +156,7 @@ def view(
     from navbake.views.viewer.view import Viewer, Watch, find_watched_files, watch_grid
     from navbake.views.viewer.view_state import ViewState
 
-    def find() -> list[Path]:
+    def list_watched_files() -> list[Path]:
         try:
             return find_watched_files([source, *load_config(source, overrides or []).inputs])
         except NavbakeError:  # broken for now; the next write is tried again
@@ -168,10 +168,10 @@ def view(
 
         config = load_config(source, overrides or [])
         with printing.progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
-            opened = load_scene_file(config.scene)
-            grid = run_bake(config, progress=progress, scene_model=opened).grid
+            scene_model = load_scene_file(config.scene)
+            grid = run_bake(config, progress=progress, scene_model=scene_model).grid
         print_warnings(list(grid.warnings))
-        baked = load_scene(config, scene_model=opened)
+        baked = load_scene(config, scene_model=scene_model)
         return ViewState(grid, baked, config)
 
     is_grid = source.name.lower().endswith(GRID_SUFFIXES)
@@ -190,7 +190,7 @@ def view(
             )
         else:
             options.say_if_sample(source)
-            watch = Watch(bake, find)
+            watch = Watch(bake, list_watched_files)
         with Viewer(watch.read(), server, watch=watch) as viewer:
             say(f"{viewer.url} (Ctrl-C ends it)")
             if not no_open:

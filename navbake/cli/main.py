@@ -23,7 +23,7 @@ from navbake.cli.check import audit, doctor, verify
 from navbake.cli.episodes import episodes, score
 from navbake.cli.exchange import convert, inflate, map_descriptor, routes
 from navbake.cli.look import plot, report, view
-from navbake.cli.options import NavbakeCommand, prepared
+from navbake.cli.options import NavbakeCommand, prepare_command
 from navbake.cli.printing import print_causes, print_error
 from navbake.errors import NavbakeError
 
@@ -31,7 +31,7 @@ from navbake.errors import NavbakeError
 os.environ.setdefault("MUJOCO_GL", "disable")
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
-"""The system's numbers for an output that takes no more."""
+"""Numbers of operating system errors when an output can't be written any further."""
 
 COMMANDS = {
     "Bake": (samples, init, geoms, bake, voxelize),
@@ -42,16 +42,16 @@ COMMANDS = {
     "Check": (verify, audit, doctor),
     "Many": (batch, warm_up),
 }
-"""The commands in the groups in which --help lists them."""
+"""Title of a group in --help -> its commands."""
 ALIASES = {"mdf": "map-descriptor"}
-GUESSED_COMMANDS = {  # guesses and old names of commands
+GUESSED_COMMANDS = {  # name that a user may guess, or that a command had before -> hint
     "export": "write `navbake convert GRID FILE`: the ending of FILE says to what",
     "extrude": "write `navbake convert MAP scene.xml`",
 }
 
 
-class _Groups(TyperGroup):
-    """The commands, listed in groups."""
+class _CommandGroups(TyperGroup):
+    """The command `navbake`: its help lists the commands in groups."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = max(map(len, self.commands))
@@ -63,7 +63,7 @@ class _Groups(TyperGroup):
                 formatter.write_dl([*zip(padded, texts, strict=True)])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find a command by its name, or suggest the nearest."""
+        """Find a command by its name or alias; for an unknown name, the error has a hint."""
         if args[0] in GUESSED_COMMANDS:
             ctx.fail(f"No such command '{args[0]}': {GUESSED_COMMANDS[args[0]]}")
         return super().resolve_command(ctx, [ALIASES.get(args[0], args[0]), *args[1:]])
@@ -71,7 +71,7 @@ class _Groups(TyperGroup):
 
 app = Typer(
     name="navbake",
-    cls=_Groups,
+    cls=_CommandGroups,
     help="Bake MuJoCo scenes into navigation grids, and query and convert those grids.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -80,7 +80,7 @@ app = Typer(
 for command in (command for group in COMMANDS.values() for command in group):
     # a place may start with a minus
     settings = {"ignore_unknown_options": command is why}
-    app.command(cls=NavbakeCommand, context_settings=settings)(prepared(command))
+    app.command(cls=NavbakeCommand, context_settings=settings)(prepare_command(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -103,8 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         if error.filename is not None or error.errno not in DISK_ERRORS:
             raise
-        # drop the buffer, or Python would flush it again at its end, and fail
-        with suppress(OSError, ValueError):  # ValueError: no file descriptor, as under tests
+        # at its end, Python would flush the buffer again and fail: let it write to nowhere
+        with suppress(OSError, ValueError):  # ValueError: stdout has no file descriptor in tests
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno != errno.EPIPE:  # a closed pipe is no error
             print_error(f"cannot write to stdout: {error.strerror}")
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class _LogPrinter(logging.Handler):
-    """Prints log records on compiling and files, one line on stderr each."""
+    """Prints each log record as a line on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())

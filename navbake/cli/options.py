@@ -22,7 +22,7 @@ from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
 
 from navbake import files, samples
-from navbake.cli.printing import VERBOSITY, print_error, volume
+from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.source import write_bytes
 
@@ -55,7 +55,10 @@ def flag(name: str, text: str, *names: str) -> Any:
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
-    """Check that each override has the form KEY=VALUE; loading the settings checks the keys."""
+    """Check that each override has the form KEY=VALUE; the keys are checked later.
+
+    Raises a BadParameter for another form.
+    """
     for override in overrides or []:
         if "=" not in override:
             raise BadParameter(f"expected KEY=VALUE, got {override!r}")
@@ -63,18 +66,21 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
 
 
 def override_model_path(folders: list[Path] | None) -> list[str]:
-    """Return the overrides that `--model-path` stands for; paths become absolute."""
+    """Return the overrides of settings that `--model-path` stands for, with absolute paths."""
     listed = [str(folder.absolute()) for folder in folders or []]
     return [f"scene.model_path={json.dumps(listed)}"] if listed else []
 
 
 def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
-    """Read values by key from texts as ``KEY=VALUE``.
+    """Read a mapping from texts of the form ``KEY=VALUE``.
 
     Args:
         texts: the values of an option that may be repeated.
-        option: its name, for errors.
-        form: the form that errors expect, as ``NAME=COLUMN``.
+        option: the option's name, for errors.
+        form: the form for errors, such as ``NAME=COLUMN``.
+
+    Returns:
+        Key -> value.
 
     Raises:
         BadParameter: a text has no ``=``.
@@ -115,7 +121,7 @@ AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 QUIET_OPTION = flag("-q", "Print only what was asked for, warnings and errors.", "--quiet")
 VERBOSE_OPTION = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
 OUTPUT_FLAGS = "-o", "--output"
-"""The names of the option."""
+"""The names of the option for the output file."""
 PICTURE_OPTION = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
 LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", min=0)
 STDOUT = Path("-")
@@ -130,7 +136,7 @@ PLACE_PATTERN = re.compile(  # also 1.5 -2, (1.5, -2) and 1.5, -2, level 1
     rf"[(\[]?({NUMBER_PATTERN})[\s,;]+({NUMBER_PATTERN})(?:[\s,;]+(?:({NUMBER_PATTERN})|(?i:l|level)\s*(\d+)))?[)\]]?"
 )
 PYTHON_TYPE = re.compile(r" <[^<>]*>$")
-"""What typer adds to the name of an argument."""
+"""The Python type that typer adds to the name of an argument in the help."""
 
 
 def check_output(
@@ -200,13 +206,16 @@ def write_output(content: bytes, output: Path) -> None:
     sys.stdout.buffer.flush()
 
 
-def beside_output(path: Path | None) -> AbstractContextManager[object]:
-    """Return a context in which prints go to stderr if the command's output goes to stdout."""
+def keep_stdout_for(path: Path | None) -> AbstractContextManager[object]:
+    """Return a context in which prints go to stderr if `path`, the output file, is stdout."""
     return redirect_stdout(sys.stderr) if path == STDOUT else nullcontext()
 
 
 def say_if_sample(path: Path) -> None:
-    """Print on stderr, unless --quiet, that a bare name stands for an installed sample."""
+    """Print on stderr that a path is the name of an installed sample, if it is.
+
+    With --quiet, print nothing.
+    """
     if VERBOSITY.quiet:
         return
     sample = samples.find(path)
@@ -230,9 +239,9 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
 
 
 class NavbakeCommand(TyperCommand):
-    """A command whose help shows plain metavars, without Python types, and --output first.
+    """A command whose help lists --output first and shows no Python types.
 
-    Where an option's value is not a number, the error quotes the value.
+    If the value of an option is wrong, the error quotes the value.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -259,11 +268,11 @@ class NavbakeCommand(TyperCommand):
                     formatter.write_dl(lines)
 
 
-def prepared(command: Callable[..., None]) -> Callable[..., None]:
-    """Prepare a command for typer, which makes an option of each parameter of a function.
+def prepare_command(command: Callable[..., None]) -> Callable[..., None]:
+    """Wrap a command so that typer can read its options from its signature.
 
     The options -q and -v are added. A parameter whose type is a dataclass is a group of options:
-    its fields become options of the command, and the command receives the dataclass.
+    the dataclass's fields become options, and the command receives the dataclass.
     """
     # `get_type_hints` of Python 3.10 would hide the options whose default is None
     hints = inspect.get_annotations(command, eval_str=True)
@@ -278,7 +287,7 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
         for name, group in groups.items():
             fields = {field.name: values.pop(field.name) for field in dataclasses.fields(group)}
             values[name] = group(**fields)
-        with volume(quiet=quiet, verbose=verbose):
+        with use_verbosity(quiet=quiet, verbose=verbose):
             command(**values)
 
     parameters = []
@@ -294,7 +303,7 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _parameters_of(group: Any) -> list[inspect.Parameter]:
-    """The parameters of a group of options: the fields of its dataclass."""
+    """Return a parameter for each field of a group of options, which is a dataclass."""
     hints = inspect.get_annotations(group, eval_str=True)
     return [
         _keyword(field.name, field.default, hints[field.name])
@@ -313,10 +322,10 @@ def _keyword(name: str, default: object, annotation: object) -> inspect.Paramete
 class TypedPlace(NamedTuple):
     """A place that a user typed: x and y, and either z, a level, or neither."""
 
-    x: float  # world [m]
-    y: float
-    z: float | None
-    level: int | None
+    x: float  # world x [m]
+    y: float  # world y [m]
+    z: float | None  # world z [m]
+    level: int | None  # number of the level, 0 is the lowest
 
 
 def parse_place(text: str, option: str) -> TypedPlace:
@@ -324,7 +333,7 @@ def parse_place(text: str, option: str) -> TypedPlace:
 
     Args:
         text: ``x,y``, ``x,y,z`` or ``x,y,L1``.
-        option: the name of the option that gives it, for errors.
+        option: the name of the option that gives the text, for errors.
 
     Raises:
         BadParameter: the text has another form, or a number is not finite.
@@ -345,10 +354,10 @@ def parse_place(text: str, option: str) -> TypedPlace:
 
 
 def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[float]:
-    """Return the position of a place; if the place has no z, on the floor of its level.
+    """Return the position of a place that a user typed.
 
-    A place without a level is on the only level with a floor there. On a grid of one level, a place
-    without z stays x and y.
+    A place without z gets the z of the floor on its level. A place without z and level gets the z
+    of the only floor at its x, y; on a grid of one level it stays x, y.
 
     Args:
         grid: the grid.
@@ -359,8 +368,9 @@ def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[flo
         World x, y and maybe z [m].
 
     Raises:
-        BadParameter: no level has a floor at the place, or several have one and the place names
-            none, or its level is open to the level below there.
+        BadParameter: the place has neither z nor level, and no level or several have a floor there;
+            or the place has a level without a floor there, and a position on that level's ground
+            would belong to another level.
         QueryError: the grid has no such level.
     """
     x, y, z, level = place

@@ -25,15 +25,15 @@ rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
 VERBOSITY = SimpleNamespace(quiet=False, verbose=False)
-"""Whether the command that runs was given --quiet or --verbose; `volume` sets it."""
+"""Whether the command that runs was given --quiet or --verbose; `use_verbosity` sets it."""
 
 
 @contextmanager
-def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
-    """Set within a with statement how much is printed, for --quiet and --verbose.
+def use_verbosity(*, quiet: bool, verbose: bool) -> Iterator[None]:
+    """Set `VERBOSITY` for a command, within a with statement.
 
-    With `verbose`, the log records of the logger ``navbake`` go to stderr, except warnings, which
-    commands print in any case. The duration is printed at the end.
+    With `verbose`, records of the logger ``navbake`` are printed on stderr, and at the end the
+    duration. Records of warnings and errors aren't, because commands print these in any case.
     """
     VERBOSITY.quiet = quiet
     VERBOSITY.verbose = verbose
@@ -67,9 +67,9 @@ def print_json_line(value: object) -> None:
 
 
 def print_json(value: object) -> None:
-    """Print a value, which may hold arrays, as JSON.
+    """Print a value, which may contain numpy arrays, as JSON.
 
-    Refuses NaN and infinity, which JSON lacks.
+    Raises a ValueError for NaN and infinity, which JSON doesn't have.
     """
     text = json.dumps(
         value,
@@ -83,12 +83,12 @@ def print_json(value: object) -> None:
 
 
 def say(text: object) -> None:
-    """Print one line, with control characters escaped: names may contain terminal commands."""
+    """Print one line on stdout; control characters are escaped, as they may command terminals."""
     print(printable(str(text)))
 
 
 def say_unless_quiet(text: object) -> None:
-    """Print one line of information; with --quiet, print nothing."""
+    """Print one line of information on stdout; with --quiet, print nothing."""
     if not VERBOSITY.quiet:
         say(text)
 
@@ -112,7 +112,7 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def is_terminal(stream: TextIO | None) -> bool:
-    """Return whether a stream is a terminal; None, which stands for a closed stream, is not."""
+    """Return whether a stream is a terminal; False for None, which stands for a closed stream."""
     return stream is not None and stream.isatty()
 
 
@@ -120,26 +120,39 @@ def print_tables(*tables: Table) -> None:
     """Print tables on stdout, at most as wide as the terminal."""
     width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
     for index, table in enumerate(tables):
-        print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
+        print("\n" * (index > 0) + "\n".join(table_lines(table, width)))
 
 
 def cell_table(facts: Json) -> Table:
-    """Return a table with a row for each fact of `navbake.views.describe.describe_cell`."""
+    """Return a table with a row for each fact of a cell.
+
+    Args:
+        facts: what `navbake.views.describe.describe_cell` returns.
+    """
     blocked = "no floor here" if facts["floor"] is None else "blocked"
     verdict = "an agent can stand here" if facts["free"] else blocked
-    rows = {"verdict": verdict, "blocked by": facts["blockers"], **cell_facts(facts)}
-    shown = {key: ", ".join(v) or "-" if isinstance(v, list) else v for key, v in rows.items()}
-    return make_table(("", ""), shown.items())
+    values = {"verdict": verdict, "blocked by": facts["blockers"], **cell_facts(facts)}
+    rows = []
+    for name, value in values.items():
+        rows.append((name, ", ".join(value) or "-" if isinstance(value, list) else value))
+    return make_table(("", ""), rows)
 
 
-def lay_out(table: Table, width: int | None = None) -> list[str]:
-    """Return a table's lines; cells of a table wider than `width` characters are wrapped."""
-    shown = [table.headings, *table.rows] if any(table.headings) else table.rows
-    widths = [max(map(text_width, column)) for column in zip(*shown, strict=True)]
+def table_lines(table: Table, width: int | None = None) -> list[str]:
+    """Lay out a table as lines of text.
+
+    Args:
+        table: the table.
+        width: the largest width [characters]; in a wider table, cells are wrapped. None for any
+            width.
+    """
+    text_rows = [table.headings, *table.rows] if any(table.headings) else table.rows
+    widths = [max(map(text_width, column)) for column in zip(*text_rows, strict=True)]
     is_number = [heading in table.numbers for heading in table.headings]
     if width is not None and sum(widths) + table.gap * (len(widths) - 1) > width:
         form = {"pad_edge": False, "padding": (0, table.gap, 0, 0)}
-        wrapped = rich_table.Table(box=None, show_header=shown is not table.rows, **form)
+        has_headings = text_rows is not table.rows
+        wrapped = rich_table.Table(box=None, show_header=has_headings, **form)
         for heading, right in zip(table.headings, is_number, strict=True):
             side = "right" if right else "left"
             wrapped.add_column(heading, justify=side, overflow="fold", no_wrap=right)
@@ -151,7 +164,7 @@ def lay_out(table: Table, width: int | None = None) -> list[str]:
             screen.print(wrapped)
         return [line.rstrip() for line in captured.get().splitlines()]
     lines = []
-    for row in shown:
+    for row in text_rows:
         blanks = [" " * (most - text_width(cell)) for cell, most in zip(row, widths, strict=True)]
         cells = [
             blank + cell if right else cell + blank
@@ -162,7 +175,7 @@ def lay_out(table: Table, width: int | None = None) -> list[str]:
 
 
 def text_width(text: str) -> int:
-    """Return a text's width in a terminal in characters; a Chinese character counts as two."""
+    """Return how many columns of a terminal a text takes; a Chinese character takes two."""
     if text.isascii():
         return len(text)
     from rich.cells import cell_len  # rich slows --help by a fifth
@@ -172,9 +185,15 @@ def text_width(text: str) -> int:
 
 @contextmanager
 def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
-    """Yield a function that shows progress, and takes a name, the fraction done, and a note.
+    """Show progress bars on stderr, if that is a terminal; other output appears above them.
 
-    Each name has a bar on stderr, if that is a terminal; other output appears above the bars.
+    Args:
+        title: the text before each bar's name.
+        hidden: whether to show nothing.
+
+    Yields:
+        A function that adds or updates a bar. It takes the bar's name, the fraction that is done
+        (0 to 1), and a note, a text beside the bar.
     """
     if hidden or not is_terminal(sys.stderr):
         yield lambda name, share, note="": None

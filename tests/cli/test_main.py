@@ -17,7 +17,7 @@ import typer
 import navbake
 from navbake import compiled
 from navbake.cli.main import COMMANDS, app, main
-from navbake.cli.options import check_output, prepared
+from navbake.cli.options import check_output, prepare_command
 from navbake.cli.printing import VERBOSITY
 from navbake.errors import ConfigError
 from project_paths import GOLDEN
@@ -160,7 +160,7 @@ def test_a_prepared_command_takes_quiet_and_verbose_too(capsys):
     got = []
 
     @app.command()
-    @prepared
+    @prepare_command
     def draw(
         name: Annotated[str, typer.Argument(help="What.")],
         width: Annotated[int, typer.Option(help="Columns.")] = 3,
