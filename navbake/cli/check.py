@@ -274,7 +274,7 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     for extra, packages in sorted(needed.items()):
         version_of_package = {name: _installed_version(name) for name in packages}
         installed = ", ".join(
-            f"{name} {number}" for name, number in version_of_package.items() if found
+            f"{name} {number}" for name, number in version_of_package.items() if number
         )
         missing = ", ".join(name for name, number in version_of_package.items() if not number)
         install_hint = f'missing {missing}: pip install "navbake[{extra}]"' if missing else ""
