@@ -1,7 +1,7 @@
-"""Looks at a grid, without its scene, for what a person would notice.
+"""Checks a grid, without its scene, for faults that a person would notice.
 
-Here are the checks of levels, boxes, steps, rooms, doors, the agent, named links and areas, and the
-list of all.
+This module has the checks of levels, boxes, steps, rooms, doors, the agent, named links and areas,
+and the list of all checks.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.rooms import Door
 from navbake.types import Bool, Float, Int, Vector3
 
-ALIGNMENT_TOLERANCE = 1e-3  # share of a cell that lattices may be off
-BOX_SLACK = 1e-4  # by which a cell may lie beside its level's box [m]
+ALIGNMENT_TOLERANCE = 1e-3  # by which cells of two levels may be misaligned [cells]
+BOX_SLACK = 1e-4  # by which a cell may lie outside its level's box [m]
 MAX_IN_LOWER_BOXES = 0.5  # share of a level's free cells that may lie in lower levels' boxes
-DEFAULT_MAX_SLOPE = 45.0  # of ramps, where the bake states no other [degrees]
+DEFAULT_MAX_SLOPE = 45.0  # of ramps, if the grid states no other [degrees]
 MAX_LINK_LENGTH = 1.5  # between the ends of a step, seen from above [cells]
-AREA_TOLERANCE = 0.01  # share of a room's area that its entry may be off
-CENTER_TOLERANCE = 0.1  # by which a room's entry may lie beside its cells [cells]
-MIN_ROOM_AREA = 1.0  # that one can stand on, if a room is to need a door [m²]
+AREA_TOLERANCE = 0.01  # share by which a room's area and that in its entry may differ
+CENTER_TOLERANCE = 0.1  # distance of a room's centre from the one in its entry [cells]
+MIN_ROOM_AREA = 1.0  # floors with less area than this need no way out [m²]
 
 
 def check_lattices(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels whose lattice has no place in the world, or whose cells have no size."""
+    """Finds: levels whose corner is not at finite coordinates, or whose cells have no size."""
     for number, level in enumerate(facts.levels):
         lattice = level.lattice
         if not 0 < lattice.cell_size < math.inf:
@@ -86,7 +86,7 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
         floor = facts.floors[number]
         outside = free & ~_in_box(facts, number, box)
         for other_number, other_floor in enumerate(facts.floors):
-            # between the floors of another level no boxes are right
+            # where levels interleave, no boxes are right
             heights = other_floor[facts.free[other_number] & ~np.isnan(other_floor)]
             if outside.any() and other_number != number and len(heights):
                 outside &= ~((floor >= heights.min()) & (floor <= heights.max()))
@@ -97,7 +97,7 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
         for lower_box in boxes[:number]:
             if lower_box is not None:
                 in_lower_boxes |= free & _in_box(facts, number, lower_box)
-        # where levels interleave, some cells lie in two boxes, and no boxes are right for all
+        # where levels interleave, some cells have to lie in two boxes
         if number and in_lower_boxes.sum() > MAX_IN_LOWER_BOXES * free.sum():
             count = int(in_lower_boxes.sum())
             text = f"{count} free cells lie in the box of a lower level, too"
@@ -105,7 +105,7 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
 
 
 def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
-    """Mark the cells of a level whose centres are in a box of the file, which has y up."""
+    """Mark the cells of a level whose centres, on the floor, are in a box of the file (y up)."""
     level = facts.levels[number]
     floor = facts.floors[number]
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
@@ -118,7 +118,7 @@ def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bo
 
 
 def check_links(facts: Facts) -> Iterator[Finding]:
-    """Finds: links to cells that don't exist, have no floor, are too far away, or too high."""
+    """Finds: steps to cells that don't exist, have no floor, are too far away, or too high."""
     links = facts.grid.step_array
     starts = _link_ends(facts, links[:, :2])
     ends = _link_ends(facts, links[:, 2:])
@@ -146,7 +146,15 @@ def check_links(facts: Facts) -> Iterator[Finding]:
 
 
 def _link_ends(facts: Facts, level_cells: Int) -> Float:
-    """World x, y and floor z of links' ends, given by level and cell, shape (n, 2) [m]."""
+    """Return world x, y and floor z [m] of cells.
+
+    Args:
+        facts: the facts about the grid.
+        level_cells: level and cell id of each cell, shape (n, 2).
+
+    Returns:
+        The positions, shape (n, 3); z is NaN for a cell without a floor.
+    """
     positions = np.full((len(level_cells), 3), np.nan)
     level, cell = level_cells.T
     for number, grid in enumerate(facts.levels):
@@ -158,9 +166,10 @@ def _link_ends(facts: Facts, level_cells: Int) -> Float:
 
 
 def _max_link_rise(facts: Facts) -> float:
-    """How far a link may lead up [m]: a step, or the rise of the steepest ramp over a cell.
+    """Return how far a step of `step_array` may lead up or down [m].
 
-    A bake links neighbours more than a step apart where a ramp leads on.
+    It is the agent's highest step; or its sum with the rise of the steepest ramp over a cell, if
+    that rise is larger: a bake lists the steps of steep ramps.
     """
     baked_slope = facts.grid.navbake.get("maxSlope")
     max_slope = DEFAULT_MAX_SLOPE
@@ -175,7 +184,7 @@ def _max_link_rise(facts: Facts) -> float:
 
 
 def check_missing_links(facts: Facts) -> Iterator[Finding]:
-    """Finds: free cells a step apart on two levels that no link connects.
+    """Finds: neighbouring free cells of two levels, a step apart in height, that no step joins.
 
     They are reported only where nothing else connects the islands of both cells.
     """
@@ -196,7 +205,21 @@ def check_missing_links(facts: Facts) -> Iterator[Finding]:
 
 
 def _mark_unlinked(facts: Facts, lower: int, upper: int, rows: Int, cols: Int) -> Bool:
-    """Mark the cells of a level a step beside the free cells of a lower one, on another island."""
+    """Mark cells of the upper level that lack a connection to the lower level.
+
+    These cells are next to a free cell of the lower level, at most a step apart in height, and on
+    another island.
+
+    Args:
+        facts: the facts about the grid.
+        lower: the index of the lower level.
+        upper: the index of the upper level.
+        rows: the rows of free cells of the upper level, shape (n,).
+        cols: their columns, shape (n,).
+
+    Returns:
+        A mask of these cells, shape (n,).
+    """
     lattice = facts.levels[lower].lattice
     positions = facts.levels[upper].lattice.positions(rows, cols)
     lower_rows, lower_cols = lattice.rows_cols(positions)
@@ -276,13 +299,13 @@ def check_room_table(facts: Facts) -> Iterator[Finding]:
 
 
 def find_room_centers(level: SceneGrid2D) -> dict[int, Vector3]:
-    """Return the mean position of the cells of each room, by the room's index.
+    """Return the mean position of the cells of each room.
 
     Args:
         level: a level of a grid.
 
     Returns:
-        World x, y and z by room index [m], rounded to a micrometre as in the table of rooms.
+        Index of a room -> world x, y, z [m], rounded to micrometres as in the table of rooms.
     """
     rooms, room_of_cell, num_cells = np.unique(
         level.room_index, return_inverse=True, return_counts=True
@@ -308,7 +331,7 @@ def check_rooms_without_way_out(facts: Facts) -> Iterator[Finding]:
         num_cells = np.bincount(room_index[passable], minlength=len(has_exit))
         if np.count_nonzero(num_cells) < 2:
             continue  # there is nothing to lead to
-        # from cell to cell with a step between at most, or by a link
+        # cells connect if they are at most a step apart, or if a step of `step_array` joins them
         room = room_index.ravel()
         can_pass = passable.ravel()
         floor = facts.floors[number].ravel()
@@ -362,7 +385,10 @@ def check_doors(facts: Facts) -> Iterator[Finding]:
 
 
 def _middle_of_door(facts: Facts, door: Door) -> tuple[int | None, Vector3 | None]:
-    """The level and place of the middle of a door's cells, in the first state that has some."""
+    """Return the level and the position of a door; both are None if it has no cells.
+
+    It is the middle one of the door's cells, in the first state in which it has any.
+    """
     for state in door.cells:
         for number, door_cells in enumerate(door.cells_in(state, len(facts.levels))):
             if len(door_cells):
@@ -373,11 +399,19 @@ def _middle_of_door(facts: Facts, door: Door) -> tuple[int | None, Vector3 | Non
 
 
 def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tuple[int, int]:
-    """Count a door's cells that aren't occupied, and those that are in another state only.
+    """Count the cells whose occupancy contradicts a door's state.
 
-    A door lists the cells that nothing else blocks but other doors. So those that it blocks in
-    other states have to be free, unless another door stands there: `door_cells` marks the cells of
-    all doors in their states.
+    A door's table has only cells that nothing else blocks, except other doors. So a cell that it
+    blocks only in other states must not be occupied, unless another door blocks it.
+
+    Args:
+        facts: the facts about the grid.
+        door: the door.
+        door_cells: for each level, a mask of the cells that any door blocks in its state.
+
+    Returns:
+        The number of cells that the door should block but that are not occupied, and the number of
+        cells that it blocks only in other states but that are occupied.
     """
     num_levels = len(facts.levels)
     cells_by_state = [door.cells_in(state, num_levels) for state in door.cells]
@@ -398,7 +432,7 @@ def _count_wrong_cells(facts: Facts, door: Door, door_cells: list[Bool]) -> tupl
 def check_named_links(facts: Facts) -> Iterator[Finding]:
     """Finds: links with blocked stops, stops in dead spots, and lifts within one level.
 
-    A dead spot is a small piece of floor that only this link leads to. Agents of a link that the
+    A dead spot is a small piece of floor that only this link leads to. Links for agents that the
     grid doesn't list are found, too.
     """
     links = facts.grid.links
@@ -475,7 +509,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
     "an area is nowhere": ("areas", check_areas),
     "the agent can't be": ("agent", check_agent),
 }
-"""The checks, by what each looks for: what its remarks are called, and its function."""
+"""What a check looks for -> the `check` of its remarks, and its function."""
 
 
 def run_check(check: Callable[[Facts], Iterator[Finding]], facts: Facts) -> Iterator[Finding]:
@@ -486,7 +520,7 @@ def run_check(check: Callable[[Facts], Iterator[Finding]], facts: Facts) -> Iter
         facts: the facts about the grid.
 
     Yields:
-        The findings of the check. Where it raises a FormatError, the last one is that error.
+        The findings of the check. If it raises a FormatError, the last finding is that error.
     """
     try:
         yield from check(facts)
@@ -523,7 +557,7 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
         for finding in run_check(check, facts):
             place = finding.place
             if place is not None and not all(map(math.isfinite, place)):
-                place = None  # the grid itself may be at no place
+                place = None  # the grid's corner may have infinite coordinates
             remarks.append(Remark(name, finding.severity, finding.level, place, finding.text))
     remarks.sort(key=lambda remark: remark.severity != ERROR)
     return AuditReport(content.scene_id, remarks, list(CHECKS))

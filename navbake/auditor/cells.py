@@ -1,4 +1,4 @@
-"""Checks of layers and floors: free, blocked, weights, jumps, what is connected or cut off."""
+"""Checks of layers and floors: free cells, weights, stored layers, jumps, cut-off islands."""
 
 from __future__ import annotations
 
@@ -25,18 +25,21 @@ from navbake.errors import count_of
 from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Float, Int
 
-MIN_CELLS = 100  # of a grid or level, if how many are free is to say something
-FEW_FREE = 0.01  # share of a level's cells below which hardly any are free
-CLEARANCE_TOLERANCE = 1e-3  # by which a stored clearance may be off [m]
-MAX_ISLAND_NUMBER = 65_535  # stands for all islands from it on: the layer's type ends there
-FARTHEST_FLOOR = 10_000.0  # floors beyond are in a wrong unit [m]
-MIN_FLOOR_AREA = 1.0  # that no step leads to, unless the settings of a bake say another [m²]
-NEARLY_ALL = 0.75  # share of a patch's outline: a corner of it may touch a wall
-MIN_JUMP_SHARE = 0.5  # share from which on nobody would take a patch for a storey beside another
-MAX_PATCHES = 10  # that are reported one by one
-MIN_CUT_OFF_AREA = 1.0  # of both islands, if what lies between them is to matter [m²]
-MAX_GAP_CELLS = 3  # what is longer is a thin wall
-MAX_GAPS = 10  # that are reported, the largest islands first
+MIN_CELLS = 100  # grids and levels with fewer cells may have any share of free cells
+FEW_FREE = 0.01  # with a smaller share of free cells, hardly any cell of a level is free
+CLEARANCE_TOLERANCE = 1e-3  # largest error of a stored clearance [m]
+MAX_ISLAND_NUMBER = 65_535  # stands for this island and all smaller ones: the layer is uint16
+MAX_FLOOR_HEIGHT = 10_000.0  # floors farther from z = 0 must be in a wrong unit [m]
+# smallest area of a floor that no step leads to, unless the settings of the bake have another [m²]
+MIN_FLOOR_AREA = 1.0
+# share of a patch's outline that jumps: from the first share on, a patch is reported; from the
+# second on, it is an error (a corner of it may touch a wall)
+MIN_JUMP_SHARE = 0.5
+NEARLY_ALL = 0.75
+MAX_PATCHES = 10  # number of patches that are reported one by one
+MIN_CUT_OFF_AREA = 1.0  # gaps between islands are reported if both islands are larger [m²]
+MAX_GAP_CELLS = 3  # more blocked cells between two islands are a thin wall
+MAX_GAPS = 10  # number of gaps that are reported, those at the largest islands first
 
 
 def check_all_free(facts: Facts) -> Iterator[Finding]:
@@ -99,23 +102,23 @@ def check_weights(facts: Facts) -> Iterator[Finding]:
         blocked = ~free & ~is_no_cost & ~occupied
         text = "blocked by weight, but not occupied"
         if reach is not None and blocked.any():
-            blocked &= ~find_reasons(facts.grid, number, reach)
+            blocked &= ~mark_cells_inflation_may_block(facts.grid, number, reach)
             text += f", and nothing that an inflation avoids is within {reach:g} m"
         yield from facts.error_on_cells(number, blocked, text)
 
 
-def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
-    """Mark the cells of a level that an inflation may have closed.
+def mark_cells_inflation_may_block(grid: GridBase, number: int, max_distance: float) -> Bool:
+    """Mark the cells of a level that an inflation may have blocked.
 
-    A cell is marked if a square around it holds a reason: an occupied cell, a cell without a floor,
-    a floor more than a step higher or lower, a floor of another level less than the agent's height
-    away, or the edge of the level. The square is slightly larger than the reach, so that no reason
-    is missed.
+    A cell is marked if there is a reason in a square around it: an occupied cell, a cell without a
+    floor, a floor more than a step higher or lower, a floor of another level that is less than the
+    agent's height from the heights of this level, or the edge of the level. The square is slightly
+    larger than `max_distance`, so that no reason is missed.
 
     Args:
         grid: the grid.
         number: the level's index.
-        reach: how far from a cell's centre an inflation looks for reasons [m].
+        max_distance: how far from a cell's centre an inflation looks for reasons [m].
 
     Returns:
         A mask of the cells, shape (height, width).
@@ -135,7 +138,7 @@ def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
             rows, cols = level.lattice.rows_cols(positions)
             inside = level.lattice.holds(rows, cols)
             is_avoided[rows[inside], cols[inside]] = True
-    num_cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
+    num_cells = min(math.ceil(max_distance / level.lattice.cell_size) + 1, max(level.shape))
     size = 2 * num_cells + 1
     has_reason: Bool = maximum_filter(is_avoided, size, mode="constant", cval=True)
     highest_near = maximum_filter(np.where(has_floor, floor, -np.inf), size)
@@ -150,14 +153,14 @@ def check_inflation(facts: Facts) -> Iterator[Finding]:
     """Finds: metadata that don't state properly for which radius the grid was inflated."""
     _, problem = read_inflations(facts.grid)
     if problem is not None:
-        # in files of other programs it may mean anything
+        # in files of other programs, `inflation` may mean anything
         yield Finding(ERROR if facts.grid.navbake else REMARK, None, None, problem)
 
 
 def check_layers(facts: Facts) -> Iterator[Finding]:
     """Finds: stored `island` and `clearance` layers that differ from the computed ones."""
     if not facts.grid.navbake:
-        return  # in files of other programs they may be anything
+        return  # in files of other programs, these layers may mean anything
     for number, level in enumerate(facts.levels):
         stored_island = level.attributes.get("island")
         if stored_island is not None:
@@ -166,7 +169,7 @@ def check_layers(facts: Facts) -> Iterator[Finding]:
             yield from facts.error_on_cells(number, wrong, text)
         stored_clearance = level.attributes.get("clearance")
         if stored_clearance is not None:
-            # by cells' centres, less half a cell; beyond the edge nothing is free
+            # between the centres of cells, less half a cell; nothing outside the grid is free
             padded = np.pad(level.free_for_point, 1)
             num_cells = distance_transform_edt(padded)[1:-1, 1:-1] - 0.5
             clearance = np.where(level.free, num_cells * level.lattice.cell_size, 0.0)
@@ -181,18 +184,18 @@ def check_floors(facts: Facts) -> Iterator[Finding]:
             floor = facts.floors[number]
             without_floor = facts.free[number] & np.isnan(floor)
             yield from facts.error_on_cells(number, without_floor, "free without a floor")
-            is_far = np.abs(floor) > FARTHEST_FLOOR  # False for NaN
-            text = f"farther than {FARTHEST_FLOOR:g} m from 0"
+            is_far = np.abs(floor) > MAX_FLOOR_HEIGHT  # False for NaN
+            text = f"farther than {MAX_FLOOR_HEIGHT:g} m from 0"
             yield from facts.error_on_cells(number, is_far, text)
 
 
 class _Patch(NamedTuple):
-    """An island whose floor jumps, sorted as it is reported: errors first, the largest first."""
+    """An island above or below its surroundings; sorts errors first, then the largest first."""
 
     is_remark: bool
-    negative_area: float
+    negative_area: float  # minus the area [m²]
     island: int
-    text: str
+    text: str  # of the finding
 
 
 def check_jumps(facts: Facts) -> Iterator[Finding]:
@@ -218,7 +221,7 @@ def check_jumps(facts: Facts) -> Iterator[Finding]:
 
 
 def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
-    """The islands that lie above or below most of what is round them."""
+    """Yield the islands that lie above or below most of the floor around them."""
     floor_settings = facts.settings.get("floors")
     min_area = floor_settings.get("min_area") if isinstance(floor_settings, dict) else None
     if not isinstance(min_area, int | float):
@@ -226,7 +229,7 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
     islands = facts.islands
     num_islands = max((int(island.max(initial=0)) for island in islands), default=0) + 1
     num_cells = np.zeros(num_islands, dtype=np.int64)
-    num_edges = np.zeros(num_islands, dtype=np.int64)  # of the outline
+    num_edges = np.zeros(num_islands, dtype=np.int64)  # cells' edges in each outline
     jumps = {"above": _Jumps.none(num_islands), "below": _Jumps.none(num_islands)}
     for number, island in enumerate(islands):
         num_cells += np.bincount(island.ravel(), minlength=num_islands)
@@ -262,13 +265,14 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
 
 
 class _Jumps(NamedTuple):
-    """By island: edges of its outline with a jump in one direction, and their total height [m]."""
+    """Jumps at the outlines of all islands, up or down; arrays are indexed by the island."""
 
-    num_edges: Float
-    total: Float
+    num_edges: Float  # number of cells' edges in the outline with a jump
+    total: Float  # sum of the heights of these jumps [m]
 
     @classmethod
     def none(cls, num_islands: int) -> _Jumps:
+        """Make the jumps of islands of which no edge has been added yet."""
         return cls(np.zeros(num_islands), np.zeros(num_islands))
 
     def add(self, islands: NDArray[np.int32], heights: Float) -> None:
@@ -286,7 +290,7 @@ class _Jumps(NamedTuple):
 
 
 def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
-    """Yield pairs of cells in a row, then pairs in a column, whose values differ.
+    """Yield pairs of cells side by side, then pairs above each other, whose values differ.
 
     Args:
         values: the value of each cell, shape (height, width).
@@ -300,7 +304,7 @@ def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
     differs_right = values[:, :-gap] != values[:, gap:]
     differs_below = values[:-gap] != values[gap:]
     for differs, offset in ((differs_right, gap), (differs_below, gap * width)):
-        rows, cols = np.nonzero(differs)  # few do, so that later questions are of few
+        rows, cols = np.nonzero(differs)  # few differ, so the caller's work on them is short
         yield rows * width + cols, offset
 
 
@@ -313,11 +317,11 @@ class _Gap(NamedTuple):
 
 
 def check_cut_off(facts: Facts) -> Iterator[Finding]:
-    """Finds: islands that one to three cells side by side cut off, with all doors open.
+    """Finds: islands that only one to three blocked cells separate, with all doors open.
 
-    More blocked cells between the same two islands are taken for a thin wall. In a wall, cells that
-    nothing occupies are a gap that was closed for a larger agent. The floors on both sides have to
-    be within a step of each other.
+    The blocked cells form a line one cell thick. More such cells between the same two islands are
+    taken for a thin wall. But if some of them are not occupied, only these count: they are a gap in
+    the wall that an inflation blocked. The floors on both sides must be at most a step apart.
     """
     gaps = sorted(_find_gaps(facts), key=lambda gap: -gap.area)
     for gap in gaps[:MAX_GAPS]:
@@ -329,7 +333,7 @@ def check_cut_off(facts: Facts) -> Iterator[Finding]:
 
 
 def _find_gaps(facts: Facts) -> Iterator[_Gap]:
-    """The few blocked cells between two large islands."""
+    """Yield the gaps of at most `MAX_GAP_CELLS` blocked cells between two large islands."""
     islands = facts.open_islands
     num_islands = max((int(island.max(initial=0)) for island in islands), default=0) + 1
     if num_islands < 3:
@@ -340,7 +344,7 @@ def _find_gaps(facts: Facts) -> Iterator[_Gap]:
         occupied = facts.levels[number].occupancy.ravel() != 0
         floor = facts.floors[number].ravel()
         island = level_islands.ravel()
-        cells_between: dict[tuple[int, ...], set[int]] = {}  # by the islands on both sides
+        cells_between: dict[tuple[int, ...], set[int]] = {}  # both islands -> cells
         for cells, offset in pairs_across(level_islands, 2):
             middle = cells + offset // 2
             beyond = cells + offset
@@ -359,7 +363,7 @@ def _find_gaps(facts: Facts) -> Iterator[_Gap]:
 
 
 def check_unreached_levels(facts: Facts) -> Iterator[Finding]:
-    """Finds: levels that no links connect with the level that has the most free cells."""
+    """Finds: levels that no steps connect with the level that has the most free cells."""
     num_levels = len(facts.levels)
     num_free = [int(free.sum()) for free in facts.free]
     linked_levels = tuple(facts.links[:, ::2].T)

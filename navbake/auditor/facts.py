@@ -1,4 +1,4 @@
-"""The layers and islands of a grid that the checks of an audit read; and what they yield."""
+"""What the checks of an audit read (a grid's layers and islands), and the findings they yield."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ ERROR = "error"
 REMARK = "remark"
 INFLATION_MODES = ("exact", "minos")
 MAX_INFLATION = 10_000.0  # the largest radius, and the largest clearance [m]
-STEP_SLACK = 1e-6  # by which a step may exceed the highest one [m]
+STEP_SLACK = 1e-6  # by which a step may exceed the agent's highest step [m]
 
 ABOVE_AND_BELOW = (np.s_[:-1], np.s_[1:])
-"""Slices of an array: the cells that have one below, and those below."""
+"""Two slices of an array: all rows but the last, and for each of their cells the cell below."""
 LEFT_AND_RIGHT = (np.s_[:, :-1], np.s_[:, 1:])
-"""Slices of an array: the cells that have one to the right, and those to the right."""
+"""Two slices of an array: all columns but the last, and for each of their cells the next one."""
 
 
 class Finding(NamedTuple):
@@ -38,29 +38,29 @@ class Finding(NamedTuple):
 
     severity: str  # ERROR or REMARK
     level: int | None  # 0 is the lowest; None for the whole grid
-    place: Vector3 | None  # world x, y, z [m]; None where no place is meant
-    text: str
+    place: Vector3 | None  # world x, y, z [m]; None if it is about no single place
+    text: str  # what is wrong
 
 
 @dataclass(frozen=True)
 class Remark:
-    """One thing that a person would notice."""
+    """One fault of a grid, or of a graph of routes, that a person would notice."""
 
     check: str  # what it is about, in a word or two
     severity: str  # ERROR for what can't be right, REMARK for what may be meant
     level: int | None  # 0 is the lowest; None for the whole grid
-    place: Vector3 | None  # world x, y, z [m]; None where no place is meant
-    text: str  # what it is, in words
+    place: Vector3 | None  # world x, y, z [m]; None if it is about no single place
+    text: str  # what is wrong
 
     def __str__(self) -> str:
-        """One line: how bad, where, what."""
+        """Return the remark on one line: severity, place and text."""
         where = "" if self.level is None else f"level {self.level}"
         if self.place is not None:
             where += " ({:.2f}, {:.2f}, {:.2f})".format(*self.place)
         return f"{self.severity}: {where.strip()}{': ' if where else ''}{self.text}"
 
     def to_json(self) -> Json:
-        """The remark as JSON."""
+        """Return the remark as a JSON object."""
         place = None if self.place is None else [round(v, 6) for v in self.place]
         return {**vars(self), "place": place}
 
@@ -71,7 +71,7 @@ class AuditReport:
 
     scene_id: str | None
     remarks: list[Remark] = field(default_factory=list)  # errors first
-    checks: list[str] = field(default_factory=list)  # that ran
+    checks: list[str] = field(default_factory=list)  # what the checks that ran look for
 
     @property
     def errors(self) -> list[Remark]:
@@ -84,7 +84,7 @@ class AuditReport:
         return not self.errors
 
     def to_json(self) -> Json:
-        """The report as JSON."""
+        """Return the report as a JSON object."""
         return {
             "ok": self.ok,
             "sceneId": self.scene_id,
@@ -110,12 +110,12 @@ def number_islands(
         floors: the floor of each cell of each level, shape (height, width) [m]; NaN for none.
         step_limit: how far the floors of connected neighbours may lie apart [m].
         links: links that connect both ways: level and cell of both ends, shape (n, 4).
-        one_way_links: links that lead from their first end to their second one, shape (n, 4). They
-            connect cells between which they lead in both directions together.
+        one_way_links: links that lead from their first end to their second end only, shape (n, 4).
+            They connect two cells if they lead, one after the other, from each to the other.
 
     Returns:
         The island of each cell of each level, numbered from 1 by descending size; 0 for unmarked
-        cells. Among islands of one size, the one with the lowest cell id comes first.
+        cells. Among islands of equal size, the one with the lowest level and cell id comes first.
     """
     labels = list[Int32]()
     num_labels = 1
@@ -141,15 +141,15 @@ def number_islands(
     group = np.argsort(np.argsort(first_label))[group]
     sizes = [np.bincount(group[part.ravel()], minlength=num_groups) for part in labels]
     size = np.sum(sizes, axis=0)
-    island = np.zeros(num_groups, dtype=np.int32)  # 0 stays that of no island
+    island = np.zeros(num_groups, dtype=np.int32)  # group 0, the unmarked cells, stays 0
     island[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, num_groups)
     return [island[group][level_labels] for level_labels in labels]
 
 
 def _label_walkable(mask: Bool, floor: Float, step_limit: float) -> tuple[Int32, int]:
-    """Label the components of a level's marked cells that steps connect; and count them."""
-    pairs = []  # of marked neighbours, downwards and to the right
-    is_step = []  # of these, whether the floors are at most a step apart
+    """Label a level's marked cells by what steps connect; return the labels and their count."""
+    pairs = []  # masks: a cell and its lower neighbour, or its right one, are both marked
+    is_step = []  # masks: the floors of both are at most a step apart
     for cells, neighbors in (ABOVE_AND_BELOW, LEFT_AND_RIGHT):
         pairs.append(mask[cells] & mask[neighbors])
         with np.errstate(invalid="ignore"):  # another check reports infinite floors
@@ -157,7 +157,7 @@ def _label_walkable(mask: Bool, floor: Float, step_limit: float) -> tuple[Int32,
     if all((step | ~pair).all() for pair, step in zip(pairs, is_step, strict=True)):
         labels, count = label(mask, output=np.int32)
         return np.ascontiguousarray(labels), count
-    # cells, and between them the passages from one to the next
+    # an array with an entry for each cell, and one between neighbours for the passage between them
     passages = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
     passages[::2, ::2] = mask
     passages[1::2, ::2] = pairs[0] & is_step[0]
@@ -203,8 +203,8 @@ def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
     """Return what is wrong with the agent's sizes in a grid's metadata.
 
     Returns:
-        Messages by the metadata's keys, such as ``agentHeight``; under ``step`` if the agent's step
-        is at least as high as the agent. Empty if nothing is wrong.
+        Key of the metadata, such as ``agentHeight`` -> message. The key ``step`` has a message if
+        the agent's step is at least as high as the agent. Empty if nothing is wrong.
     """
     problems = {}
     for key, least, expected in (
@@ -224,19 +224,20 @@ def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
 class Facts:
     """The layers, tables and islands of a grid, without obstacles that were added to it.
 
-    Broken tables count as empty, and `rooms` is None then; checks report them.
+    Broken tables count as empty (`rooms` as None); checks report them.
 
     Attributes:
         grid: the grid without added obstacles.
-        levels: the grid's levels, lowest first; the lists below have an entry for each.
-        free: masks of the free cells, shape (height, width).
-        floors: heights of the floors, shape (height, width) [m]; NaN for none.
+        levels: the grid's levels, lowest first.
+        free: for each level, a mask of the free cells, shape (height, width).
+        floors: for each level, the height of each cell's floor, shape (height, width) [m]; NaN for
+            none.
         settings: the settings of the bake; empty for grids of other programs.
         doors: the grid's doors.
         rooms: the grid's rooms; None if their table is broken.
-        links: steps between levels: level and cell of both ends, shape (n, 4).
-        passages: directed connections by open named links that the agent fits: level and cell of
-            the first and of the last stop, shape (n, 4).
+        links: the grid's `step_array`: level and cell of both ends of each step, shape (n, 4).
+        passages: directed connections over open named links through which the agent fits: level and
+            cell of the first and of the last stop, shape (n, 4).
         forbidden_areas: the numbers of the areas that no agent may enter.
     """
 
@@ -266,7 +267,7 @@ class Facts:
             ]
 
     def _list_passages(self) -> Int:
-        """Level and cell of both stops, for each pair that an open link leads between."""
+        """List the `passages`: each pair of stops that an open link leads between."""
         passages = []
         for link in self.grid.links:
             width = link.width or np.inf
@@ -282,23 +283,23 @@ class Facts:
 
     @cached_property
     def step_limit(self) -> float:
-        """The greatest height between connected floors: a step, and float32's rounding [m]."""
+        """Largest height difference of connected floors [m]: a step, plus float32 rounding."""
         highest = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
         rounding = float(np.spacing(np.float32(min(highest, MAX_COORDINATE))))
         return self.grid.max_step + STEP_SLACK + rounding
 
     @cached_property
     def inflation_reach(self) -> float | None:
-        """How far from a closed cell's centre the reason may lie that an inflation had [m].
+        """Largest distance from a cell's centre at which an inflation looked for obstacles [m].
 
-        That is the radius plus the clearance, the largest of several inflations; None without any.
+        That is the largest sum of an inflation's radius and clearance; None without an inflation.
         """
         inflations, _ = read_inflations(self.grid)
         reaches = [float(entry["radius"] + entry["clearance"]) for entry in inflations]
         return max(reaches, default=None)
 
     def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
-        """Return masks of the cells that doors block in given states, one for each level."""
+        """Return for each level a mask of the cells that doors block in the given states."""
         masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
         for door, state in doors:
             for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
@@ -307,28 +308,28 @@ class Facts:
 
     @cached_property
     def passable(self) -> list[Bool]:
-        """Masks of the cells that are free, or would be free without doors, by level."""
+        """For each level, a mask of the cells that are free or that a door blocks in any state."""
         all_states = [(door, state) for door in self.doors for state in door.cells]
         door_cells = self.cells_of(all_states)
         return [free | door for free, door in zip(self.free, door_cells, strict=True)]
 
     @cached_property
     def islands(self) -> list[Int32]:
-        """The island of each cell, by level: numbered from 1, the largest first; 0 for none."""
+        """For each level, the island of each cell: 1 is the largest; 0 for no island."""
         return self._number_islands(self.free)
 
     @cached_property
     def open_islands(self) -> list[Int32]:
-        """The island of each cell, by level, as if no door blocked anything."""
+        """For each level, the island of each cell, as if no door blocked anything."""
         return self._number_islands(self.passable)
 
     @cached_property
     def islands_without_links(self) -> list[Int32]:
-        """The island of each cell, by level, as if there were no named links."""
+        """For each level, the island of each cell, as if there were no named links."""
         return number_islands(self.free, self.floors, self.step_limit, self.links)
 
     def _number_islands(self, masks: list[Bool]) -> list[Int32]:
-        """The islands of each level's marked cells, without areas that nobody may enter."""
+        """Number the islands of marked cells, except in areas that no agent may enter."""
         if self.forbidden_areas:
             masks = [
                 mask & ~np.isin(level.area_index, self.forbidden_areas)
@@ -337,7 +338,7 @@ class Facts:
         return number_islands(masks, self.floors, self.step_limit, self.links, self.passages)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
-        """Return the position of a level's cell, at the level's ground if it has no floor [m]."""
+        """Return world x, y, z of a cell [m]; z is its floor, or the level's ground without one."""
         level = self.levels[number]
         x, y = level.lattice.positions(row, col).tolist()
         z = float(self.floors[number][row, col])

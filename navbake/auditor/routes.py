@@ -1,7 +1,7 @@
-"""Looks at a graph of routes on a grid for what a person would notice.
+"""Checks a graph of routes on a grid for faults that a person would notice.
 
-Lanes are held against occupied squares by exact distances; nothing here is shared with what makes
-graphs.
+The distances of lanes to the squares of occupied cells are exact. No code is shared with the module
+that makes graphs.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import FLOOR, Lane, RouteGraph, directed
 from navbake.types import Bool, Float, Vector3
 
-MIN_ISLAND_AREA = 4.0  # of an island that has to be reached [m²]
-TOUCH_SLACK = 1e-5  # by which a disc may overlap what it touches [m]
-MAX_NAMES = 5  # that a remark lists
+MIN_ISLAND_AREA = 4.0  # larger islands need a node [m²]
+TOUCH_SLACK = 1e-5  # a disc that overlaps something by less only touches it [m]
+MAX_NAMES = 5  # number of names that a remark lists
 
 
 def audit_routes(
@@ -33,7 +33,7 @@ def audit_routes(
 
     Args:
         graph: the graph, or the path of its file.
-        grid: a grid of the graph's scene, inflated or not, or a map of one level.
+        grid: a grid of the graph's scene, inflated or not.
         radius: the agent's radius [m]; None for the radius that the graph states.
 
     Returns:
@@ -60,7 +60,7 @@ def audit_routes(
 
 
 def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
-    """Finds: nodes on no level, in no cell, or in a cell that isn't free."""
+    """Finds: nodes on no level, outside the grid, or in a cell that isn't free."""
     for node in graph.nodes:
         problem = None
         if node.level >= len(facts.levels):
@@ -77,14 +77,14 @@ def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
 
 
 def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Finding]:
-    """Finds: lanes that cross occupied cells, or pass nearer to them than the agent's radius."""
+    """Finds: straight lanes that cross occupied cells, or pass them nearer than the radius."""
     for lane in graph.lanes:
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
         is_straight = lane.kind == FLOOR and start.level == end.level
         if not is_straight or start.level >= len(facts.levels):
             continue
-        clearance, place = lane_clearance(graph, lane, facts, radius)
+        clearance, place = measure_lane_clearance(graph, lane, facts, radius)
         if clearance == 0.0:
             text = f"lane {lane.name!r} crosses what is occupied"
             yield Finding(ERROR, start.level, place, text)
@@ -94,10 +94,10 @@ def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Find
             yield Finding(ERROR, start.level, place, text)
 
 
-def lane_clearance(
+def measure_lane_clearance(
     graph: RouteGraph, lane: Lane, facts: Facts, radius: float
 ) -> tuple[float, Vector3]:
-    """Return the distance from a lane to the nearest occupied square, and its position.
+    """Return the distance from a lane to the nearest occupied square, and the square's position.
 
     Cells without a floor count as occupied. Squares where another level has a free cell, within the
     agent's height of the lane, don't count: stairs continue there.
@@ -117,9 +117,9 @@ def lane_clearance(
     level = facts.levels[start.level]
     lattice = level.lattice
     ends = np.array([start.position, end.position])
-    reach = radius + lattice.cell_size
-    lower_left = ends.min(axis=0)[:2] - reach
-    upper_right = ends.max(axis=0)[:2] + reach
+    margin = radius + lattice.cell_size
+    lower_left = ends.min(axis=0)[:2] - margin
+    upper_right = ends.max(axis=0)[:2] + margin
     (bottom, top), (left, right) = lattice.rows_cols(np.array([lower_left, upper_right]))
     first_row = max(int(top), 0)
     first_col = max(int(left), 0)
@@ -129,7 +129,7 @@ def lane_clearance(
     centers = centers[~_has_free_cell_of_other_level(facts, start.level, centers, ends[:, 2])]
     if not len(centers):
         return math.inf, start.position
-    distance = distances_to_squares(ends[:, :2], centers, lattice.cell_size / 2)
+    distance = measure_distances_to_squares(ends[:, :2], centers, lattice.cell_size / 2)
     nearest = int(np.argmin(distance))
     x, y = centers[nearest].tolist()
     clearance = float(distance[nearest]) if distance[nearest] < radius else math.inf
@@ -137,7 +137,17 @@ def lane_clearance(
 
 
 def _has_free_cell_of_other_level(facts: Facts, number: int, positions: Float, z: Float) -> Bool:
-    """Whether another level has a free cell at x, y near the heights z of a lane [m]."""
+    """Mark positions at which another level has a free cell near the heights of a lane.
+
+    Args:
+        facts: the facts about the grid.
+        number: the index of the lane's level.
+        positions: world x, y, shape (n, 2) [m].
+        z: the heights of the lane's two ends, shape (2,) [m].
+
+    Returns:
+        A mask of the positions, shape (n,).
+    """
     is_over = np.zeros(len(positions), dtype=np.bool_)
     for other_number, level in enumerate(facts.levels):
         row, col = level.lattice.rows_cols(positions)
@@ -153,7 +163,7 @@ def _has_free_cell_of_other_level(facts: Facts, number: int, positions: Float, z
     return is_over
 
 
-def distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
+def measure_distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
     """Return the distances from a line segment to axis-aligned squares.
 
     Args:
@@ -166,18 +176,19 @@ def distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
     """
     start = ends[0]
     direction = ends[1] - ends[0]
-    # the shares of the line at which it enters and leaves each square's strips along x and y
+    # the shares of the segment at which it enters and leaves each square's strips along x and y
     inner_half = half - TOUCH_SLACK
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.sort(
             [(centers + side - start) / direction for side in (-inner_half, inner_half)], axis=0
         )
-    in_strip = np.abs(centers - start) < inner_half  # always or never, of a line along an axis
+    # a segment along an axis is in a strip of the other axis always or never
+    in_strip = np.abs(centers - start) < inner_half
     always_in = np.where(in_strip, -np.inf, np.inf)
     enters = np.where(direction == 0, always_in, crossings[0]).max(axis=1)
     leaves = np.where(direction == 0, -always_in, crossings[1]).min(axis=1)
     meets = np.maximum(enters, 0.0) <= np.minimum(leaves, 1.0)
-    # else the nearest are an end of the line and the square, or a corner and the line
+    # otherwise, the shortest distance is from an end to the square, or from a corner to the segment
     distances = []
     for end in ends:
         outside = np.maximum(np.abs(centers - end) - half, 0.0)
@@ -191,7 +202,7 @@ def distances_to_squares(ends: Float, centers: Float, half: float) -> Float:
 
 
 def check_components(graph: RouteGraph) -> Iterator[Finding]:
-    """Finds: nodes that no lanes connect with the main part, and lanes without a way back."""
+    """Finds: nodes that no lanes connect with most others, and lanes without a way back."""
     if not graph.nodes:
         yield Finding(ERROR, None, None, "the graph has no nodes")
         return
@@ -232,7 +243,7 @@ def check_dead_ends(graph: RouteGraph) -> Iterator[Finding]:
 
 
 def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Finding]:
-    """Finds: large islands of the grid, in its present state, that have no node."""
+    """Finds: large islands of the grid, with doors and links as they are, that have no node."""
     areas: dict[int, float] = {}
     for level, islands in zip(facts.levels, facts.islands, strict=True):
         for island, count in enumerate(np.bincount(islands.ravel()).tolist()):

@@ -1,6 +1,6 @@
 """Checks of cells: of their state, free or blocked, and of their floors.
 
-Each floor has to be a surface of the scene, and the grid may lack no place to stand on, and no
+Each floor has to be a surface of the scene. The grid must not lack a place to stand on, nor a whole
 level.
 """
 
@@ -35,22 +35,24 @@ from navbake.verifier.sample import AgentSizes, CellPrisms, LevelSample, shift_b
 
 MAX_MEASURED_FINDINGS = 100  # findings of a kind whose depth or gap is measured
 
-FLOOR_TOLERANCE = 1e-4  # how far a floor near the origin may be off a surface [m]
-FLOOR_TOLERANCE_SHARE = 1e-6  # and by which share of its coordinates: floors are float32
-NORMAL_Z_MARGIN = 1e-5  # by how much a floor's normal must exceed the limit to be a certain floor
+# a floor may be this far above or below a surface [m], plus this share of its largest coordinate,
+# as floors are float32
+FLOOR_TOLERANCE = 1e-4
+FLOOR_TOLERANCE_SHARE = 1e-6
+NORMAL_Z_MARGIN = 1e-5  # excess over the least z of a normal that makes a floor certain
 
 GRID_DIRECTIONS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column to the neighboring cells
 PROBE_DIRECTIONS = CIRCLE_DIRECTIONS[1::4]  # four, along none of the axes
 
 SEARCH_STRIDE = 0.15  # distance between the places of a search, rounded to whole cells [m]
-MAX_SEARCH_PLACES = 20_000  # of one search
-# A search counts a region as a missing level if it is clearly as large as a floor, if more than
-# half of its outline are walls, and if clearly less than a quarter of the outline drops, as that of
-# a table's top would. A ground may lie over a cellar or a pipe, up to the same share.
-LARGE_AREA_FACTOR = 1.25  # by which its area exceeds the least area of a floor
-MIN_WALL_SHARE = 0.5
-MAX_DROP_SHARE = 0.2
-MAX_COVERED_SHARE = 0.2
+MAX_SEARCH_PLACES = 20_000  # largest number of places of one search
+# A region that no level has counts as a missing level if it is clearly as large as a floor, if more
+# than half of its outline are walls, and if only a small share of the outline are drops (the top of
+# a table has drops all round). A ground may lie over a cellar or a pipe, up to some share.
+LARGE_AREA_FACTOR = 1.25  # least area of such a region, relative to the least area of a floor
+MIN_WALL_SHARE = 0.5  # of the outline
+MAX_DROP_SHARE = 0.2  # of the outline
+MAX_COVERED_SHARE = 0.2  # of a ground's area, over other places to stand
 MIN_WALL_HEIGHT = 1.5  # parapets are lower than walls [m]
 MIN_REACHED_AREA = 3.0  # area of the grid's floors that steps from a region have to lead to [m²]
 
@@ -59,7 +61,7 @@ class StandingPlace(NamedTuple):
     """A surface that an agent can stand on, at the centre of a cell.
 
     Attributes:
-        row: Row of the cell on the lowest level's lattice; the cell may lie beside the grid.
+        row: Row of the cell on the lowest level's lattice; the cell may lie outside the grid.
         col: Column of the cell.
         surface: Index among the surfaces to stand on in the cell's column, 0 for the lowest.
     """
@@ -70,11 +72,11 @@ class StandingPlace(NamedTuple):
 
 
 class OutlineEdge(NamedTuple):
-    """What lies beyond one side of a place at the edge of a region.
+    """What lies beyond one side of a place at the edge of a region: a wall, a drop or nothing.
 
     Attributes:
         is_wall: Whether a wall stands there.
-        landing: The highest place below, where the region ends at a drop; None for none.
+        landing: The highest place to stand below a drop; None for a wall, or if there is none.
     """
 
     is_wall: bool
@@ -82,10 +84,10 @@ class OutlineEdge(NamedTuple):
 
 
 class RegionSearch(NamedTuple):
-    """The result of a search for all places that steps connect with a place.
+    """A region: all places that no level has and that steps connect with the place of a search.
 
     Attributes:
-        places: The places that no level has.
+        places: The places of the region.
         is_reached: Whether steps lead from the grid's floors to the region.
         outline: The edges of the region.
     """
@@ -103,7 +105,7 @@ class LevelCell(NamedTuple):
 
 
 class LevelArrays(NamedTuple):
-    """A level's floors [m], its free cells, and its shift to the lowest level's lattice."""
+    """A level's floors [m], its free cells, and what to add to rows and columns of level 0."""
 
     floor: Float
     free: Bool
@@ -124,13 +126,13 @@ class FloorCheck:
     """Checks floors by MuJoCo's rays, and searches for places to stand that no level has.
 
     Places that are a step apart form a region. A region that no level has is a fault if steps lead
-    to it; or if it is as large as a floor, hardly drops at its outline, and is either mostly
-    surrounded by walls (a level) or mostly has nothing to stand on below (a ground). Any other
-    region may be the top of furniture, a shelf or a roof, and is ignored. A region that no steps
-    lead to is a fault only where the settings of the bake leave no floors out, or where the grid
-    has no floor at all.
+    to it. It is also a fault if it is as large as a floor, has few drops at its outline, and either
+    is mostly surrounded by walls (so it is a level), or has hardly a place to stand below it (so it
+    is a ground). Any other region may be the top of furniture, a shelf or a roof, and is ignored. A
+    region that no steps lead to is a fault only if the settings of the bake leave no floors out, or
+    if the grid has no floor at all.
 
-    Cells are stated by row and column on the lowest level's lattice, and may lie beside it.
+    Rows and columns of cells refer to the lowest level's lattice. Cells may lie outside it.
 
     Args:
         grid: The inflated grid.
@@ -154,9 +156,11 @@ class FloorCheck:
         for level in grid.levels:
             shift = shift_between(self._lattice, level.lattice)
             self._levels.append(LevelArrays(level.floor, level.free, shift.rows, shift.cols))
-        leaves_out = config is None or config.levels != "auto" or config.floors.reach != "all"
+        bakes_all_floors = (
+            config is not None and config.levels == "auto" and config.floors.reach == "all"
+        )
         has_no_floor = all(np.isnan(level.floor).all() for level in self._levels)
-        self._unreached_counts = not leaves_out or has_no_floor
+        self._reports_unreached = bakes_all_floors or has_no_floor
         self._stride = max(1, round(SEARCH_STRIDE / self._lattice.cell_size))
         self._stride_length = self._stride * self._lattice.cell_size
         self._searched_places = set[StandingPlace]()
@@ -175,16 +179,17 @@ class FloorCheck:
     def check(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
         """Check the floors of a level, and search for places to stand that no level has.
 
-        A floor may lie inside a solid, as things lower than a step block nothing. Columns whose
-        floor is wrong, or is a surface beside the cell's centre, are not searched.
+        A floor may lie inside a solid, as things lower than a step block nothing. No places to
+        stand are looked for in cells whose floor is wrong, or whose surface is only beside the
+        cell's centre.
 
         Args:
             sample: The cells of the level.
             counts: The level's counts, which the check adds to.
 
         Returns:
-            A finding for each wrong floor, and for each region that no level has and that is first
-            met in one of these cells.
+            A finding for each wrong floor, and one for each faulty region that was first found in
+            one of these cells.
         """
         findings = list[Finding]()
         shift = shift_between(sample.level.lattice, self._lattice)
@@ -220,7 +225,7 @@ class FloorCheck:
                 counts.in_cracks += 1
             else:
                 counts.floors_off += 1
-                findings.append(self._floor_off(sample, cell, z, line.hits))
+                findings.append(self._floor_off_finding(sample, cell, z, line.hits))
         for row, col, z in missing_places:
             # the place itself is lost, or the one near it where a search began
             search_cell = (row - row % self._stride, col - col % self._stride)
@@ -230,10 +235,10 @@ class FloorCheck:
             )
         return findings
 
-    def _floor_off(
+    def _floor_off_finding(
         self, sample: LevelSample, cell: int, z: float, hits: list[SurfaceHit]
     ) -> Finding:
-        """Return the finding of a floor that is no surface."""
+        """Return the finding for a floor where no surface is."""
         gaps = [abs(hit.z - z) for hit in hits if hit.normal_z >= MIN_UPWARD_NORMAL_Z]
         smallest_gap = min(gaps, default=None)
         if smallest_gap is None:
@@ -241,16 +246,16 @@ class FloorCheck:
         else:
             where = f"{smallest_gap:.4f} m off the nearest surface"
         text = f"has its floor at {z:.4f} m, {where}"
-        return sample.finding(report.FLOOR_OFF, cell, text, None, smallest_gap)
+        return sample.make_finding(report.FLOOR_OFF, cell, text, None, smallest_gap)
 
     def _check_missing_place(
         self, row: int, col: int, position: Vector3, sample: LevelSample, cell: int
     ) -> list[Finding]:
-        """Search the region of a place that no level has, and return its finding if it is lost.
+        """Search the region of a place that no level has; return its finding if it is a fault.
 
-        A place that is a step from a free cell is the start of a search itself. For any other
-        place, the search starts at the nearest place of a coarse grid, every `SEARCH_STRIDE`; it
-        is left out where the region has been searched or is narrow, as the tops of furniture are.
+        If the place is a step from a free cell, the search starts at the place itself. Otherwise it
+        starts at the nearest place of a coarse grid, with a place every `SEARCH_STRIDE`. It is
+        skipped if the region has been searched already, or is narrow like the top of furniture.
         """
         is_step = self._is_step_from_free_cell(row, col, position[2])
         is_step = is_step and self._is_certain(*position)
@@ -276,7 +281,7 @@ class FloorCheck:
             if not self._is_certain(x, y, hit.z):
                 return []
 
-        region = self._search(start)
+        region = self._search_region(start)
         self._searched_places |= region.places
         area = len({(place.row, place.col) for place in region.places}) * self._stride_length**2
         reason = "steps lead there" if region.is_reached else self._reason_for_level(region)
@@ -287,14 +292,14 @@ class FloorCheck:
         self._lost_places |= region.places
         geom = self._probe.obstacles.geom_name(hit.obstacle)
         text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {reason}"
-        finding = sample.finding(report.PLACE_LOST, cell, text, geom, round(area, 6))
+        finding = sample.make_finding(report.PLACE_LOST, cell, text, geom, round(area, 6))
         return [replace(finding, position=standing_position)]
 
     def _is_step_from_free_cell(self, row: int, col: int, z: float) -> bool:
-        """Whether a free cell beside a place has a floor, and a surface there, a step away."""
+        """Return whether the floor of a free neighbour cell is a surface at most a step away."""
         step = self._agent.step - FLOOR_TOLERANCE
         for down, right in GRID_DIRECTIONS:
-            for level_cell in self._levels_at(row + down, col + right):
+            for level_cell in self._level_cells_at(row + down, col + right):
                 floor = level_cell.floor
                 if not level_cell.is_free or not abs(floor - z) <= step:
                     continue
@@ -307,20 +312,20 @@ class FloorCheck:
         """Say why a region that no steps lead to is a level or a ground; empty if it is neither."""
         cells = {(place.row, place.col) for place in region.places}
         # floors are shrunk: only cells that are farther from the outline count
-        reach = int(self._settings.shrink / self._stride_length) + 1
-        offsets = [n * self._stride for n in range(-reach, reach + 1)]
+        num_strides = int(self._settings.shrink / self._stride_length) + 1
+        offsets = [n * self._stride for n in range(-num_strides, num_strides + 1)]
         window = list(product(offsets, offsets))
         num_inner = sum(
             all((row + down, col + right) in cells for down, right in window) for row, col in cells
         )
-        # a drop to the region itself, as beside its own stairs, makes it no table's top
+        # a drop to the region itself, such as beside its own stairs, does not count
         num_drops = sum(
             edge.landing is not None and edge.landing not in region.places
             for edge in region.outline
         )
         is_large = num_inner * self._stride_length**2 >= LARGE_AREA_FACTOR * self._settings.min_area
         has_few_drops = num_drops <= MAX_DROP_SHARE * len(region.outline)
-        if not (is_large and self._unreached_counts and has_few_drops):
+        if not (is_large and self._reports_unreached and has_few_drops):
             return ""
         num_walls = sum(edge.is_wall for edge in region.outline)
         if num_walls > MIN_WALL_SHARE * len(region.outline):
@@ -334,11 +339,11 @@ class FloorCheck:
             return "there is nothing to stand on under it"
         return ""
 
-    def _search(self, start: StandingPlace) -> RegionSearch:
+    def _search_region(self, start: StandingPlace) -> RegionSearch:
         """Search breadth first over places that are a step apart, from one that no level has.
 
-        The search goes on over places that levels have. It ends early where these add up to
-        `MIN_REACHED_AREA`: then steps lead from the grid's floors to the region.
+        The search continues over places that levels have, too. It ends early once their area
+        reaches `MIN_REACHED_AREA`: then steps lead from the grid's floors to the region.
         """
         region = {start}
         places_on_levels = set[StandingPlace]()
@@ -351,11 +356,11 @@ class FloorCheck:
             for down, right in GRID_DIRECTIONS:
                 row = place.row + down * self._stride
                 col = place.col + right * self._stride
-                # the floors beside the grid are unknown: the search ends there
+                # the floors outside the grid are unknown: the search ends there
                 neighbor = self._place_near(row, col, z) if self._is_on_grid(row, col) else None
                 if neighbor is None:
                     if place in region:
-                        outline.append(self._outline_edge(place.row, place.col, down, right, z))
+                        outline.append(self._find_edge(place.row, place.col, down, right, z))
                     continue
                 if neighbor in region or neighbor in places_on_levels:
                     continue
@@ -365,7 +370,7 @@ class FloorCheck:
                 elif place in region and not self._is_walkable(
                     place.row, place.col, down, right, z
                 ):
-                    outline.append(self._outline_edge(place.row, place.col, down, right, z))
+                    outline.append(self._find_edge(place.row, place.col, down, right, z))
                     continue
                 else:
                     places_on_levels.add(neighbor)
@@ -375,7 +380,15 @@ class FloorCheck:
         return RegionSearch(region, is_reached, outline)
 
     def _is_walkable(self, row: int, col: int, down: int, right: int, z: float) -> bool:
-        """Whether steps from cell to cell lead over a stride."""
+        """Return whether an agent can walk a stride from cell to cell, starting at height z [m].
+
+        Args:
+            row: Row of the first cell.
+            col: Column of the first cell.
+            down: Row offset of each next cell.
+            right: Column offset of each next cell.
+            z: Height of the floor in the first cell [m].
+        """
         for n in range(1, self._stride + 1):
             next_row = row + n * down
             next_col = col + n * right
@@ -385,8 +398,16 @@ class FloorCheck:
             z = self._standable_at(next_row, next_col)[place.surface].z
         return True
 
-    def _outline_edge(self, row: int, col: int, down: int, right: int, z: float) -> OutlineEdge:
-        """Return how a region ends at one side of a place at a height [m]."""
+    def _find_edge(self, row: int, col: int, down: int, right: int, z: float) -> OutlineEdge:
+        """Find what lies beyond one side of a place at the edge of a region.
+
+        Args:
+            row: Row of the place.
+            col: Column of the place.
+            down: Row offset towards that side.
+            right: Column offset towards that side.
+            z: Height of the place [m].
+        """
         low = z + self._agent.step
         high = z + max(self._agent.height, MIN_WALL_HEIGHT)
         for _ in range(self._stride):
@@ -400,7 +421,7 @@ class FloorCheck:
         return OutlineEdge(is_wall=False, landing=landing)
 
     def _place_near(self, row: int, col: int, z: float) -> StandingPlace | None:
-        """Return the place in a column that is nearest to a height [m], at most a step off it."""
+        """Return the place in a cell that is nearest to a height [m]; None if over a step away."""
         gaps = [abs(hit.z - z) for hit in self._standable_at(row, col)]
         smallest_gap = min(gaps, default=np.inf)
         if smallest_gap > self._agent.step - FLOOR_TOLERANCE:
@@ -408,21 +429,21 @@ class FloorCheck:
         return StandingPlace(row, col, gaps.index(smallest_gap))
 
     def _has_floor(self, row: int, col: int, z: float) -> bool:
-        """Whether any level has a floor in a cell at a height [m]."""
+        """Return whether any level has a floor in a cell at a height [m]."""
         return any(
-            abs(z - floor) <= floor_tolerance(floor) for floor, _ in self._levels_at(row, col)
+            abs(z - floor) <= floor_tolerance(floor) for floor, _ in self._level_cells_at(row, col)
         )
 
     def _is_on_grid(self, row: int, col: int) -> bool:
-        """Whether any level has a cell there."""
+        """Return whether any level has a cell at a row and column."""
         for level in self._levels:
             num_rows, num_cols = level.floor.shape
             if 0 <= row + level.row_shift < num_rows and 0 <= col + level.col_shift < num_cols:
                 return True
         return False
 
-    def _levels_at(self, row: int, col: int) -> list[LevelCell]:
-        """Return the cell of each level that has one there."""
+    def _level_cells_at(self, row: int, col: int) -> list[LevelCell]:
+        """Return the cells at a row and column, of all levels that have one there."""
         cells = []
         for level in self._levels:
             level_row = row + level.row_shift
@@ -440,9 +461,10 @@ class FloorCheck:
         return x, y
 
     def _is_certain(self, x: float, y: float, z: float) -> bool:
-        """Whether a place holds beside its centre, too, and with slack to the agent's limits.
+        """Return whether a position is a place to stand without any doubt.
 
-        At the edge of a surface, or at a limit, rounding decides whether it is a place to stand.
+        It must be one slightly beside its centre, too, and for an agent with slightly stricter
+        limits: at the edge of a surface, or at a limit, rounding decides.
         """
         for cos, sin in PROBE_DIRECTIONS:
             line = self._probe.cast_line(x + EDGE_TOLERANCE * cos, y + EDGE_TOLERANCE * sin)
@@ -495,7 +517,7 @@ class OccupancyCheck:
         probe: The obstacles.
         agent: The agent that the grid was baked for.
         tolerance: The tolerance [m].
-        reach: The reach of the inflation that closed cells [m], 0 for none.
+        inflation_reach: See `InflatedGrid`.
 
     Attributes:
         num_groundless: The number of blocked cells that have no place to stand at their level's
@@ -503,13 +525,17 @@ class OccupancyCheck:
     """
 
     def __init__(
-        self, probe: ObstacleProbe, agent: AgentSizes, tolerance: float, reach: float = 0.0
+        self,
+        probe: ObstacleProbe,
+        agent: AgentSizes,
+        tolerance: float,
+        inflation_reach: float = 0.0,
     ) -> None:
         self._probe = probe
         self._agent = agent
         self._obstacles = probe.obstacles
         self._tolerance = tolerance
-        self._reach = reach
+        self._inflation_reach = inflation_reach
         self._num_findings: Counter[str] = Counter()
         self.num_groundless = 0
 
@@ -521,7 +547,7 @@ class OccupancyCheck:
         Args:
             sample: The cells.
             counts: The level's counts, which the check adds to.
-            volume: The volume over each cell that has to be empty.
+            volume: The volume over each cell that has to be empty, as sets of prisms.
 
         Returns:
             A finding for each free cell that touches something, or has no floor.
@@ -534,7 +560,9 @@ class OccupancyCheck:
 
         text = "is free, though it has no floor"
         cells_without_floor = np.flatnonzero(sample.free & ~has_volume).tolist()
-        findings = [sample.finding(report.NO_FLOOR, cell, text) for cell in cells_without_floor]
+        findings = [
+            sample.make_finding(report.NO_FLOOR, cell, text) for cell in cells_without_floor
+        ]
 
         is_apart = has_volume & (obstacles < 0)
         step = self._agent.step + self._tolerance
@@ -546,7 +574,7 @@ class OccupancyCheck:
             has_floor = self._probe.cast_line(x, y).has_upward_hit(z - step, z + step)
             if not has_floor and not self._probe.has_upward_hit_nearby(position, step):
                 is_apart[cell] = False
-                findings.append(sample.finding(report.NO_FLOOR, cell, text))
+                findings.append(sample.make_finding(report.NO_FLOOR, cell, text))
 
         counts.disputed += int((is_apart & contacts.disputed).sum())
         counts.free_touches += int((obstacles >= 0).sum())
@@ -563,7 +591,7 @@ class OccupancyCheck:
                 text = f"is free, but {name!r} reaches {depth:.4f} m into it"
             else:
                 text = f"is free, but {name!r} reaches into it"
-            findings.append(sample.finding(report.FREE_TOUCHES, cell, text, name, depth))
+            findings.append(sample.make_finding(report.FREE_TOUCHES, cell, text, name, depth))
         return findings
 
     def check_blocked(
@@ -574,8 +602,8 @@ class OccupancyCheck:
         Args:
             sample: The cells.
             counts: The level's counts, which the check adds to.
-            volume: The baked volume over each cell.
-            excused: The cells that an inflation closed with a reason, (n,); they are not checked.
+            volume: The volume over each cell that the bake considered, as sets of prisms.
+            excused: The cells that an inflation blocked with a reason, (n,); they are not checked.
 
         Returns:
             A finding for each blocked cell that touches nothing.
@@ -593,7 +621,7 @@ class OccupancyCheck:
             self.num_groundless += not apart[cell]
 
         unclear = np.zeros_like(apart)
-        for crossing in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
+        for crossing in self._find_crossings(sample, apart, volume[0], (UNCLEAR,)):
             # by the even-odd rule, the cell lies inside of the nearly closed surface
             unclear[crossing.cell] |= (crossing.num_exits + crossing.num_entries) % 2 == 1
         apart &= ~unclear
@@ -607,12 +635,13 @@ class OccupancyCheck:
         ]
 
     def _blocked_finding(self, sample: LevelSample, cell: int, volume: list[CellPrisms]) -> Finding:
-        """Return the finding of a blocked cell that touches nothing."""
+        """Return the finding for a blocked cell that touches nothing."""
         name = None
         gap = None
         text = "is blocked, but touches nothing"
-        if self._reach > 0 and not sample.occupied[cell]:
-            text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
+        if self._inflation_reach > 0 and not sample.occupied[cell]:
+            text = f"is blocked for {self._inflation_reach:g} m, but nothing within that radius "
+            text += "is in the way"
         elif self._is_measured(report.BLOCKED_APART):
             nearest_obstacles = []
             for prisms in volume:
@@ -626,17 +655,17 @@ class OccupancyCheck:
                 name = self._obstacles.geom_name(obstacle)
                 text = "is blocked, but nothing touches the volume over it: the nearest geom, "
                 text += f"{name!r}, is {gap:.4f} m off"
-        return sample.finding(report.BLOCKED_APART, cell, text, name, gap)
+        return sample.make_finding(report.BLOCKED_APART, cell, text, name, gap)
 
     def _is_measured(self, kind: str) -> bool:
-        """Count a finding of a kind, and return whether it is to be measured: each costs time."""
+        """Count a finding of a kind; return whether to measure it, as only the first ones are."""
         self._num_findings[kind] += 1
         return self._num_findings[kind] <= MAX_MEASURED_FINDINGS
 
     def _find_contacts(
         self, sample: LevelSample, is_checked: Bool, volume: list[CellPrisms], margin: float
     ) -> CellContacts:
-        """Find what the volumes over the checked cells touch, enlarged by a margin [m]."""
+        """Find what the volumes over the checked cells, enlarged by a margin [m], touch."""
         touched_obstacle = np.full(len(is_checked), -1)
         touching_prism = np.zeros(len(is_checked), np.int64)
         disputed = np.zeros_like(is_checked)
@@ -644,7 +673,7 @@ class OccupancyCheck:
             has_height = is_checked & (prisms.high > prisms.low)
             for obstacle, shape in enumerate(self._obstacles.shapes):
                 # twice the margin: rounding must not exclude a cell by its box
-                cells = _cells_near(
+                cells = _find_cells_near(
                     sample, has_height & (touched_obstacle < 0), shape, prisms, 2 * abs(margin)
                 )
                 for cell in cells.tolist():
@@ -659,19 +688,19 @@ class OccupancyCheck:
     def _find_enclosing(self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms) -> Int:
         """Return the obstacle that the middle of each checked cell's volume lies in, -1 for none.
 
-        The ray up from a point leaves solids more often than it enters them if the point lies
-        inside; a cavity's surface is crossed the opposite way.
+        If a point lies inside a solid, the ray up from it leaves solids more often than it enters
+        them. At the surface of a cavity, entering and leaving are exchanged.
         """
         enclosing_obstacle = np.full(len(is_checked), -1)
         depth = np.zeros(len(is_checked), dtype=np.int64)
-        for crossing in self._crossings(sample, is_checked, prisms, ENCLOSING):
+        for crossing in self._find_crossings(sample, is_checked, prisms, ENCLOSING):
             depth[crossing.cell] += crossing.num_exits - crossing.num_entries
             if crossing.num_exits > crossing.num_entries:
                 enclosing_obstacle[crossing.cell] = crossing.obstacle
         enclosing_obstacle[depth <= 0] = -1
         return enclosing_obstacle
 
-    def _crossings(
+    def _find_crossings(
         self, sample: LevelSample, is_checked: Bool, prisms: CellPrisms, kinds: Collection[str]
     ) -> Iterator[CellCrossing]:
         """Cast a ray up from the middle of each checked cell's volume at obstacles of some kinds.
@@ -683,7 +712,7 @@ class OccupancyCheck:
         for obstacle, shape in enumerate(self._obstacles.shapes):
             if shape.kind not in kinds:
                 continue
-            for cell in _cells_near(sample, is_checked, shape, points).tolist():
+            for cell in _find_cells_near(sample, is_checked, shape, points).tolist():
                 x, y = sample.centers[cell].tolist()
                 num_exits, num_entries = self._probe.count_crossings(
                     obstacle, (x, y, float(middle[cell]))
@@ -691,7 +720,7 @@ class OccupancyCheck:
                 yield CellCrossing(obstacle, cell, num_exits, num_entries)
 
 
-def _cells_near(
+def _find_cells_near(
     sample: LevelSample,
     is_checked: Bool,
     shape: PlacedShape,
@@ -700,18 +729,17 @@ def _cells_near(
 ) -> Int:
     """Return the checked cells whose prism, enlarged by a margin [m], overlaps a shape's box."""
     lattice = sample.level.lattice
-    reach = prisms.half_size + margin
+    half_width = prisms.half_size + margin
     # rows ascend in a sample: only those between the box's ends are compared
-    distance_from_top = lattice.y_max - np.array([shape.high[1] + reach, shape.low[1] - reach])
-    first_row, last_row = np.clip(distance_from_top / lattice.cell_size, 0, lattice.height).astype(
-        np.int64
-    )
+    box_y = np.array([shape.high[1] + half_width, shape.low[1] - half_width])
+    box_rows = (lattice.y_max - box_y) / lattice.cell_size
+    first_row, last_row = np.clip(box_rows, 0, lattice.height).astype(np.int64)
     begin, end = np.searchsorted(sample.rows, [first_row - 1, last_row + 1])
     window = slice(begin, end)
     x, y = sample.centers[window].T
     low = prisms.low[window] - margin
     high = prisms.high[window] + margin
     overlaps = is_checked[window] & (low < shape.high[2]) & (high > shape.low[2])
-    overlaps &= (x + reach > shape.low[0]) & (x - reach < shape.high[0])
-    overlaps &= (y + reach > shape.low[1]) & (y - reach < shape.high[1])
+    overlaps &= (x + half_width > shape.low[0]) & (x - half_width < shape.high[0])
+    overlaps &= (y + half_width > shape.low[1]) & (y - half_width < shape.high[1])
     return np.asarray(begin + np.flatnonzero(overlaps))

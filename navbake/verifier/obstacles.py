@@ -1,8 +1,8 @@
-"""The scene's counted geoms as FCL and MuJoCo shapes: what a verification compares a grid with.
+"""The geoms of a scene that count, as shapes of FCL and MuJoCo, to compare a grid with.
 
 The shapes come from the compiled MuJoCo model and the selection of geoms alone. A second MuJoCo
-model holds them as the bake counts them: a mesh that counts by its hull is a hull for rays, too,
-and rays hit transparent geoms like any geom.
+model holds them as the bake counts them: rays hit the hull of a mesh that counts by its hull, and
+they hit transparent geoms like any geom.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ GEOM = mujoco.mjtGeom
 
 # Kinds of shapes. The first three are whole geoms, the others are parts of meshes.
 CONVEX = "convex"  # a solid or a hull
-HALF_SPACE = "half-space"  # a plane without end, solid below
+HALF_SPACE = "half-space"  # an infinite plane, solid below
 HEIGHT_FIELD = "height field"
 OPEN_SURFACE = "open surface"  # encloses nothing
 SOLID = "solid"  # closed, its faces point outwards
@@ -39,10 +39,10 @@ UNCLEAR = "unclear"  # nearly closed: it may enclose something
 ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # a column inside of these may not touch their surface
 
 MAX_OPEN_EDGES = 0.05  # share of open edges up to which a part of a mesh may be a flawed closed one
-MAX_SHEET_THICKNESS = 1e-6  # volume by area up to which a closed part is a two-sided sheet [m]
+MAX_SHEET_THICKNESS = 1e-6  # a closed part with at most this volume / area is a flat sheet [m]
 INFINITE_HALF_SIZE = 1e4  # stands for the infinite side of a plane whose other side is finite [m]
 MIN_NORMAL_Z = 1e-9  # least |z| of the unit normal of a face that a vertical line can cross
-LEVEL_NORMAL = 1 - 1e-12  # least cosine between two directions that count as the same
+SAME_DIRECTION_COSINE = 1 - 1e-12  # least cosine between directions that count as the same
 
 
 class SolidGeometry(NamedTuple):
@@ -82,7 +82,7 @@ SOLID_GEOMETRIES: dict[int, SolidGeometry] = {
         extent=lambda size, direction: (size * np.abs(direction)).sum(),
     ),
 }
-"""The solid geoms by MuJoCo's geom type."""
+"""MuJoCo's geom type -> how the solid geom is represented."""
 
 
 class PlacedShape(NamedTuple):
@@ -157,21 +157,21 @@ class ClassifiedPart(NamedTuple):
 class Obstacles:
     """The counted geoms of a scene, in a pose that doors may change.
 
-    An obstacle's id is the id of its geom in `model`. A mesh makes an obstacle of each of its
-    parts. After the obstacles, the model has a box and a cylinder, which serve as probes, and then
-    the geoms of `half_meshes`.
+    Each obstacle is a geom of `model`, and has that geom's id. Each part of a mesh is an obstacle
+    of its own. After the obstacles, the model has a box and a cylinder, which serve as probes, and
+    then the geoms of `half_meshes`.
 
     Args:
         scene: The scene.
         data: The pose of the scene's model, with kinematics computed.
-        excluded_geoms: The ids of counted geoms that are left out.
+        excluded_geoms: The ids of geoms that count, but are left out.
 
     Attributes:
         shapes: The shape of each obstacle.
-        geom_names: The names of the scene's geoms, by the id in the scene's model.
-        half_meshes: The ids of up to two geoms of `model` for an obstacle that is a surface: its
-            triangles that face up, and those that face down. A ray meets only one of two triangles
-            that lie in the same place, so rays are cast at both geoms.
+        geom_names: The name of each geom of the scene's model.
+        half_meshes: Id of an obstacle that is a mesh -> ids of up to two geoms of `model`: its
+            triangles that face up, and its triangles that face down. A ray meets only one of two
+            triangles in the same place, so rays are cast at both geoms.
         model: The MuJoCo model of the obstacles.
         data: The pose of `model`.
         size: A view of the sizes of the geoms of `model`.
@@ -265,7 +265,7 @@ class Obstacles:
         pos = self.pos[obstacle]
         mat = self.mat[obstacle].reshape(3, 3)
         if shape.kind == HALF_SPACE:
-            is_normal = direction @ mat[:, 2] > LEVEL_NORMAL
+            is_normal = direction @ mat[:, 2] > SAME_DIRECTION_COSINE
             return float(pos @ direction) if is_normal else np.inf
         solid = SOLID_GEOMETRIES[int(self.model.geom_type[obstacle])]
         return float(pos @ direction + solid.extent(self.size[obstacle], mat.T @ direction))
@@ -303,7 +303,7 @@ class Obstacles:
         return [GeomShape(OPEN_SURFACE, surface, attributes, corners)]
 
     def _place_shape(self, geom: int, shape: GeomShape, mat: Float, pos: Float) -> None:
-        """Place a shape in the world, and add the geom that stands for it to MuJoCo's model."""
+        """Place a shape in the world, and add the geom that represents it to MuJoCo's model."""
         collision_object = fcl.CollisionObject(shape.geometry, fcl.Transform(mat, pos))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, mat.ravel())
@@ -317,7 +317,7 @@ class Obstacles:
         elif shape.kind == HALF_SPACE:
             low = np.full(3, -np.inf)
             high = np.full(3, np.inf)
-            if mat[2, 2] > LEVEL_NORMAL:  # a level one ends at its plane
+            if mat[2, 2] > SAME_DIRECTION_COSINE:  # below a horizontal plane
                 high[2] = pos[2]
         else:
             solid = SOLID_GEOMETRIES[shape.geom_attributes["type"]]
@@ -340,8 +340,13 @@ class Obstacles:
     ) -> list[str]:
         """Add meshes of the triangles that face up and that face down, and return their names.
 
-        `up` is the world's vertical in the shape's frame. Copies of a mesh that lean alike share
-        the meshes.
+        Copies of a mesh with the same tilt share these meshes.
+
+        Args:
+            shape: A shape made of triangles.
+            points: Its corners, (n, 3) [m].
+            triangles: The indices of each triangle's corners, (m, 3).
+            up: The world's vertical in the shape's frame, (3,).
         """
         key = (id(shape.geometry), up.tobytes())
         if key not in self._half_mesh_names:
@@ -379,6 +384,7 @@ class Obstacles:
         return shapes
 
     def _hull(self, vertices: Float) -> GeomShape:
+        """Return the convex hull of vertices, and add it to MuJoCo's model."""
         hull = trimesh.convex.convex_hull(vertices)
         points = np.array(hull.vertices)
         triangles = np.array(hull.faces, dtype=np.int64)
@@ -450,16 +456,19 @@ def _triangle_surface(vertices: Float, faces: Int) -> fcl.BVHModel:
 def _find_inverted_faces(vertices: Float, faces: Int, edge: Int, direction: Int, part: Int) -> Bool:
     """Return which triangles are wound against most of the area of their part.
 
-    The graph has two nodes for each triangle: as it is, and inverted. Two triangles that share an
-    edge with no third are joined, in the states in which they are wound alike. The triangles whose
-    nodes are connected with the first one of their part, as they are, are wound as that one.
+    A graph has two nodes for each triangle: as it is, and inverted. If exactly two triangles share
+    an edge, it connects the nodes in which both are wound the same way. So a triangle is wound like
+    the first triangle of its part if the nodes of both, as they are, are connected.
 
     Args:
         vertices: (n, 3) [m].
         faces: The indices of each triangle's vertices, (m, 3).
         edge: The id of the edge that begins at each corner, (3 m,).
-        direction: Whether the triangle runs through that edge forwards, 1, or backwards, -1.
+        direction: 1 where the triangle runs through that edge forwards, -1 for backwards, (3 m,).
         part: The part of the mesh that each triangle belongs to, (m,).
+
+    Returns:
+        A mask of the triangles, (m,).
     """
     order = np.argsort(edge, kind="stable")
     corner_pairs = np.stack([order[:-1], order[1:]])[:, np.diff(edge[order]) == 0]
@@ -487,7 +496,7 @@ def _find_inverted_faces(vertices: Float, faces: Int, edge: Int, direction: Int,
 
 
 def _drop_unused_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    """Return the vertices that faces use, and the faces as indices of these."""
+    """Return the vertices that faces use, and the faces with indices of these vertices."""
     used_vertices, corners = np.unique(faces, return_inverse=True)
     return vertices[used_vertices], corners.reshape(-1, 3)
 
@@ -515,10 +524,11 @@ def _mesh_arrays(model: mujoco.MjModel, mesh_id: int) -> MeshArrays:
 def split_mesh_parts(vertices: Float, faces: Int) -> list[ClassifiedPart]:
     """Split a mesh into its connected parts, and classify each by what it encloses.
 
-    Triangles that share an edge belong to one part; vertices at the same position are one vertex,
-    and triangles with two corners in one position are dropped. A part is closed where triangles
-    run through each of its edges as often in one direction as in the opposite one, after those that
-    are wound against most of the part's area are inverted. A part with few open edges is unclear.
+    Triangles that share an edge belong to one part. Vertices at the same position count as one
+    vertex, and triangles with two corners at one position are dropped. First, the triangles that
+    are wound against most of their part's area are inverted. Then a part is closed if triangles run
+    through each of its edges as often in one direction as in the other. A part that is not closed,
+    but has few open edges, is unclear.
 
     Args:
         vertices: (n, 3) [m].

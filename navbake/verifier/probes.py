@@ -1,8 +1,8 @@
-"""Vertical lines through a scene, by MuJoCo's rays, and contacts of upright prisms with it.
+"""Casts vertical lines through a scene by MuJoCo's rays, and finds what upright prisms touch.
 
-Both FCL and MuJoCo compute whether a prism touches an obstacle. Where they contradict each other, a
-plane that is proved to separate the two shapes decides: MuJoCo's `mj_geomDistance` is off by
-centimetres in rare poses of capsules, and FCL's iteration may end early.
+Both FCL and MuJoCo compute whether a prism touches an obstacle. They may contradict each other:
+MuJoCo's `mj_geomDistance` is off by centimetres in rare poses of capsules, and FCL's iteration may
+end early. Then the prism does not touch if a plane is found that provably separates the two shapes.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ GEOM = mujoco.mjtGeom
 UP = 1
 DOWN = -1
 RAY_DIRECTIONS = {UP: np.array([0.0, 0.0, 1.0]), DOWN: np.array([0.0, 0.0, -1.0])}
-RAY_ADVANCE = 1e-6  # how far behind a hit of a mesh the next ray begins [m]
+RAY_ADVANCE = 1e-6  # after a hit, the next ray begins this far behind it [m]
 RAY_MARGIN = 1.0  # how far outside of an obstacle's bounding box a ray begins [m]
-MAX_HITS = 200  # of a ray with one geom
+MAX_HITS = 200  # largest number of hits of a ray with one geom
 
 SAME_HEIGHT = 1e-5  # surfaces this close together count as one [m]
 MIN_UPWARD_NORMAL_Z = 1e-6  # least z of the unit normal of a surface that faces up
 NORMAL_Z_SLACK = 1e-6  # what rounding may take from the z of a unit normal
 VERTICAL_PLANE_NORMAL_Z = 1e-9  # a plane whose normal's |z| is less is vertical: no line crosses it
-DEFAULT_CRACK_WIDTH = 0.03  # width of a crack that is no gap, if the settings state none [m]
+DEFAULT_CRACK_WIDTH = 0.03  # a narrower crack in a floor is no gap, by default [m]
 EDGE_TOLERANCE = 1e-6  # a line this near to an edge of a surface may meet the surface or not [m]
 # a disc with lines at four radii and in all `CIRCLE_DIRECTIONS` has no point that is farther from
 # the nearest line than this share of the disc's radius
 NEARBY_SPACING = 1 / 3
 CIRCLE_DIRECTIONS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
 
-# Contacts between a prism and an obstacle. While a depth or a gap is measured, DISPUTED counts as
-# a touch, as it is true.
+# Contacts between a prism and an obstacle. DISPUTED is truthy: while a depth or a gap is measured,
+# it counts as a touch.
 NO_CONTACT = 0
 TOUCHES = 1
 DISPUTED = 2
@@ -47,8 +47,9 @@ DISPUTED = 2
 MIN_PROVED_GAP = 1e-7  # least gap that a separating plane has to leave [m]: more than rounding
 MAX_MEASURED_GAP = 1.0  # how far from a prism the nearest obstacle is looked for [m]
 NUM_BISECTIONS = 14  # of an interval of at most `MAX_MEASURED_GAP`: to a tenth of a millimetre
-MUJOCO_DISTANCE_LIMIT = 1e-3  # beyond this, MuJoCo need not compute a distance [m]
-WITNESS_DISTANCE_LIMIT = 10.0  # the same where MuJoCo's nearest points are needed [m]
+# MuJoCo need not compute distances beyond these [m]: for a contact, and for the nearest points
+MUJOCO_DISTANCE_LIMIT = 1e-3
+NEAREST_POINTS_LIMIT = 10.0
 MIN_DIRECTION_LENGTH = 1e-12  # shorter vectors between points give no direction [m]
 
 
@@ -79,7 +80,7 @@ class SurfaceHit(NamedTuple):
 
 
 class HeightRange(NamedTuple):
-    """A range of heights [m]; the lower end may be infinite."""
+    """A range of heights [m]; the lower end may be minus infinity."""
 
     low: float
     high: float
@@ -117,7 +118,7 @@ class VerticalLine(NamedTuple):
         )
 
     def has_upward_hit(self, low: float, high: float) -> bool:
-        """Return whether a surface between two heights [m] faces up, even inside of a solid."""
+        """Return whether a surface between two heights [m] faces up, be it inside of a solid."""
         return any(
             hit.normal_z >= MIN_UPWARD_NORMAL_Z and low <= hit.z <= high for hit in self.hits
         )
@@ -168,13 +169,14 @@ class PlacedPrism(NamedTuple):
 
 
 class PrismObject(NamedTuple):
-    """FCL's collision object of a prism, whose centre may be moved, and its rotation, (3, 3)."""
+    """FCL's collision object of a prism, which may be moved, and its rotation matrix, (3, 3)."""
 
     collision_object: fcl.CollisionObject
     rotation: Float
 
 
 def _make_prism_object(prism: UprightPrism) -> PrismObject:
+    """Make FCL's collision object of a prism, with its centre at the origin."""
     cos = np.cos(prism.yaw)
     sin = np.sin(prism.yaw)
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -189,8 +191,8 @@ def _make_prism_object(prism: UprightPrism) -> PrismObject:
 class ObstacleProbe:
     """Casts vertical lines through obstacles, and computes what upright prisms touch.
 
-    It sizes and moves the probe geoms of the obstacles' MuJoCo model, so an instance serves one
-    thread.
+    It resizes and moves the probe geoms of the obstacles' MuJoCo model, so only one thread may use
+    an instance.
 
     Args:
         obstacles: The obstacles.
@@ -212,10 +214,10 @@ class ObstacleProbe:
         """Return the surfaces and solids that the vertical line at world x, y [m] meets."""
         hits: list[SurfaceHit] = []
         solid_ranges: list[HeightRange] = []
-        boundaries: list[tuple[float, int]] = []  # heights, and by how much the depth changes there
+        boundaries: list[tuple[float, int]] = []  # height, and the change of the depth there
         for obstacle in self.obstacles.overlapping((x, y, -np.inf), (x, y, np.inf)):
             kind = self.obstacles.shapes[obstacle].kind
-            obstacle_hits = self._cross(obstacle, x, y)
+            obstacle_hits = self._find_surface_hits(obstacle, x, y)
             hits += obstacle_hits
             if kind == HALF_SPACE and obstacle_hits and obstacle_hits[0].normal_z > 0:
                 solid_ranges.append(HeightRange(-np.inf, obstacle_hits[0].z))
@@ -239,26 +241,28 @@ class ObstacleProbe:
         self,
         position: Vector3,
         height_tolerance: float,
-        reach: float = DEFAULT_CRACK_WIDTH,
+        max_distance: float = DEFAULT_CRACK_WIDTH,
         *,
         min_normal_z: float = np.inf,
     ) -> bool:
         """Return whether a surface near a position faces up.
 
-        Lines beside the position are cast, too, as the one through it may run through a crack.
+        Lines are cast around the position, as the line through it may run through a crack.
 
         Args:
             position: World x, y, z [m].
             height_tolerance: How far above or below the position the surface may be [m].
-            reach: How far beside the position the surface may be [m].
-            min_normal_z: The least z of the unit normal of slopes. The height of a slope may differ
-                more: by what it rises between the lines that are cast. By default no slope may.
+            max_distance: How far beside the position the surface may be [m].
+            min_normal_z: For surfaces whose unit normal has at least this z, the height may differ
+                by more: by what the slope rises from one cast line to the next. By default for no
+                surface.
         """
         x, y, z = position
-        half_size = np.array([reach + EDGE_TOLERANCE, reach + EDGE_TOLERANCE, height_tolerance])
+        half_width = max_distance + EDGE_TOLERANCE
+        half_size = np.array([half_width, half_width, height_tolerance])
         if not self.obstacles.overlapping(position - half_size, position + half_size):
             return False
-        distances = (EDGE_TOLERANCE, reach / 4, reach / 2, reach)
+        distances = (EDGE_TOLERANCE, max_distance / 4, max_distance / 2, max_distance)
         for distance, (cos, sin) in product(distances, CIRCLE_DIRECTIONS):
             for hit in self.cast_line(x + distance * cos, y + distance * sin).hits:
                 if hit.normal_z < MIN_UPWARD_NORMAL_Z:
@@ -266,7 +270,8 @@ class ObstacleProbe:
                 slope = 0.0
                 if hit.normal_z >= min_normal_z:
                     slope = np.sqrt(max(1 / hit.normal_z**2 - 1, 0.0))
-                if abs(hit.z - z) <= height_tolerance + slope * reach * NEARBY_SPACING:
+                extra_tolerance = slope * max_distance * NEARBY_SPACING
+                if abs(hit.z - z) <= height_tolerance + extra_tolerance:
                     return True
         return False
 
@@ -278,14 +283,14 @@ class ObstacleProbe:
             point: Where the ray begins, world x, y, z [m].
         """
         geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
-        normals = [hit.normal_z for geom in geoms for hit in self._hits(geom, *point, UP)]
+        normals = [hit.normal_z for geom in geoms for hit in self._find_hits(geom, *point, UP)]
         if self._geom_type[obstacle] == GEOM.mjGEOM_HFIELD:  # its underside is entered first
             return SurfaceCrossings((len(normals) + 1) // 2, len(normals) // 2)
         num_exits = sum(normal_z > 0 for normal_z in normals)
         num_entries = sum(normal_z < 0 for normal_z in normals)
         return SurfaceCrossings(num_exits, num_entries)
 
-    def _cross(self, obstacle: int, x: float, y: float) -> list[SurfaceHit]:
+    def _find_surface_hits(self, obstacle: int, x: float, y: float) -> list[SurfaceHit]:
         """Return the crossings of a vertical line with one obstacle, lowest first."""
         shape = self.obstacles.shapes[obstacle]
         if shape.kind == HALF_SPACE:
@@ -303,10 +308,10 @@ class ObstacleProbe:
             hits = [hit for hit in (lowest, highest) if hit is not None]
         else:
             geoms = self.obstacles.half_meshes.get(obstacle, [obstacle])
-            hits = sorted(hit for geom in geoms for hit in self._hits(geom, x, y, above, DOWN))
+            hits = sorted(hit for geom in geoms for hit in self._find_hits(geom, x, y, above, DOWN))
         return [SurfaceHit(hit.z, hit.normal_z, obstacle) for hit in hits]
 
-    def _hits(self, geom: int, x: float, y: float, z: float, direction: int) -> list[RayHit]:
+    def _find_hits(self, geom: int, x: float, y: float, z: float, direction: int) -> list[RayHit]:
         """Return all hits of a vertical ray from a point with a geom, nearest first."""
         hits: list[RayHit] = []
         while len(hits) < MAX_HITS:
@@ -357,10 +362,10 @@ class ObstacleProbe:
             prism: The prism.
             center: The position of the prism's centre, (3,) [m].
             margin: By how much the prism is enlarged on all sides [m]; a negative margin shrinks
-                it. A prism that vanishes by it is apart from everything.
+                it. A prism that vanishes by shrinking touches nothing.
 
         Returns:
-            `NO_CONTACT`, `TOUCHES`, or `DISPUTED` where MuJoCo alone finds a touch, and no plane is
+            `NO_CONTACT`; `TOUCHES`; or `DISPUTED` if MuJoCo alone finds a touch, and no plane is
             found that separates the two.
         """
         obstacles = self.obstacles
@@ -402,11 +407,11 @@ class ObstacleProbe:
         obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
 
     def _is_separated(self, obstacle: int) -> bool:
-        """Whether a plane provably lies between the prism and a convex obstacle.
+        """Return whether a plane provably lies between the prism and a convex obstacle.
 
-        By the separating axis theorem, a direction proves it in which the prism's support ends
-        before the obstacle's begins. The candidates are the directions between the nearest points
-        of both libraries and between the centres, and the axes of both shapes.
+        It does if, along some direction, the prism ends before the obstacle begins (separating axis
+        theorem). The directions that are tried run between the nearest points that each library
+        finds, between the centres, and along the axes of both shapes.
         """
         obstacles = self.obstacles
         nearest_points = np.zeros((2, 3))
@@ -415,7 +420,7 @@ class ObstacleProbe:
             obstacles.data,
             self._geom,
             obstacle,
-            WITNESS_DISTANCE_LIMIT,
+            NEAREST_POINTS_LIMIT,
             nearest_points.ravel(),
         )
         fcl_distance = fcl.DistanceResult()
@@ -443,15 +448,15 @@ class ObstacleProbe:
                 continue
             direction = candidate / length
             x, y, z = np.abs(self._rotation.T @ direction)
-            across = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
-            prism_end = float(self._center @ direction + across + half_z * z)
+            half_width = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
+            prism_end = float(self._center @ direction + half_width + half_z * z)
             obstacle_begin = -obstacles.support(obstacle, -direction)
             if obstacle_begin - prism_end > MIN_PROVED_GAP:
                 return True
         return False
 
     def measure_depth(self, prism: UprightPrism, center: Float, obstacle: int) -> float:
-        """Return by how much a prism must shrink on all sides until an obstacle does not touch it.
+        """Return by how much a prism must shrink on all sides so as not to touch an obstacle.
 
         Args:
             prism: A prism that touches the obstacle.
@@ -474,10 +479,10 @@ class ObstacleProbe:
         Returns:
             The obstacle; None if there is none within `MAX_MEASURED_GAP`.
         """
-        reach = np.array([prism.half_x, prism.half_y, prism.half_z]) + MAX_MEASURED_GAP
+        half_size = np.array([prism.half_x, prism.half_y, prism.half_z]) + MAX_MEASURED_GAP
         nearest = None
         gap = MAX_MEASURED_GAP
-        for obstacle in self.obstacles.overlapping(center - reach, center + reach):
+        for obstacle in self.obstacles.overlapping(center - half_size, center + half_size):
             if self.find_contact(obstacle, prism, center, gap):
                 gap = self._bisect_margin(prism, center, obstacle, low=0.0, high=gap)
                 nearest = ObstacleGap(gap, obstacle)

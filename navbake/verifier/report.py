@@ -18,7 +18,7 @@ PLACE_LOST = "place lost"
 PATH_TOUCHES = "path touches"
 LINK_TOUCHES = "link touches"
 NO_LANDING = "link without landing"
-MAX_LISTED_FINDINGS = 10_000  # in the JSON of a report; all are counted
+MAX_LISTED_FINDINGS = 10_000  # findings in the JSON of a report; all are counted
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class Finding:
 
     Attributes:
         kind: A constant of this module, such as `FREE_TOUCHES`.
-        level: The level's index, 0 for the lowest; of a lost place, the level that was checked
-            when it was noticed.
+        level: The level's index, 0 for the lowest; for a lost place, the level that was being
+            checked when the place was found.
         cell: Row and column on the level; None where the level has no such cell.
         position: World x, y, z [m].
         text: What is wrong.
-        geom: The name of the geom that it is about; None for none.
+        geom: The name of the geom that the finding is about; None for no geom.
         size: The depth of a touch, the gap beside a blocked cell or the offset of a floor [m], or
             the area of a lost place [m²]; None where it was not measured.
     """
@@ -55,22 +55,23 @@ class Finding:
 
 @dataclass
 class LevelCounts:
-    """How often the cells of a level agree with the scene.
+    """How many cells and floors of a level agree with the scene, and how many do not.
 
-    In a name of two states, the first is the grid's, the second the scene's.
+    In names such as `free_touches`, the first word is the grid's state of the cells, the second the
+    scene's.
 
     Attributes:
         name: The level's name.
         cells: The cells that were checked.
-        free_free: Free cells over which nothing is touched.
+        free_free: Free cells where nothing is touched.
         blocked_blocked: Blocked cells where something is touched, or which have no floor.
         free_touches: Free cells where something is touched.
         blocked_apart: Blocked cells where nothing is touched.
-        disputed: Cells over which MuJoCo and FCL contradict each other and nothing proves either
-            right; they are no faults.
+        disputed: Cells where MuJoCo and FCL contradict each other and nothing proves either right;
+            they are no faults.
         floors: The floors that were checked.
         floors_off: Floors where no geom has a surface.
-        in_cracks: Floors whose surface lies beside the cell's centre.
+        in_cracks: Floors with a surface only beside the cell's centre, which lies in a crack.
         lost: Places to stand that no level has.
     """
 

@@ -1,4 +1,4 @@
-"""The agent and inflation that a grid states, the sampled cells, and the volumes over them."""
+"""The agent and the inflation that a grid states, the sampled cells, and the volumes over them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from navbake.verifier.probes import PlacedPrism, UprightPrism
 from navbake.verifier.report import Finding
 
 STEP_SLACK = 1e-5  # what rounding may add to the step between two floors [m]
-# a square that reaches into a disc by a smaller share of the radius only touches it; it is less
-# than what the inflation leaves out
+# a square that overlaps a disc by a smaller share of the radius only touches it; an inflation
+# ignores larger overlaps than this
 TOUCHING_SHARE = 1e-10
-DEFAULT_MAX_SLOPE = 45.0  # of grids that state none [degrees]
-PRISM_DIGITS = 6  # of the heights of prisms [m]: to the micrometre, so that few sizes differ
+DEFAULT_MAX_SLOPE = 45.0  # steepest floor, if the grid states none [degrees]
+PRISM_DIGITS = 6  # prisms' heights are rounded to micrometres, so that many have equal sizes
 
 
 class AgentSizes(NamedTuple):
@@ -59,21 +59,21 @@ class AgentSizes(NamedTuple):
 
 
 class InflatedGrid(NamedTuple):
-    """A grid, inflated as it is to be verified, and what the inflation closed cells for.
+    """A grid, inflated as it is to be verified, and why the inflation may have blocked cells.
 
     Attributes:
         grid: The grid, inflated for the radius.
         radius: The radius of the cylinder that has to fit on free cells [m]; None for the baked
             footprint.
-        reach: How far from the centre of a closed cell the reason may lie for which the inflation
-            closed it [m]; 0 for a grid that is not inflated.
-        by_centers: Whether any occupied cell within the reach is such a reason, as in the mode
-            ``minos``.
+        inflation_reach: An inflation blocks a cell because of something nearby. This is the largest
+            distance of that from the cell's centre [m]; 0 for a grid that is not inflated.
+        by_centers: Whether the inflation blocks a cell because of any occupied cell within that
+            distance, as in the mode ``minos``; otherwise only because of cells with a solid.
     """
 
     grid: NavGrid
     radius: float | None
-    reach: float
+    inflation_reach: float
     by_centers: bool = False
 
 
@@ -145,21 +145,21 @@ class LevelSample:
     has_cell_floors: bool
 
     def position(self, cell: int) -> Vector3:
-        """Return the centre of a cell of the sample, at its floor, else at the level's ground."""
+        """Return the centre of a cell, world x, y, z [m]; z is its floor or the level's ground."""
         x, y = self.centers[cell].tolist()
         z = float(self.floor[cell])
         return x, y, self.level.ground if np.isnan(z) else z
 
-    def finding(
+    def make_finding(
         self, kind: str, cell: int, text: str, geom: str | None = None, size: float | None = None
     ) -> Finding:
-        """Return a finding about one of the cells.
+        """Make a finding about one of the cells.
 
         Args:
             kind: The kind of finding, a constant of `navbake.verifier.report`.
             cell: The cell's index in the sample.
             text: What is wrong.
-            geom: The name of the geom that it is about; None for none.
+            geom: The name of the geom that the finding is about; None for no geom.
             size: A measure of the disagreement [m or m²]; None if it is not measured.
         """
         row_col = (int(self.rows[cell]), int(self.cols[cell]))
@@ -167,9 +167,10 @@ class LevelSample:
 
 
 def has_cell_floors(level: SceneGrid2D) -> bool:
-    """Return whether a level states floors of its cells, not just the ground.
+    """Return whether a level states floors of single cells, not just its ground.
 
-    An inflation writes the ground into all cells of a grid that another program made.
+    Floors that all equal the ground don't count in inflated grids of other programs: the inflation
+    wrote them.
     """
     if not level.uses_cell_floors or level.navbake or "inflation" not in level.metadata:
         return level.uses_cell_floors
@@ -190,7 +191,7 @@ def take_sample(
             inflated.
 
     Returns:
-        A sample of each level, which may be empty.
+        A sample for each level, which may be empty.
     """
     level_sizes = [level.width * level.height for level in grid.levels]
     sampled_cells = np.arange(sum(level_sizes))
@@ -223,18 +224,18 @@ def take_sample(
 
 
 class CellShift(NamedTuple):
-    """The rows and columns to add to a cell's row and column to convert it to another lattice."""
+    """What to add to a cell's row and column to convert them to another lattice."""
 
     rows: int
     cols: int
 
 
 def shift_between(source: Lattice, target: Lattice) -> CellShift:
-    """Return the rows and columns that convert a cell of one lattice to a cell of another one.
+    """Return what to add to rows and columns to convert them from one lattice to another.
 
     Args:
         source: The lattice that rows and columns refer to.
-        target: The lattice to convert them to, with the same cell size.
+        target: The lattice to convert to, with the same cell size.
     """
     down = target.y_max - source.y_max
     right = source.x_min - target.x_min
@@ -242,45 +243,45 @@ def shift_between(source: Lattice, target: Lattice) -> CellShift:
 
 
 class LevelCells(NamedTuple):
-    """The floors of some cells of a level, and whether they exist; cells may lie beside the level.
+    """The floors of n cells of a level, some of which may lie outside the level.
 
     Attributes:
         level_id: The level's index.
         floor: Heights of the floors, (n,) [m], NaN for none.
-        closes: Whether an inflation may close cells near this cell, (n,).
+        blocks_others: Whether an inflation may block other cells because of this cell, (n,).
         is_inside: Whether the cell lies on the level's lattice, (n,).
     """
 
     level_id: int
     floor: Float
-    closes: Bool
+    blocks_others: Bool
     is_inside: Bool
 
 
 class CellNeighborhood:
-    """Looks up floors near cells, and reasons for which an inflation closes cells, on all levels.
+    """Looks up floors near cells, and reasons why an inflation blocks cells, on all levels.
 
     Args:
         grid: The inflated grid.
         step: The highest step that the agent takes [m].
-        by_centers: Whether any occupied cell closes its neighbors, as in the mode ``minos``;
-            otherwise cells with a solid do.
+        by_centers: Whether any occupied cell makes the inflation block other cells, as in the mode
+            ``minos``; otherwise only cells with a solid do.
     """
 
     def __init__(self, grid: GridBase, step: float, *, by_centers: bool = False) -> None:
         self._step = step
         self._lattices = [level.lattice for level in grid.levels]
         self._floors = [level.floor for level in grid.levels]
-        # a cell that closes others is blocked itself, so that it is verified in its turn
-        self._closing_cells = [
+        # a cell that blocks others must be blocked itself, so that it is verified, too
+        self._blocking_cells = [
             (level.occupancy != 0) & ~level.free & (by_centers | (level.solid != 0))
             for level in grid.levels
         ]
 
-    def floors_under(
+    def find_floors_under(
         self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float
     ) -> tuple[Float, Float]:
-        """Return the lowest and the highest floor under discs, on any level.
+        """Find the lowest and the highest floor under each of n discs, on any level.
 
         Floors that are more than a step above or below the disc's own floor are ignored.
 
@@ -303,11 +304,12 @@ class CellNeighborhood:
         return low, high
 
     def has_reason(self, level_id: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
-        """Return whether an inflation had a reason to close cells.
+        """Return whether an inflation had a reason to block cells.
 
-        A reason is a square under the disc over the cell that is occupied, has no floor, or whose
-        floor is more than a step away. Beyond the edge of a grid of a single level nothing was
-        baked, and nothing closes cells.
+        A reason is another cell whose square overlaps the disc around the cell's centre: a cell
+        that is occupied, has no floor, or has one more than a step higher or lower. A cell of
+        another level is a reason only if its floor is more than a step higher, or if it has a floor
+        and is occupied. Beyond the edge of a grid of a single level, nothing is a reason.
 
         Args:
             level_id: The level of the cells.
@@ -324,38 +326,39 @@ class CellNeighborhood:
             if cells.level_id == level_id:
                 is_ledge = ~(np.abs(cells.floor - floor) <= self._step - STEP_SLACK)
                 is_baked = cells.is_inside | (len(self._lattices) > 1)
-                has_reason |= (cells.closes | is_ledge) & is_baked
+                has_reason |= (cells.blocks_others | is_ledge) & is_baked
             else:
                 is_higher = cells.floor > floor + self._step
-                has_reason |= ~np.isnan(cells.floor) & (cells.closes | is_higher)
+                has_reason |= ~np.isnan(cells.floor) & (cells.blocks_others | is_higher)
         return has_reason
 
     def _cells_under(
         self, level_id: int, rows: Int, cols: Int, radius: float
     ) -> Iterator[LevelCells]:
-        """Yield what open discs around cells' centres overlap.
+        """Yield the cells that open discs around n cells' centres overlap.
 
-        For each offset from the centre's cell, and for each level, it yields the cells at that
-        offset from all centres.
+        There is one item for each level and each offset in rows and columns from the centre: the n
+        cells at this offset from the n centres.
         """
         cell_size = self._lattices[level_id].cell_size
-        reach = int(radius / cell_size + 0.5) + 1
+        max_offset = int(radius / cell_size + 0.5) + 1
         # the distance from the centre to the nearest edge of a row or column of cells
-        distance = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * cell_size
+        offsets = np.arange(-max_offset, max_offset + 1)
+        distance = np.maximum(np.abs(offsets) - 0.5, 0.0) * cell_size
         overlaps = np.hypot(distance[:, None], distance) < radius * (1 - TOUCHING_SHARE)
-        for row, col in (np.argwhere(overlaps) - reach).tolist():
+        for row, col in (np.argwhere(overlaps) - max_offset).tolist():
             for target_level in range(len(self._lattices)):
                 yield self.cells_on_level(level_id, target_level, rows + row, cols + col)
 
     def cells_on_level(
         self, source_level: int, target_level: int, rows: Int, cols: Int
     ) -> LevelCells:
-        """Return the cells of one level at cells that are given on another level's lattice.
+        """Return the cells of one level at rows and columns of another level's lattice.
 
         Args:
             source_level: The level that rows and columns refer to.
             target_level: The level whose floors are returned.
-            rows: Rows of the cells, (n,); they may lie beside the levels.
+            rows: Rows of the cells, (n,); the cells may lie outside the levels.
             cols: Columns of the cells, (n,).
         """
         lattice = self._lattices[target_level]
@@ -366,8 +369,8 @@ class CellNeighborhood:
         target_rows = np.where(is_inside, target_rows, 0)
         target_cols = np.where(is_inside, target_cols, 0)
         floor = np.where(is_inside, self._floors[target_level][target_rows, target_cols], np.nan)
-        closes = is_inside & self._closing_cells[target_level][target_rows, target_cols]
-        return LevelCells(target_level, floor, closes, is_inside)
+        blocks_others = is_inside & self._blocking_cells[target_level][target_rows, target_cols]
+        return LevelCells(target_level, floor, blocks_others, is_inside)
 
 
 class CellPrisms(NamedTuple):
@@ -399,23 +402,25 @@ class CellPrisms(NamedTuple):
         return PlacedPrism(prism, np.array([*sample.centers[cell], (low + high) / 2]))
 
 
-def volume_over(
+def make_volumes(
     sample: LevelSample,
     agent: AgentSizes,
     neighborhood: CellNeighborhood,
     radius: float | None = None,
 ) -> list[CellPrisms]:
-    """Return the volume over each cell that has to be empty: the union of a square and a disc.
+    """Make the volume over each cell that has to be empty: over its square and over a disc.
 
     Args:
         sample: The cells.
         agent: The agent that the grid was baked for.
         neighborhood: The floors of the grid.
         radius: The radius of a larger agent [m]; None for the volume of the bake. The larger
-            agent's disc spans only the heights that are free above all floors under it.
+            agent's prism begins a step above the highest floor under it, and ends at the agent's
+            height above the lowest one.
 
     Returns:
-        One or two sets of prisms, each with a prism over each cell.
+        One or two sets of prisms, each with a prism over each cell. A prism that lies inside the
+        other one is left out.
     """
     half = sample.level.lattice.cell_size / 2
     floor = sample.floor
@@ -427,5 +432,7 @@ def volume_over(
         return [square, disc] if agent.radius > half else [square]
     if radius <= half:
         return [square]
-    low, high = neighborhood.floors_under(sample.level_id, sample.rows, sample.cols, floor, radius)
+    low, high = neighborhood.find_floors_under(
+        sample.level_id, sample.rows, sample.cols, floor, radius
+    )
     return [square, CellPrisms(radius, True, high + agent.step, low + agent.height)]

@@ -1,4 +1,4 @@
-"""The scene of a grid, the settings that it was baked with, and its doors as the grid has them."""
+"""Finds the scene of a grid and the settings of its bake, and poses doors as the grid has them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.grid import GridBase
 from navbake.navgrid.rooms import Door
 
-SCENES_FOLDER = "scenes"  # a folder in which scenes often are, as those of the samples
-DEFAULT_HINGE_RANGE = np.pi / 2  # of a door's hinge without a range [rad]
-DEFAULT_SLIDE_RANGE = 1.0  # of a sliding door without a range [m]
+SCENES_FOLDER = "scenes"  # scenes, such as those of the samples, are often in such a folder
+DEFAULT_HINGE_RANGE = np.pi / 2  # how far a hinged door opens, if the joint has no range [rad]
+DEFAULT_SLIDE_RANGE = 1.0  # how far a sliding door opens, if the joint has no range [m]
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
-"""Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene in memory."""
+"""Settings, the path of a YAML or a scene file, the content of a YAML, or a scene in memory."""
 
 
 class NoSceneError(QueryError):
@@ -156,8 +156,8 @@ class DoorPose(NamedTuple):
     Attributes:
         data: The pose, with kinematics computed.
         removed: The ids of the geoms of removed doors.
-        no_floors: The ids of the geoms that carry no floor: those of doors, and those that can
-            move, except cars of lifts.
+        no_floors: The ids of the geoms that carry no floor: geoms of doors, and geoms that can
+            move, except the cars of lifts.
         unknown: The ids of doors that the scene does not have.
     """
 
@@ -172,7 +172,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
 
     Args:
         scene: The scene, which stays as it is.
-        grid: The grid, whose doors are named as bodies of the scene.
+        grid: The grid; the ids of its doors are names of bodies of the scene.
 
     Returns:
         The pose, and which geoms are removed or carry no floor.
@@ -210,10 +210,11 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
 
 
 def _joint_position(model: mujoco.MjModel, body: int, door: Door) -> float | None:
-    """Return where the door's hinge or slide stands in the door's state [rad or m].
+    """Return the position of a door's joint in the door's state [rad, or m for a sliding door].
 
-    A closed door stands at 0 or at the end of the range nearest to 0, an open one at the end that
-    is farther from there. None for a door that stands as it is modelled.
+    A closed door is at 0, or at the position of its range that is nearest to 0. An open one is at
+    the end of the range that is farther from there. None if the pose stays as modelled: for other
+    states, and for a door that does not have exactly one joint, a hinge or a slide.
     """
     joint = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:

@@ -1,4 +1,4 @@
-"""Checks of what agents move along: paths, drops and jumps with landings, and shafts of lifts."""
+"""Checks what agents move along: paths, drops and jumps with their landings, and lift shafts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from navbake.verifier.probes import (
 from navbake.verifier.report import LINK_TOUCHES, NO_LANDING, PATH_TOUCHES, Finding, SweepCounts
 from navbake.verifier.sample import STEP_SLACK, AgentSizes, CellNeighborhood
 
-MAX_TRIES_PER_PATH = 20  # to draw a start and a goal that are apart
+MAX_TRIES_PER_PATH = 20  # how often a start and a goal are drawn to find a path between them
 MIN_STRETCH_LENGTH = 1e-6  # shorter stretches, at a corner of cells, belong to no cell [m]
 SAME_FLOOR = 1e-4  # stretches whose floors differ by less are swept as one [m]
 STRAIGHT_LINK_KINDS = ("drop", "jump")  # kinds of links that run straight between their stops
@@ -67,8 +67,8 @@ class PathContacts(NamedTuple):
     """What a cylinder touches along a path.
 
     Attributes:
-        findings: The first touch between the heights that all floors under the cylinder leave free;
-            empty if there is none.
+        findings: The first touch within the heights that have to be free (see `PathSweep`); empty
+            if there is none.
         touches_near_ends: Whether the cylinder touches anything outside of these heights, within a
             step of its lower or upper end.
     """
@@ -80,9 +80,9 @@ class PathContacts(NamedTuple):
 class PathSweep:
     """Sweeps a cylinder along paths on a grid that is inflated for the cylinder.
 
-    The cylinder is as high as the agent, less a step at its lower end. It has to touch nothing
-    between the heights that all floors under it leave free; what it touches beyond these heights is
-    counted, but is no fault.
+    The cylinder is as high as the agent, less a step at its lower end. It must touch nothing
+    between the highest floor under it plus a step, and the lowest floor under it plus the agent's
+    height. What it touches above or below that is counted, but is no fault.
 
     Args:
         grid: The inflated grid.
@@ -142,7 +142,7 @@ class PathSweep:
         return counts, findings
 
     def _sweep_path(self, positions: Float, levels: Int) -> PathContacts:
-        """Sweep the cylinder along a path up to the first touch."""
+        """Sweep the cylinder along a path, up to the first touch that is a fault."""
         touches_near_ends = False
         step = self._agent.step
         height = self._agent.height
@@ -160,6 +160,7 @@ class PathSweep:
     def _path_finding(
         self, stretch: PathStretch, heights: HeightRange, contact: SweptContact
     ) -> Finding:
+        """Return the finding for a cylinder that touches something on a stretch of a path."""
         name = self._probe.obstacles.geom_name(contact.obstacle)
         depth = contact.depth + self._tolerance
         x, y = ((stretch.begin + stretch.end) / 2).tolist()
@@ -177,7 +178,7 @@ class PathSweep:
         )
 
     def _split_path(self, positions: Float, levels: Int) -> list[PathStretch]:
-        """Split a path at the edges of cells, and join the stretches of one floor."""
+        """Split a path at the edges of cells, and join stretches with the same floor."""
         stretches: list[PathStretch] = []
         lattices = [level.lattice for level in self._grid.levels]
         for k, (begin, end) in enumerate(pairwise(positions)):
@@ -190,7 +191,7 @@ class PathSweep:
             path_heights = (shares[1:] + shares[:-1]) / 2
             path_heights = begin[2] + path_heights * (end[2] - begin[2])
 
-            # where the path changes the level, the floor that is nearer to it counts
+            # where the path changes to another level, the nearer of the two levels' floors counts
             level_ids = sorted({int(levels[k]), int(levels[k + 1])})
             rows_cols = [lattices[level_id].rows_cols(middles) for level_id in level_ids]
             level_floors = np.stack(
@@ -204,10 +205,10 @@ class PathSweep:
             floor = np.take_along_axis(level_floors, nearest_level[None], axis=0)[0]
             floor = np.where(np.isnan(floor), path_heights, floor)
 
-            # the cylinder's axis may be half of a cell's diagonal beside the cell's centre
-            reach = self._radius + lattice.cell_size * np.sqrt(0.5)
+            # the cylinder's axis may be half of a cell's diagonal away from the cell's centre
+            radius = self._radius + lattice.cell_size * np.sqrt(0.5)
             floors_under = [
-                self._neighborhood.floors_under(level_id, rows, cols, floor, reach)
+                self._neighborhood.find_floors_under(level_id, rows, cols, floor, radius)
                 for level_id, (rows, cols) in zip(level_ids, rows_cols, strict=True)
             ]
             for n, nearest in enumerate(nearest_level.tolist()):
@@ -227,7 +228,7 @@ class PathSweep:
         return stretches
 
     def _sweep_stretch(self, stretch: PathStretch, heights: HeightRange) -> SweptContact | None:
-        """Return what the cylinder touches first on a stretch, between two heights.
+        """Return the first obstacle that the cylinder touches on a stretch, between two heights.
 
         The swept volume is the union of the cylinder at both ends and a box between them.
         """
@@ -260,7 +261,7 @@ class PathSweep:
 
 
 def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:
-    """Whether two stretches of a straight line can be swept as one."""
+    """Return whether two stretches of a straight line can be swept as one."""
     if stretch.level_id != next_stretch.level_id:
         return False
     floors = (stretch.floor, stretch.lowest_floor, stretch.highest_floor)
@@ -269,7 +270,7 @@ def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:
 
 
 def _shares_at_cell_edges(lattice: Lattice, begin: Float, end: Float) -> Float:
-    """Return where a line crosses the edges of cells, as shares of its length from 0 to 1."""
+    """Return where a line crosses the edges of cells: ascending shares of its length, 0 to 1."""
     shares = np.array([0.0, 1.0])
     corner = np.array([lattice.x_min, lattice.y_max])
     begin_cell = (begin[:2] - corner) / lattice.cell_size
@@ -288,17 +289,17 @@ def check_links(
 ) -> tuple[list[Finding], list[str]]:
     """Check the drops and jumps of a grid, and the lifts that the bake detected.
 
-    Over each cell between the stops of a drop or a jump, the agent's column has to touch nothing:
-    over the higher of both floors, and down to the landing. The landing's floor has to be a
-    surface. The car of a lift has to touch nothing between the ends of its joint's range. Links
-    that cannot be read are left to the audit.
+    In a drop or a jump, the agent's body must touch nothing over each cell between the stops, at
+    the height of the higher stop's floor. Over the landing it must touch nothing from there down,
+    and the landing's floor must be a surface. The car of a lift must touch nothing between the ends
+    of its joint's range. If the links cannot be read, nothing is checked: the audit reports that.
 
     Args:
         grid: The grid.
         scene: The scene, in the pose that the probe's obstacles were made in.
         probe: The obstacles.
         agent: The agent that the grid was baked for.
-        tolerance: By how much columns, and the range of a car, are shrunk [m].
+        tolerance: By how much the agent's body, and the range of a car, are shrunk [m].
 
     Returns:
         The findings, and a note for each lift whose car is not in the scene.
@@ -313,7 +314,7 @@ def check_links(
     body_names = [body_name(model, body) for body in range(model.nbody)] if links else []
     for link in links:
         if link.kind in STRAIGHT_LINK_KINDS and len(link.stops) == 2:
-            findings += _check_crossing(link, grid, probe, agent, tolerance)
+            findings += _check_drop_or_jump(link, grid, probe, agent, tolerance)
         elif link.kind == "lift" and link.auto:
             # the car's body has the link's name, to which the bake may have added a number
             for name in (link.name, link.name.rpartition("#")[0]):
@@ -340,7 +341,11 @@ class WalkedPart(NamedTuple):
 
 
 def _walk_from_stop(level: SceneGrid2D, points: Float, max_step: float) -> WalkedPart:
-    """Return how far an agent walks from the first of some points, (n, 2), towards the last."""
+    """Return how far an agent walks on a level over points of a straight line, (n, 2) [m].
+
+    It ends before the first point that is not free, has no floor, or is more than a step higher or
+    lower than the point before.
+    """
     rows, cols = level.lattice.rows_cols(points)
     is_inside = level.lattice.holds(rows, cols)
     rows = rows[is_inside]
@@ -352,7 +357,7 @@ def _walk_from_stop(level: SceneGrid2D, points: Float, max_step: float) -> Walke
     return WalkedPart(last_index, float(floor[max(last_index, 0)]))
 
 
-def _check_crossing(
+def _check_drop_or_jump(
     link: Link, grid: GridBase, probe: ObstacleProbe, agent: AgentSizes, tolerance: float
 ) -> list[Finding]:
     """Check that a drop or a jump touches nothing, and lands on a surface."""
@@ -414,7 +419,7 @@ def _check_crossing(
 def _check_shaft(
     link: Link, car: int, grid: GridBase, scene: Scene, probe: ObstacleProbe, tolerance: float
 ) -> list[Finding]:
-    """Move a lift's car over its joint's range, and check by FCL that it touches nothing."""
+    """Move a lift's car through its joint's range, and check by FCL that it touches nothing."""
     findings = list[Finding]()
     model = scene.model
     obstacles = probe.obstacles

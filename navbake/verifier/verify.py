@@ -1,4 +1,4 @@
-"""Comparison of a grid with its scene by MuJoCo and FCL, independent of the code that baked it."""
+"""Compares a grid with its scene by MuJoCo and FCL, independently of the code that baked it."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from navbake.verifier.sample import (
     LevelSample,
     has_cell_floors,
     inflate_for,
+    make_volumes,
     take_sample,
-    volume_over,
 )
 from navbake.verifier.source import SceneSource, find_source, pose_doors
 from navbake.verifier.sweeps import PathSweep, check_links
 
-DEFAULT_SAMPLE = 100_000  # cells that are checked
-DEFAULT_TOLERANCE = 1e-4  # touches that are less deep come from rounding [m]
+DEFAULT_SAMPLE = 100_000  # number of cells that are checked
+DEFAULT_TOLERANCE = 1e-4  # touches that are less deep are attributed to rounding [m]
 
 
 def verify(
@@ -64,8 +64,9 @@ def verify(
         sample: The number of cells to check, >= 1, drawn from those of all levels; None for all.
         seed: The seed of the sample and of the paths, >= 0.
         radius: The radius of the cylinder that has to fit on free cells [m], >= 0, and that is
-            swept along paths. If None, that of the grid's inflation, else the baked footprint. A
-            grid that is not inflated, or for a smaller radius, is inflated for it.
+            swept along paths. If None, the radius of the grid's inflation; for a grid without
+            inflation, the baked footprint. If the grid is not inflated, or for a smaller radius, it
+            is inflated for this one.
         paths: The number of paths to plan, and to sweep the cylinder along, >= 0.
         tolerance: The depth up to which touches are attributed to rounding [m], > 0; at most a
             quarter of a cell's edge, and of the height of the volume over a cell.
@@ -125,7 +126,7 @@ def _check_arguments(
 
 
 def _check_number(number: object, expected: str, *, least: float, is_whole: bool = False) -> None:
-    """Raise a QueryError unless an argument is a finite number, of at least some size."""
+    """Raise a QueryError unless an argument is a finite number >= `least`, whole if `is_whole`."""
     types = (int, np.integer) if is_whole else (int, float, np.integer, np.floating)
     is_number = isinstance(number, types) and not isinstance(number, bool)
     if not is_number or not least <= number < np.inf:  # type: ignore[operator]
@@ -150,11 +151,11 @@ def verify_scene(
         grid: The grid.
         scene: The scene.
         config: The settings of the bake; None if they are unknown.
-        sample: As in `verify`.
-        seed: As in `verify`.
-        radius: As in `verify`.
-        paths: As in `verify`.
-        tolerance: As in `verify`.
+        sample: See `verify`.
+        seed: See `verify`.
+        radius: See `verify`.
+        paths: See `verify`.
+        tolerance: See `verify`.
         notes: Messages for the user, which come first in the report.
 
     Returns:
@@ -166,7 +167,7 @@ def verify_scene(
         SceneError: MuJoCo cannot hold the scene's shapes.
         FormatError: The grid's metadata states sizes that no agent can have.
     """
-    # without what was blocked at run time; the type of one level and of several differs
+    # without obstacles; grids of one level and of several levels have different types
     baked_grid: Any = grid.without_obstacles()
     agent = AgentSizes.of_grid(baked_grid)
     notes = list(notes)
@@ -182,7 +183,7 @@ def verify_scene(
     levels_with_floors = [has_cell_floors(level) for level in baked_grid.levels]
     inflated = inflate_for(baked_grid, radius, notes)
     verified_grid = inflated.grid
-    if inflated.reach > 0 and config is not None and config.grid.bounds is not None:
+    if inflated.inflation_reach > 0 and config is not None and config.grid.bounds is not None:
         note = "`grid.bounds` cut the grid, which knows nothing of what lies beyond"
         notes.append(f"{note}: a larger agent's cylinder may touch it")
     if grid.is_blocked:
@@ -190,7 +191,7 @@ def verify_scene(
 
     obstacles = Obstacles(scene, doors.data, doors.removed)
     probe = ObstacleProbe(obstacles)
-    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflated.reach)
+    occupancy_check = OccupancyCheck(probe, agent, tolerance, inflated.inflation_reach)
     floor_check = None
     if all(levels_with_floors):
         floor_obstacles = obstacles
@@ -204,10 +205,10 @@ def verify_scene(
     for level_sample, name in zip(samples, verified_grid.level_names, strict=True):
         counts = LevelCounts(name, cells=len(level_sample.rows))
         levels.append(counts)
-        free_volume = volume_over(level_sample, agent, neighborhood, inflated.radius)
+        free_volume = make_volumes(level_sample, agent, neighborhood, inflated.radius)
         findings += occupancy_check.check_free(level_sample, counts, free_volume)
-        baked_volume = volume_over(level_sample, agent, neighborhood)
-        excused = _cells_closed_with_reason(level_sample, neighborhood, inflated.reach)
+        baked_volume = make_volumes(level_sample, agent, neighborhood)
+        excused = _mark_excused_cells(level_sample, neighborhood, inflated.inflation_reach)
         findings += occupancy_check.check_blocked(level_sample, counts, baked_volume, excused)
         if floor_check is not None:
             findings += floor_check.check(level_sample, counts)
@@ -255,15 +256,22 @@ def verify_scene(
     return report
 
 
-def _cells_closed_with_reason(
-    sample: LevelSample, neighborhood: CellNeighborhood, reach: float
+def _mark_excused_cells(
+    sample: LevelSample, neighborhood: CellNeighborhood, inflation_reach: float
 ) -> Bool:
-    """Return which cells an inflation closed with a reason; any other has to touch something."""
-    closed = (reach > 0) & ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
-    closed[closed] = neighborhood.has_reason(
-        sample.level_id, sample.rows[closed], sample.cols[closed], sample.floor[closed], reach
+    """Mark the cells of a sample that an inflation blocked with a reason, (n,).
+
+    Any other blocked cell has to touch something itself.
+    """
+    excused = (inflation_reach > 0) & ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
+    excused[excused] = neighborhood.has_reason(
+        sample.level_id,
+        sample.rows[excused],
+        sample.cols[excused],
+        sample.floor[excused],
+        inflation_reach,
     )
-    return np.asarray(closed)
+    return np.asarray(excused)
 
 
 def _notes_of_checks(floor_check: FloorCheck | None, occupancy_check: OccupancyCheck) -> list[str]:

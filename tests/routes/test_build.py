@@ -11,7 +11,7 @@ from scipy.ndimage import label
 import navbake
 from grid_maps import house_from, level_from
 from navbake.auditor.facts import Facts
-from navbake.auditor.routes import distances_to_squares
+from navbake.auditor.routes import measure_distances_to_squares
 from navbake.errors import QueryError
 from navbake.navgrid.links import Agent
 from navbake.routes.build import make_routes, thin_mask
@@ -215,4 +215,6 @@ def test_distances_are_those_of_shapely():
         ends[1] = ends[1] if rng.random() < 0.7 else ends[0] + [0, rng.random()]
         squares = shapely.box(*(centers - 0.05).T, *(centers + 0.05).T)
         expected = shapely.distance(shapely.LineString(ends), squares)
-        np.testing.assert_allclose(distances_to_squares(ends, centers, 0.05), expected, atol=1e-4)
+        np.testing.assert_allclose(
+            measure_distances_to_squares(ends, centers, 0.05), expected, atol=1e-4
+        )
