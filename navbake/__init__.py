@@ -81,7 +81,8 @@ __all__ = [
     "view",
 ]
 
-# where each public name is that needs dependencies, as ``module:name``, or a module
+# For each public name that needs dependencies: where it is defined, as ``module:name``, or the
+# module that it is.
 _LAZY = {
     "Agent": "navbake.navgrid.links:Agent",
     "audit": "navbake.auditor.audit:audit",
@@ -111,7 +112,7 @@ _LAZY = {
     "tensors": "navbake.tensors",
 }
 
-# names that people guess first, and what they mean
+# Wrong names that people try first -> what to write instead.
 _GUESSES = {
     "load_grid": "load",
     "read": "load",
@@ -129,12 +130,12 @@ def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         hint = f": write navbake.{_GUESSES[name]}" if name in _GUESSES else ""
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
-    place = _LAZY[name]
-    public_object = resolve(place) if ":" in place else importlib.import_module(place)
+    source = _LAZY[name]
+    public_object = resolve(source) if ":" in source else importlib.import_module(source)
     globals()[name] = public_object
     return public_object
 
 
 def __dir__() -> list[str]:
-    """List the public names, those that are not imported yet as well."""
+    """List the module's names, including public names that are not imported yet."""
     return sorted({*globals(), *_LAZY})

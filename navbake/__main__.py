@@ -1,4 +1,4 @@
-"""Starts the command line, ready for Ctrl-C before anything slow is imported.
+"""Starts the command line; handles Ctrl-C already while slow modules are imported.
 
 ``python -m navbake`` is the same as ``navbake``.
 """
@@ -13,11 +13,15 @@ import threading
 import time
 from types import FrameType
 
-SIGNAL_TIMEOUT = 2.0  # how long code in C may delay a signal before the process ends [s]
+# how long code in C may keep Python from handling a signal; then the process ends [s]
+SIGNAL_TIMEOUT = 2.0
 GARBAGE_THRESHOLD = 200_000
-"""Python collects garbage after so many new objects; imports and compilers make many that stay."""
+"""Python collects garbage after so many new objects.
+
+It is more than by default, because imports and compilers make many objects that stay.
+"""
 _status: int | None = None
-"""The exit status after the first signal, as shells have it: 128 + the signal's number."""
+"""The exit status once a signal has come: 128 + its number, as in shells. None before that."""
 
 
 def main() -> None:
@@ -25,16 +29,17 @@ def main() -> None:
 
     Ctrl-C raises KeyboardInterrupt wherever Python is. Libraries may turn that into an error of
     their own, as numpy does while it is imported, so any error after Ctrl-C counts as its effect.
-    Another Ctrl-C ends the process at once. SIGTERM is like Ctrl-C, with status 143, so that
-    temporary files are removed; but another SIGTERM changes nothing, as service managers may send
-    several. While MuJoCo compiles, Python handles neither: then a thread ends the process after
-    SIGNAL_TIMEOUT.
+    Another Ctrl-C ends the process at once.
+
+    SIGTERM is handled like Ctrl-C, with status 143, so that temporary files are removed. A second
+    SIGTERM changes nothing, because service managers may send several. While MuJoCo compiles,
+    Python handles neither signal: then a thread ends the process after SIGNAL_TIMEOUT.
     """
     gc.set_threshold(GARBAGE_THRESHOLD)
-    # numba makes and drops messages by the hundred: colouring them takes a tenth of the time
+    # numba makes hundreds of messages that nobody sees: colouring them takes a tenth of the time
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     try:
-        # where Ctrl-C is ignored, as in the background of a script, it stays so
+        # where Ctrl-C is ignored already (for example in the background of a script), it stays so
         for number, default in (
             (signal.SIGINT, signal.default_int_handler),
             (signal.SIGTERM, signal.SIG_DFL),
@@ -74,17 +79,19 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _exit_if_stopped(unraisable: sys.UnraisableHookArgs) -> None:
-    """End the process if the exception of a signal can't be raised, as in callbacks from C."""
+    """End the process if a signal's exception can't be raised, for example in a callback from C."""
     if _status is not None:
         os._exit(_status)
     sys.__unraisablehook__(unraisable)
 
 
 def _watch(read_end: int) -> None:
-    """End the process if `_stop` isn't called in time, as while code in C runs on the main thread.
+    """End the process if `_stop` isn't called within SIGNAL_TIMEOUT after a signal.
+
+    That happens while code in C runs on the main thread.
 
     Args:
-        read_end: A pipe into which Python writes the number of each signal.
+        read_end: The reading end of a pipe into which Python writes the number of each signal.
     """
     while True:
         number = os.read(read_end, 1)[0]

@@ -3,16 +3,17 @@
 `kernel` decorates what Python calls, `subkernel` what only kernels call: numba compiles it into
 them, and a call from Python would crash. Both are `numba.njit` with options.
 
-Compiled code is stored in a folder for each state of a module's source and of all that it imports
-from the package, so that no change leaves old code in use; see `cache_folder` for where. If no
-folder can be written, kernels are compiled in memory.
+Compiled code is stored in `cache_folder`. There, a module has a folder for each state of its source
+and of all modules of the package that it imports. So after a change, old code isn't used any more.
+If no folder can be written, kernels are compiled in memory.
 
 A bake, and any other code that calls many kernels, begins with `ensure_compiled`: it compiles the
 kernels without code on disk in a few processes. ``kernels.json``, which `scripts/list_kernels.py`
-writes, has the types of the kernels' arguments. An entry that is out of date costs time only.
+writes, has the types of the kernels' arguments. An entry that doesn't fit the sources is skipped;
+its kernel is compiled when it is first called, which only takes longer.
 """
 
-# numba has few types
+# numba has few type annotations
 # mypy: disable-error-code="no-untyped-call,attr-defined"
 
 from __future__ import annotations
@@ -41,23 +42,24 @@ import numba
 
 from navbake.lazy import lazy
 
-filelock = lazy("filelock")  # needed for compiling alone
+filelock = lazy("filelock")  # only needed to compile
 
 LOG = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
 PACKAGE_FOLDER = Path(__file__).parent
 KERNEL_LIST = PACKAGE_FOLDER / "kernels.json"
 CACHE_REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
-MAX_PROCESSES = 4  # that compile side by side; kernels that share code are compiled by one
-FIRST_PROGRESS = 5.0  # time until the first line of progress; then it doubles each time [s]
+MAX_PROCESSES = 4  # so many processes compile at the same time
+# time until the first message on progress; the time to each later one is twice as long [s]
+FIRST_PROGRESS = 5.0
 KERNELS: list[Any] = []
-"""All kernels that have been imported, each a dispatcher of numba's, as `njit` returned it."""
+"""The kernels of all modules imported so far; each is the dispatcher that `njit` returned."""
 
-# Functions that allocate no arrays do without reference counts, which cost a fifth of a bake of
-# 100 rooms: an option that numba has but does not document. Their callers keep the arrays alive.
+# An option that numba has but does not document: no reference counts, which cost a fifth of a bake
+# of 100 rooms. It is for functions that allocate no arrays; their callers keep the arrays alive.
 _OPTIONS = getattr(getattr(numba.core, "options", None), "DefaultOptions", None)
 NO_REFCOUNT: dict[str, Any] = {"_nrt": False} if hasattr(_OPTIONS, "_nrt") else {}
-# As in numpy, a division by zero raises nothing; no function is called by ctypes
+# as in numpy, a division by zero raises no error; no wrapper is made for calls by ctypes
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 SUBKERNEL_OPTIONS: dict[str, Any] = {"no_cpython_wrapper": True, **OPTIONS}
 
@@ -76,11 +78,17 @@ def kernel(
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Callable[..., Any]:
-    """Compile a function that Python and kernels may call; a decorator with or without options.
+    """Make a kernel of a function: Python code and other kernels may call it.
+
+    Use it as a decorator, with or without options. The function is compiled when it is first
+    called, or by `ensure_compiled`.
 
     Args:
-        function: The function.
+        function: The function; None if the decorator has options.
         **options: Options of `numba.njit`.
+
+    Returns:
+        The kernel; a decorator if `function` is None.
     """
     if function is None:
         return partial(kernel, **options)
@@ -112,11 +120,16 @@ def subkernel(
 
 
 def subkernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Callable[..., Any]:
-    """Compile a function that only kernels may call; a decorator with or without options.
+    """Make a function that only kernels may call: it is compiled into them.
+
+    Use it as a decorator, with or without options.
 
     Args:
-        function: The function.
+        function: The function; None if the decorator has options.
         **options: Options of `numba.njit`.
+
+    Returns:
+        The function for kernels; a decorator if `function` is None.
     """
     if function is None:
         return partial(subkernel, **options)
@@ -125,11 +138,12 @@ def subkernel(function: Callable[..., Any] | None = None, /, **options: Any) -> 
 
 @cache
 def cache_folder() -> Path | None:
-    """Return the folder of compiled code, for all states of the sources; None if there is none.
+    """Return the folder that holds all compiled code; None if no folder can be written.
 
-    It is the first that can be written: NUMBA_CACHE_DIR, or if that is not set, the package's
-    ``__pycache__`` and then the user's cache. A folder that can only be read, as in a container
-    with compiled kernels, is used by way of a temporary folder of links.
+    The folder is in NUMBA_CACHE_DIR. If that is not set, it is in the package's ``__pycache__``, or
+    in the user's cache if that can't be written. If the folder exists but can only be read (for
+    example in a container with compiled kernels), a temporary folder with links to its files is
+    returned.
     """
     numba_folder = os.environ.get("NUMBA_CACHE_DIR")
     user_folder = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
@@ -157,15 +171,15 @@ def cache_folder() -> Path | None:
     return None
 
 
-def _remove(folder: Path, process: int) -> None:
-    """Remove a folder, in the process that made it, not in a fork of it."""
-    if os.getpid() == process:
+def _remove(folder: Path, process_id: int) -> None:
+    """Remove a folder if this is the process that made it, and not a fork of that process."""
+    if os.getpid() == process_id:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 @cache
 def _read_module(name: str) -> tuple[bytes, frozenset[str]]:
-    """A module's source, and the modules of the package that it imports something from."""
+    """Return a module's source, and the names of the package's modules that it imports."""
     path = PACKAGE_FOLDER.parent.joinpath(*name.split("."))
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     source = path.read_bytes()
@@ -176,7 +190,10 @@ def _read_module(name: str) -> tuple[bytes, frozenset[str]]:
 
 @cache
 def digest_sources(module: str) -> str:
-    """Hash the sources of a module and of all that it imports from the package."""
+    """Return a hash of a module's source and of those of all package modules that it needs.
+
+    These are the modules that it imports, those that they import, and so on.
+    """
     sources: dict[str, bytes] = {}
     pending = [module]
     while pending:
@@ -191,16 +208,19 @@ def digest_sources(module: str) -> str:
 
 
 class Entry(NamedTuple):
-    """A kernel of the list ``kernels.json``."""
+    """A kernel in the list ``kernels.json``, with one choice of types of its arguments."""
 
-    name: str  #: Its module and name, without the package's.
-    seconds: float  #: About how long compiling it takes [s].
-    #: The types of its arguments: "float64 2 C" for an array, a list for a tuple, an object with
-    #: the name of the class for a NamedTuple.
+    name: str  #: The kernel's module and name, without the name of the package.
+    seconds: float  #: About how long it takes to compile [s].
+    #: The types of its arguments: text such as "float64" for a number and "float64 2 C" for an
+    #: array; a list of types for a tuple; ``{"class's name": types}`` for a NamedTuple.
     types: list[Any]
 
     def compile(self) -> None:
-        """Compile the kernel, or load its code from disk; do nothing for an outdated entry."""
+        """Compile the kernel for these types, or load its code from disk.
+
+        An entry that doesn't fit the present sources is skipped, with a debug message.
+        """
         try:
             import_object(self.name).compile(tuple(map(decode_type, self.types)))
         except Exception as error:  # a call of the kernel compiles it, and raises what is wrong
@@ -208,14 +228,18 @@ class Entry(NamedTuple):
 
 
 def import_object(name: str) -> Any:
-    """Import a function or class of the package, by its module and name without the package's."""
+    """Import a function or class of the package.
+
+    Args:
+        name: Its module and name, without the name of the package.
+    """
     module, _, name = name.rpartition(".")
     return getattr(importlib.import_module(f"{PACKAGE}.{module}"), name)
 
 
 @cache
 def read_list() -> tuple[list[Entry], list[Entry]]:
-    """Read the list of kernels: those that bakes call, and all others."""
+    """Read ``kernels.json``; return the entries that bakes need, and all other entries."""
     entries = json.loads(KERNEL_LIST.read_text(encoding="utf-8"))
     bake_kernels = [Entry(*entry) for entry in entries["bake"]]
     further_kernels = [Entry(*entry) for entry in entries["others"]]
@@ -223,7 +247,7 @@ def read_list() -> tuple[list[Entry], list[Entry]]:
 
 
 def decode_type(encoded: Any) -> Any:
-    """Convert a type of the list to one of numba's, see `Entry.types`."""
+    """Convert a type as in `Entry.types` to a type of numba's."""
     if isinstance(encoded, dict):
         ((name, fields),) = encoded.items()
         field_types = [decode_type(field) for field in fields]
@@ -240,7 +264,10 @@ def decode_type(encoded: Any) -> Any:
 
 
 def list_uncompiled(entries: Iterable[Entry]) -> list[Entry]:
-    """Return the entries of kernels that lack code on disk for some of their types."""
+    """Return the entries whose kernels lack compiled code on disk for some of the entries' types.
+
+    Files are only counted: a kernel with n entries needs n files.
+    """
     entries = list(entries)
     uncompiled = set()
     for name, num_types in Counter(entry.name for entry in entries).items():
@@ -255,11 +282,13 @@ def list_uncompiled(entries: Iterable[Entry]) -> list[Entry]:
 
 @cache
 def ensure_compiled(*prefixes: str) -> None:
-    """Compile the kernels that have no code on disk; once in a process.
+    """Compile the kernels that have no code on disk.
+
+    A later call with the same arguments does nothing.
 
     Args:
-        *prefixes: Beginnings of the names of kernels, as ``formats.``; the kernels that bakes call
-            if there are none.
+        *prefixes: Beginnings of the names of the kernels to compile, such as ``formats.``. Without
+            any, the kernels that bakes call are compiled.
     """
     bake_kernels, further_kernels = read_list()
     if not prefixes:
@@ -281,9 +310,11 @@ def warm_up() -> list[str]:
 
 
 def _compile(entries: list[Entry]) -> None:
-    """Compile kernels without code on disk in some processes, and log the progress.
+    """Compile those of some kernels that have no code on disk, in a few processes.
 
-    A lock lets one process do that at a time.
+    Progress is logged. A lock lets only one process at a time do this. Where no folder can be
+    written, or no further Python can be started, nothing is compiled here: each kernel is compiled
+    when it is first called.
     """
     folder = cache_folder()
     uncompiled = list_uncompiled(entries)
@@ -303,7 +334,7 @@ def _compile(entries: list[Entry]) -> None:
     timeout = FIRST_PROGRESS
 
     def wait(wait_for: Callable[..., object]) -> None:
-        """Call a function that takes a timeout until it returns in time, and log the progress."""
+        """Call a function with a timeout until it returns in time; log progress at each timeout."""
         nonlocal timeout
         while True:
             try:
@@ -339,14 +370,17 @@ def _total_seconds(entries: list[Entry]) -> float:
 
 
 def _divide(entries: list[Entry], num_processes: int) -> list[list[Entry]]:
-    """Divide entries evenly; those of a module, which have code in common, stay together."""
+    """Divide entries into at most so many groups, which take about equally long to compile.
+
+    The entries of a module stay together: they share code.
+    """
     by_module: dict[str, list[Entry]] = {}
     for entry in entries:
         by_module.setdefault(entry.name.rpartition(".")[0], []).append(entry)
     shares: list[list[Entry]] = [[] for _ in range(num_processes)]
-    # the longest first, each to the process with the least to do
-    for of_module in sorted(by_module.values(), key=_total_seconds, reverse=True):
-        min(shares, key=_total_seconds).extend(of_module)
+    # the slowest module first, each to the group with the least to do
+    for module_entries in sorted(by_module.values(), key=_total_seconds, reverse=True):
+        min(shares, key=_total_seconds).extend(module_entries)
     return [share for share in shares if share]
 
 
@@ -358,7 +392,7 @@ def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(folder.parent),
-        # messages are made and dropped by the hundred, and colouring them takes a tenth of the time
+        # numba makes hundreds of messages that nobody sees: colouring takes a tenth of the time
         "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1",
     }
     helper = subprocess.Popen(
@@ -375,12 +409,12 @@ def _start_helper(entries: list[Entry], folder: Path) -> subprocess.Popen[bytes]
 
 
 def serve() -> None:
-    """Compile the entries that stdin holds as JSON, in a process of `_start_helper`."""
+    """Compile the entries that stdin holds as JSON; a process of `_start_helper` runs this."""
     for entry in json.load(sys.stdin):
         Entry(*entry).compile()
 
 
-# what may take minutes is printed if the program has not set up logging
+# if the program has not set up logging, messages are printed: compiling may take minutes
 if not LOG.handlers:
     _printer = logging.StreamHandler()
     _printer.addFilter(lambda record: not logging.getLogger().handlers)

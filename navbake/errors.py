@@ -7,15 +7,16 @@ class NavbakeError(Exception):
     The message is one line: what is wrong, where, what was expected, what was given and what to do
     about it. The command line prints it and exits with status 1.
 
-    The parts of the message that a program may need are attributes as well, None where the message
-    has no such part. Where a message reports several faults, they are those of the first.
+    The parts of the message that a program may need are attributes as well; an attribute is None if
+    the message has no such part. If a message reports several faults, the attributes describe the
+    first one.
 
     Attributes:
         path: The file at fault, or what it was read from, as a message names it.
-        key: The setting, argument or field at fault, dotted below sections, as ``agent.radius``.
+        key: The setting, argument or field at fault, with its section, such as ``agent.radius``.
         value: What was given.
-        expected: What was expected, as the message says it.
-        place: The place in the file, as ``line 3`` or ``levels[0].weights``.
+        expected: What was expected, in the message's words.
+        place: The place in the file, such as ``line 3`` or ``levels[0].weights``.
         hint: What to do, or the nearest known name.
 
     Example:
@@ -48,8 +49,8 @@ class NavbakeError(Exception):
     def __str__(self) -> str:
         """Return the message on one line that any terminal can show.
 
-        Characters that are not printable, which names of files may have, are escaped. Of a very
-        long message the middle is left out.
+        Characters that are not printable are escaped; the names of files may have such. The middle
+        of a very long message is left out.
         """
         text = printable(super().__str__())
         is_short = len(text) <= MAX_BEGINNING + MAX_TEXT_END
@@ -69,34 +70,34 @@ class FormatError(NavbakeError):
 
 
 class QueryError(NavbakeError):
-    """Raised for a query to a grid with wrong arguments, as a position that is not finite."""
+    """Raised for a query to a grid with wrong arguments, such as a position that is not finite."""
 
 
 class MissingDependencyError(NavbakeError):
-    """Raised where an optional package is not installed; the message has the command for it."""
+    """Raised where an optional package is needed; the message has the command that installs it."""
 
 
 class BakeWarning(UserWarning):
     """A warning about a bake that succeeded, one line: what, where, and what to do.
 
-    `navbake.bake` warns of it. ``warnings.simplefilter("error", navbake.BakeWarning)`` makes it an
-    error, ``"ignore"`` silences it. The grid keeps the texts as `grid.warnings`.
+    `navbake.bake` issues these warnings. ``warnings.simplefilter("error", navbake.BakeWarning)``
+    turns them into errors, ``"ignore"`` silences them. The grid keeps the texts as `grid.warnings`.
     """
 
 
 MAX_NAME = 200  # characters of a name in a message
-# characters of a message that is longer than both together
+# a message with more characters than both together keeps so many at its beginning and its end
 MAX_BEGINNING = 700
 MAX_TEXT_END = 400
 
 
 def shorten(text: str) -> str:
-    """Cut a name after `MAX_NAME` characters, so that a message stays readable in a terminal."""
+    """Shorten a name to `MAX_NAME` characters, so that a message stays readable in a terminal."""
     return text if len(text) <= MAX_NAME else f"{text[:MAX_NAME]}…"
 
 
 def printable(message: str) -> str:
-    """Escape all characters of a message that are not printable, as line ends."""
+    """Escape all characters of a message that are not printable, such as line ends."""
     if message.isprintable():
         return message
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)

@@ -19,19 +19,19 @@ from typing import Any, BinaryIO
 from navbake.errors import NavbakeError, printable
 
 LOG = logging.getLogger("navbake")
-# names of temporary files, and of folders by `tempfile`
+# names of the files of `create_temporary` and of the folders of `scratch_folder`
 TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")
-LEFTOVER_AGE = 86400.0  # no write takes a day [s]
+LEFTOVER_AGE = 86400.0  # an older temporary file is a leftover: no write takes a day [s]
 _cleaned_folders: set[Path] = set()  # whose leftovers this process has removed
 
 
 def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> None:
-    """Write a file as a whole or not at all: under another name, which is then renamed.
+    """Write a file as a whole or not at all: under a temporary name, then it is renamed.
 
     A link's target is replaced. A device or a pipe is written to directly.
 
     Args:
-        data: The content, or the pieces of it in order.
+        data: The content, or its pieces in order.
         path: The path of the file.
 
     Raises:
@@ -41,13 +41,13 @@ def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> Non
 
 
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
-    """Write several files, each as `write_whole`; all or, as far as the system allows, none.
+    """Write several files like `write_whole`: all of them or, as far as the system allows, none.
 
-    All are written before the first is renamed.
+    All files are written before the first one is renamed.
 
     Args:
-        contents: The content of each file, or its pieces, by path. Files are renamed in this order,
-            so put a file that names others after them.
+        contents: Path -> the content of the file, or its pieces in order. Files are renamed in the
+            order of the mapping; so put a file that names others after them.
 
     Raises:
         OSError: A path cannot be written; no file has changed, unless a renaming failed.
@@ -62,7 +62,10 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
 
 @contextmanager
 def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
-    """Write a file under another name; yields a commit function that renames it."""
+    """Write a file under a temporary name; yield a function that renames it.
+
+    For a device or a pipe, nothing is written yet: the function writes to it.
+    """
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
 
@@ -86,24 +89,24 @@ def _write_temporary(data: bytes | Iterable[bytes], path: Path) -> Iterator[Call
 
 
 def create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
-    """Create a temporary file in a folder, and open it to write; also return its path."""
+    """Create a temporary file in a folder; return it, open for writing, and its path."""
     path = folder / f".navbake-{os.urandom(8).hex()}.tmp"
     return open(path, "xb"), path
 
 
-def write_all(file: int, data: bytes) -> None:
-    """Write all data to an open file.
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all data to an open file; `os.write` alone may write a part of them.
 
     Args:
-        file: The file descriptor.
+        descriptor: The descriptor of the file.
         data: The bytes to write.
 
     Raises:
-        OSError: The disk is full.
+        OSError: The system can't write them, for example because the disk is full.
     """
-    written = os.write(file, data)
-    while written < len(data):
-        written += os.write(file, data[written:])
+    num_written = os.write(descriptor, data)
+    while num_written < len(data):
+        num_written += os.write(descriptor, data[num_written:])
 
 
 def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
@@ -120,7 +123,7 @@ def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
 
 
 def _to_csv_cell(cell: object) -> object:
-    """A cell without formulas, control characters and NaN."""
+    """Convert a value to a CSV cell: text made harmless as in `encode_csv`, None for NaN."""
     if isinstance(cell, str):
         return printable(f"'{cell}" if cell.startswith(("=", "+", "-", "@")) else cell)
     is_nan = cell != cell
@@ -128,22 +131,25 @@ def _to_csv_cell(cell: object) -> object:
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Raise an OSError for a path that `write_whole` can't write, before work is done for it."""
+    """Raise an OSError if `write_whole` couldn't write a path.
+
+    Call it before the work that makes the content.
+    """
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass
 
 
 def readable_stem(path: str | PathLike[str]) -> str:
-    """Return the stem of a file's name, bytes that are not UTF-8 as U+FFFD."""
+    """Return a file's name without its folder and ending; bytes that aren't UTF-8 become U+FFFD."""
     return os.fsencode(Path(path).stem).decode(errors="replace")
 
 
 def check_regular(path: str | PathLike[str]) -> None:
-    """Raise an OSError for a pipe or a device, which may block its reader for ever.
+    """Raise an OSError if a path is a pipe or a device, which may block its reader for ever.
 
-    For files named by other files; users' own arguments may be pipes. Folders and missing files
-    pass.
+    Call it for a path that stands in another file; a path that the user gives may be a pipe. A
+    folder or a missing file raises no error.
     """
     try:
         mode = os.stat(path).st_mode
@@ -154,20 +160,20 @@ def check_regular(path: str | PathLike[str]) -> None:
 
 
 def _clean_once(folder: Path) -> None:
-    """Remove leftovers from a folder, once in a process, as listing a large folder is slow."""
+    """Remove leftovers from a folder, but once in a process: listing a large folder is slow."""
     if folder not in _cleaned_folders:
         _cleaned_folders.add(folder)
         remove_leftovers(folder)
 
 
 def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
-    """Remove this user's temporary files and folders of killed processes from a folder.
+    """Remove the temporary files and folders that this user's killed processes left in a folder.
 
-    Failures are ignored.
+    Errors are ignored.
 
     Args:
         folder: The folder.
-        age: Time since the last change of what is removed, at least [s]; 0 if no other process
+        age: Remove only what has not changed for this long [s]. 0 is safe only if no other process
             writes there.
     """
     with suppress(OSError), os.scandir(folder) as entries:
@@ -185,7 +191,7 @@ def remove_leftovers(folder: Path, age: float = LEFTOVER_AGE) -> None:
 
 
 def _is_replaceable(path: str | PathLike[str]) -> bool:
-    """Whether the path is a regular file or missing."""
+    """Whether the path is a regular file or missing; raise an IsADirectoryError for a folder."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -204,8 +210,11 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     Args:
         parent: The folder to make it in; None for the system's folder of temporary files.
 
+    Yields:
+        The path of the folder.
+
     Raises:
-        NavbakeError: It cannot be made.
+        NavbakeError: The folder cannot be made.
     """
     try:
         if parent is None:

@@ -1,33 +1,33 @@
-"""Suggestions of names for errors and warnings: the nearest known name, and which there are."""
+"""Writes hints about unknown names, for errors and warnings: a similar known name, and all."""
 
 import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
-MAX_LISTED = 12
-CLOSE_MATCH = 0.85  # share of characters that two long names have in common
+MAX_LISTED = 12  # known names that a hint lists
+MIN_SIMILARITY = 0.85  # of two names, by `difflib`: 1 for equal ones
 
 
 def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[str]:
-    """Return the candidates that were probably meant; often none.
+    """Return the known names that were probably meant; often none.
 
-    Near is a name that differs by one edit (a character too many, too few, a wrong one, or two
-    swapped), in long names by more; and a name that has all the words of the name and others, as
-    ``cell_size`` has ``size``. Capitals don't count.
+    A known name counts if it differs from the name by one edit (a character too many or too few, a
+    wrong one, or two swapped); a long name may differ by more edits. It also counts if it has all
+    words of the name: ``cell_size`` is found for ``size``. Capitals don't matter.
 
     Args:
         name: The name that is not known.
         candidates: The known names.
-        most: How many to return at most.
+        most: Return at most so many names.
 
     Returns:
-        The names, the nearest first.
+        The known names, the most similar ones first.
     """
-    # reversed, so that of names that differ in capitals alone the first one counts
+    # reversed: where names differ only in their capitals, the first one shall stay in the mapping
     names = reversed(list(dict.fromkeys(candidates)))
     by_folded = {candidate.casefold(): candidate for candidate in names}
     folded = str(name).casefold()
-    close = get_close_matches(folded, by_folded, n=most, cutoff=CLOSE_MATCH)
+    close = get_close_matches(folded, by_folded, n=most, cutoff=MIN_SIMILARITY)
     close += [candidate for candidate in by_folded if _is_one_edit(folded, candidate)]
     words = _words(folded)
     with_all_words = [candidate for candidate in by_folded if words and words <= _words(candidate)]
@@ -39,13 +39,13 @@ def find_near(name: object, candidates: Iterable[str], most: int = 1) -> list[st
 def suggest(
     name: object, candidates: Iterable[str], limit: int = MAX_LISTED, owner: str = "it"
 ) -> str:
-    """Write a suggestion for a name that is not known, as ``did you mean 'hall'? it has hall``.
+    """Write a hint for a name that is not known, such as ``did you mean 'hall'? it has hall``.
 
     Args:
         name: The name that is not known.
         candidates: The known names.
-        limit: How many of them to list.
-        owner: What has the known names.
+        limit: List at most so many of the known names.
+        owner: What has the known names, such as ``the grid``; the subject of the last sentence.
     """
     names = list(dict.fromkeys(candidates))
     folded = str(name).casefold()
@@ -58,11 +58,11 @@ def suggest(
 
 
 def list_first(names: Sequence[str], most: int = 1) -> str:
-    """List the first names, and count the others, as in ``a, b and 3 more``.
+    """List the first names, and count the others, such as ``a, b and 3 more``.
 
     Args:
         names: The names.
-        most: How many to list.
+        most: List at most so many of them.
     """
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
@@ -75,16 +75,19 @@ def _is_one_edit(first: str, second: str) -> bool:
     num_equal = 0
     while num_equal < min(len(first), len(second)) and first[num_equal] == second[num_equal]:
         num_equal += 1
-    a = first[num_equal:]
-    b = second[num_equal:]
-    is_replaced = a[1:] == b[1:]
-    is_added = a[1:] == b or a == b[1:]
-    is_swapped = a[:2] == b[1::-1] and a[2:] == b[2:]
+    first_rest = first[num_equal:]
+    second_rest = second[num_equal:]
+    is_replaced = first_rest[1:] == second_rest[1:]
+    is_added = first_rest[1:] == second_rest or first_rest == second_rest[1:]
+    is_swapped = first_rest[:2] == second_rest[1::-1] and first_rest[2:] == second_rest[2:]
     return is_replaced or is_added or is_swapped
 
 
 def _is_two_edits(first: str, second: str) -> bool:
-    """Whether one name without a character is one edit from the other; of four or more."""
+    """Whether two edits turn a name into another, one of which removes a character.
+
+    False if a name has fewer than four characters.
+    """
     if min(len(first), len(second)) < 4:
         return False
     for shortened, whole_name in ((first, second), (second, first)):
@@ -95,17 +98,17 @@ def _is_two_edits(first: str, second: str) -> bool:
 
 
 def _words(name: str) -> set[str]:
-    """The words of a name, in the singular."""
+    """Return the words of a name, in the singular."""
     words = re.findall(r"[^\W_]+", name)
     return {f"{word[:-3]}y" if word.endswith("ies") else word.removesuffix("s") for word in words}
 
 
 def unique_name(name: str, used_names: set[str]) -> str:
-    """Return a name that is not used yet: the name, or with a number from 2, as ``wall#2``.
+    """Return a name that is not used yet: the name itself, or with a number, such as ``wall#2``.
 
     Args:
         name: The name.
-        used_names: Names that are used; the returned one is added.
+        used_names: The names that are used; the returned name is added to them.
     """
     candidate = name
     count = 1

@@ -28,6 +28,10 @@ class lazy:
 
 
 def resolve(where: str) -> Any:
-    """Import the object ``name`` of a module, given as ``module:name``."""
+    """Import an object of a module, and return it.
+
+    Args:
+        where: The module and the object's name, as ``module:name``.
+    """
     module, _, name = where.partition(":")
     return getattr(import_module(module), name)

@@ -1,4 +1,4 @@
-"""Limits and exit states of worker processes."""
+"""Limits the memory of worker processes, and describes how they ended."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ NO_MEMORY_TEXTS = ("could not allocate memory", "unknown exception", "cannot all
 
 
 def end_with_parent(parent: int | None = None) -> None:
-    """Let the system end this process when its parent ends, on Linux.
+    """On Linux, make the system kill this process when its parent ends.
 
     Args:
-        parent: Process id of the parent: end at once if it has ended already. None to skip that.
+        parent: Process id of the parent: if it has ended already, this process ends at once. None
+            to leave out that check.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
@@ -34,7 +35,7 @@ def end_with_parent(parent: int | None = None) -> None:
 
 
 def give_back_memory() -> None:
-    """Return freed memory of this process to the system, where glibc has not returned it."""
+    """Return memory to the system that this process has freed but glibc still keeps; on Linux."""
     if sys.platform != "linux":
         return
     library = ctypes.CDLL(None)
@@ -73,9 +74,9 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
 def lacked_memory(error: BaseException) -> bool:
     """Whether a lack of memory caused an error.
 
-    If the process has a memory limit, causes and messages of the error count as well, because
-    libraries like MuJoCo raise errors of their own. Without a limit only a MemoryError counts,
-    because sizes in a broken file may cause the others.
+    A MemoryError counts always. If the process has a memory limit, the error's causes and messages
+    count as well, because libraries like MuJoCo raise errors of their own. Without a limit these
+    don't count: huge sizes in a broken file may cause the same messages.
     """
     if isinstance(error, MemoryError):
         return True
@@ -94,7 +95,11 @@ def lacked_memory(error: BaseException) -> bool:
 
 
 def ending_of(status: int) -> str:
-    """Describe how a process ended, by the exit status that Python has: a number, or a signal."""
+    """Describe how a process ended, such as ``exit status 1`` or ``SIGKILL``.
+
+    Args:
+        status: The exit status as Python states it: negative for a signal.
+    """
     if status >= 0:
         return f"exit status {status}"
     try:

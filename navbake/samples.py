@@ -12,7 +12,7 @@ from navbake.known_names import suggest
 
 _PACKAGE = Path(__file__).parent
 _FOLDERS = (_PACKAGE / "sample_files", _PACKAGE.parent / "configs")
-"""Where the samples are: in an installed package, as `pyproject.toml` has it; in a checkout."""
+"""Where the samples may be: first the folder in an installed package, then that in a checkout."""
 
 
 def names() -> list[str]:
@@ -36,12 +36,12 @@ def path(name: str) -> Path:
 
 
 def find(scene: str | PathLike[str]) -> Path:
-    """Return the settings that the bare name of a sample stands for, or a path as it is.
+    """Return the path of the settings of a sample; any other path is returned as it is.
 
     Args:
-        scene: A path, or the name of a sample. The name stands for ``NAME.yaml`` in the current
-            folder, or else for the settings of the installed sample; unless there is a file of that
-            name.
+        scene: The name of a sample, or a path. If there is a file with the name, it is a path. Else
+            the name stands for ``NAME.yaml`` in the current folder, or if that doesn't exist, for
+            the settings of the installed sample.
     """
     as_path = Path(scene)
     is_name = not as_path.suffix and as_path.name == str(scene)
@@ -59,11 +59,12 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
         folder: The folder, which is made if it does not exist.
 
     Returns:
-        The paths of the files, the settings first; files that are there with the same content stay.
+        The paths of the copied files, the settings first. A file that is there already with the
+        same content is not written, but listed.
 
     Raises:
-        ConfigError: There is no such sample, a file cannot be written, or a file of one of the
-            names is there with other content.
+        ConfigError: There is no such sample, a file cannot be written, or a file is there already
+            with different content.
     """
     settings = path(name)
     target = Path(folder)
@@ -91,7 +92,7 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
 
 
 def _folder() -> Path:
-    """The folder of the samples."""
+    """Return the folder of the samples."""
     for folder in _FOLDERS:
         if folder.is_dir():
             return folder

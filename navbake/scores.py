@@ -1,12 +1,12 @@
 """How well agents did: measures of trajectories against the episodes of a set.
 
 `Measures` follows one episode step by step, and `score_set` scores the trajectories of a set. The
-functions of arrays compute by numpy, or by the module `xp`, ``jax.numpy`` or ``torch``, without
-branches on values.
+functions on arrays also take arrays of ``jax.numpy`` or ``torch``, if that module is given as `xp`;
+they have no branches on values.
 
 Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
-of the goal; in a cell where no agent can stand, from the nearest free cell and to it. Success and
-SPL use the same distances.
+of the goal. If no agent can stand in that cell, the distance from the nearest free cell counts,
+plus the distance to that cell. Success and SPL use the same distances.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
 from navbake.types import Float, Json
 
-NDTW_THRESHOLD = 3.0  # as VLN-CE has it [m]
+NDTW_THRESHOLD = 3.0  # the value of VLN-CE [m]
 NUM_RESAMPLES = 1000  # of a bootstrap
-ARRIVAL_TOLERANCE = 1e-6  # by which a straight move may miss its end [m]
+ARRIVAL_TOLERANCE = 1e-6  # a straight move that ends this near to its end has arrived [m]
 MEAN_FIELDS = (
     "success", "spl", "soft_spl", "distance", "oracle_success", "ndtw", "length", "collisions",
     "time", "coverage",
 )  # fmt: skip
-"""The measures of an episode of which a table has means."""
+"""The measures of an episode that `summarize` averages."""
 GROUP_KINDS = ("all", "distance", "ratio", "room", "scene", "split")
 
 Array: TypeAlias = Any
@@ -107,9 +107,9 @@ def soft_spl(distance: Array, shortest: Array, length: Array, *, xp: ModuleType 
 
 
 def _efficiency(shortest: Array, length: Array, xp: ModuleType) -> Array:
-    """The shortest path's length l over the agent's p: l / max(l, p).
+    """Compute l / max(l, p), with l the shortest path's length and p that of the agent's path.
 
-    1 where l is 0, NaN where l is not finite.
+    The result is 1 where l is 0, and NaN where l is not finite.
     """
     is_finite = xp.isfinite(shortest)
     positive = xp.where(is_finite & (shortest > 0), shortest, xp.ones_like(shortest))
@@ -138,8 +138,9 @@ def ndtw(
 ) -> Array:
     """Compute normalized dynamic time warping (nDTW): exp(-DTW / (n threshold)).
 
-    DTW matches each point of the path with points of the reference, and the reverse, in their
-    order, so that the sum of the distances between matched points is the least.
+    DTW matches each point of the path with one point or more of the reference, and the reverse,
+    without changing their order. Of all ways to match them, it takes the one with the least sum of
+    distances between matched points; that sum is DTW.
 
     Args:
         path: the agent's positions, world x, y, z [m], shape (m, 3).
@@ -161,31 +162,32 @@ def ndtw(
     distances = xp.sqrt(((shorter[:, None] - longer) ** 2).sum(-1))
     row = xp.arange(len(shorter))
     num_cols = len(longer)
-    # The least sums are a table, rows by `shorter` and columns by `longer`. The cells of an
-    # anti-diagonal, kept by their rows, depend on nothing but the two anti-diagonals before it.
-    two_before = xp.full_like(distances[:, 0], math.inf)
-    before = two_before
+    # The table of least sums has a row for each point of `shorter`, and a column for each point of
+    # `longer`. It is filled anti-diagonal by anti-diagonal, because each depends only on the two
+    # before it. An anti-diagonal is an array with an entry for each row.
+    second_last_sums = xp.full_like(distances[:, 0], math.inf)
+    last_sums = second_last_sums
     for diagonal in range(len(shorter) + num_cols - 1):
         col = diagonal - row
         if diagonal:
-            from_above = xp.minimum(xp.minimum(before, before[row - 1]), two_before[row - 1])
-            least_before = xp.where(row > 0, from_above, before)
+            least_of_row_before = xp.minimum(last_sums[row - 1], second_last_sums[row - 1])
+            least_sums = xp.where(row > 0, xp.minimum(last_sums, least_of_row_before), last_sums)
         else:
-            least_before = xp.zeros_like(before)
+            least_sums = xp.zeros_like(last_sums)
         is_inside = (col >= 0) & (col < num_cols)
         distance = xp.where(is_inside, distances[row, xp.clip(col, 0, num_cols - 1)], math.inf)
-        two_before = before
-        before = distance + least_before
-    return xp.exp(-before[-1] / (len(reference) * threshold))
+        second_last_sums = last_sums
+        last_sums = distance + least_sums
+    return xp.exp(-last_sums[-1] / (len(reference) * threshold))
 
 
 class Interval(NamedTuple):
-    """The mean of values and its confidence interval; these are NaN if there are no values."""
+    """The mean of values and its confidence interval; mean and ends are NaN without values."""
 
     mean: float
     low: float  #: The interval's lower end.
     high: float  #: The interval's upper end.
-    known: int  #: Number of values that are no NaN.
+    known: int  #: Number of values that are not NaN.
 
 
 def bootstrap(
@@ -195,7 +197,7 @@ def bootstrap(
     samples: int = NUM_RESAMPLES,
     certainty: float = 0.95,
 ) -> Interval:
-    """Compute the mean of values and its percentile bootstrap interval.
+    """Compute the mean of values, and its confidence interval by percentile bootstrap.
 
     Args:
         values: an array of any shape; NaN values are left out.
@@ -218,11 +220,13 @@ def bootstrap(
 
 
 class Measures:
-    """Follows one episode step by step, from the episode's start.
+    """Measures one episode while an agent acts: add its positions, then ask for the scores.
+
+    The episode's start is the first position.
 
     Args:
         finder: a PathFinder on the set's grid, inflated for the set's agent.
-        episode: the task.
+        episode: the episode.
         threshold: distance at which nDTW counts a point as missed [m].
 
     Raises:
@@ -239,21 +243,21 @@ class Measures:
         self.radius = episode.goals[0].radius
         goals = episode.goals
         in_order = episode.task == "sequence"
-        # many episodes of a set have the goals of the last one
+        # successive episodes often have the same goals: the search keeps the stops of the last ones
         find = functools.partial(find_stops, finder, goals, in_order=in_order)
         stops = finder.search.cached("stops", (goals, in_order), find)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops = stops
-        self._num_passed = 0  # of the stops
+        self._num_reached = 0  # how many of the stops the agent has reached
         self._positions = [np.array(episode.start)]
         self._times = list[float]()
-        self._distances = self._measure(self._positions[0][None], "start")
+        self._distances = self._add_distances(self._positions[0][None], "start")
         self.shortest = self._distances[0]
 
     @property
     def distance(self) -> float:
-        """Length of the shortest path to the goal, through all stops that are still ahead [m]."""
+        """Length of the shortest path to the goal, through all stops not reached yet [m]."""
         return self._distances[-1]
 
     def step(self, position: ArrayLike, time: float | None = None) -> float:
@@ -284,15 +288,23 @@ class Measures:
             QueryError: a position is not finite, or in no cell.
         """
         points = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        self._distances += self._measure(points, "position")
+        self._distances += self._add_distances(points, "position")
         self._positions += list(points)
         if times is not None:
             self._times += [float(time) for time in times]
 
-    def _measure(self, points: Float, label: str) -> list[float]:
-        """The distance to the goal at each position; where a stop is reached, to the next one.
+    def _add_distances(self, points: Float, label: str) -> list[float]:
+        """Compute the distances to the goal from the next positions, and count the reached stops.
 
-        `label` is what errors call the positions.
+        Args:
+            points: world x, y, z of the positions [m], shape (n, 3).
+            label: what errors call a position.
+
+        Returns:
+            For each position, the length of the path through all stops not reached yet [m].
+
+        Raises:
+            QueryError: a position is not finite, or in no cell.
         """
         flat = self.finder.search.flat
         episode_id = self.episode.id
@@ -307,10 +319,10 @@ class Measures:
             place = f"{label} {number} of episode {episode_id!r}, {coordinates}"
             raise QueryError(f"{place}, lies beside the grid")
         fields = self._stops.fields
-        beyond_stop = self._stops.rest
+        distances_after_stop = self._stops.rest
         if not fields:
             return [math.nan] * len(points)
-        to_free_cell = np.zeros(len(points))  # [m]
+        free_cell_distances = np.zeros(len(points))  # to the nearest free cell [m]
         blocked = np.flatnonzero(~flat.free[cells])
         if len(blocked):
             positions, nearest = snap_to_cells(
@@ -319,14 +331,14 @@ class Measures:
             is_near = nearest >= 0
             cells[blocked] = np.where(is_near, nearest, cells[blocked])
             offsets = np.linalg.norm(positions - points[blocked], axis=1)
-            to_free_cell[blocked] = np.where(is_near, offsets, math.inf)
+            free_cell_distances[blocked] = np.where(is_near, offsets, math.inf)
         distances = []
-        for cell, offset in zip(cells.tolist(), to_free_cell.tolist(), strict=True):
-            to_stop = float(fields[self._num_passed][cell]) + offset
-            while to_stop <= self.radius and self._num_passed < len(fields) - 1:
-                self._num_passed += 1
-                to_stop = float(fields[self._num_passed][cell]) + offset
-            distances.append(to_stop + beyond_stop[self._num_passed])
+        for cell, offset in zip(cells.tolist(), free_cell_distances.tolist(), strict=True):
+            stop_distance = float(fields[self._num_reached][cell]) + offset
+            while stop_distance <= self.radius and self._num_reached < len(fields) - 1:
+                self._num_reached += 1
+                stop_distance = float(fields[self._num_reached][cell]) + offset
+            distances.append(stop_distance + distances_after_stop[self._num_reached])
         return distances
 
     def scores(self, *, stopped: bool) -> Json:
@@ -368,21 +380,25 @@ class Measures:
         return {name: float(value) for name, value in measures.items()}
 
     def _goal_distances(self, positions: Float, coverage: float) -> Float:
-        """How far the goal was at each position, as success counts it [m].
+        """Return the distances that success is decided by [m], one for each position.
 
-        A share of the floor is reached or not: 0 or infinitely far.
+        If the goal is to cover a share of the floor, there is a single one: 0 if that share is
+        covered, else infinity.
         """
         if self.share is not None:
             return np.array([0.0 if coverage >= self.share else math.inf])
         if self.episode.extra.get("success") == "planar":
             goals = [goal.position for goal in self.episode.goals if goal.position is not None]
             offsets = positions[:, None] - np.array(goals)
-            on_map: Float = np.linalg.norm(offsets[..., :2], axis=-1).min(axis=1)
-            return on_map
+            planar_distances: Float = np.linalg.norm(offsets[..., :2], axis=-1).min(axis=1)
+            return planar_distances
         return np.array(self._distances)
 
     def _count_collisions(self, positions: Float) -> int:
-        """How many moves no agent can make straight: from, or into, a cell that isn't free."""
+        """Count the moves that collide.
+
+        These start in a cell that isn't free, or an agent can't make them in a straight line.
+        """
         starts = positions[:-1]
         ends = positions[1:]
         flat = self.finder.search.flat
@@ -392,7 +408,10 @@ class Measures:
         return int((~is_free).sum() + (misses > ARRIVAL_TOLERANCE).sum())
 
     def _coverage(self, positions: Float) -> float:
-        """Share of the start's island within the radius along the floor of where the agent was."""
+        """Return the share of the start's island that the agent has covered, by area.
+
+        It has covered what is within the radius of one of its positions, along the floor.
+        """
         search = self.finder.search
         flat = search.flat
         island_of_cell = search.islands.number
@@ -411,9 +430,9 @@ class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Where an agent was in one episode."""
 
     episode: str  #: The episode's id.
-    positions: Sequence[tuple[float, float, float]]  #: World x, y, z [m]; maybe none.
+    positions: Sequence[tuple[float, float, float]]  #: World x, y, z [m]; may be empty.
     stop: bool = True  #: Whether the agent called stop.
-    times: Sequence[float] | None = None  #: Of the positions [s].
+    times: Sequence[float] | None = None  #: The time of each position [s].
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
@@ -422,8 +441,8 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     A JSON line holds one trajectory, with the fields of `Trajectory`.
 
     The archive has the arrays ``episode`` (ids, shape (k,)), ``start`` (int, shape (k + 1,)),
-    ``positions`` (shape (n, 3); those of trajectory i are ``start[i]:start[i + 1]``), and maybe
-    ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
+    ``positions`` (shape (n, 3); trajectory i has the rows ``start[i]:start[i + 1]``). It may also
+    have ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
 
     Args:
         path: path of the file.
@@ -432,7 +451,7 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         The trajectories, in the order of the file.
 
     Raises:
-        FormatError: the file is neither of them, or it is empty.
+        FormatError: the file is neither of the two, or it holds no trajectory.
     """
     if not os.fspath(path).lower().endswith(".npz"):
         packed, name = read_bytes(path)
@@ -496,15 +515,16 @@ def score_set(
         grids: the grids that the set was made on. They are inflated for the set's agent if they
             aren't yet.
         threshold: distance at which nDTW counts a point as missed [m].
-        force: score on other grids, or for another agent.
-        partial: leave out episodes without a trajectory.
+        force: take the grids as they are: don't inflate them, and don't check that the set was made
+            on them.
+        partial: leave out episodes without a trajectory, instead of raising an error.
 
     Returns:
         A row for each episode, in the set's order, with ``episode``, ``scene``, ``room``,
         ``split``, ``ratio`` and `Measures.scores`.
 
     Raises:
-        QueryError: a grid isn't the set's, an episode has no trajectory, a trajectory has no
+        QueryError: a grid isn't the set's, an episode has no trajectory, or a trajectory has no
             episode or leaves the map.
     """
     by_id: dict[str, Trajectory] = {}
@@ -550,7 +570,7 @@ def score_set(
 
 
 def _make_finder(grid: NavGrid, content: EpisodeSet, *, force: bool) -> tuple[str, PathFinder]:
-    """The scene of a grid, and the finder for the set's agent on it."""
+    """Return a grid's scene, and a PathFinder on the grid for the set's agent."""
     header_agent = content.header.agent
     name = None if header_agent is None else header_agent.name or None
     radius = None if header_agent is None else header_agent.radius
@@ -568,8 +588,8 @@ def summarize(
 
     Args:
         rows: rows that `score_set` returned.
-        by: one of `GROUP_KINDS`. ``distance`` groups by classes of the shortest path's length,
-            ``ratio`` by classes of that over the straight line's.
+        by: one of `GROUP_KINDS`. ``distance`` groups by classes of the shortest path's length;
+            ``ratio`` by classes of this length divided by the straight distance.
         seed: seed of `bootstrap`, which computes the intervals.
 
     Returns:
@@ -600,7 +620,7 @@ def summarize(
 def _group_by_class(
     rows: Sequence[Mapping[str, object]], by: str
 ) -> dict[str, list[Mapping[str, object]]]:
-    """Group rows by classes of their distance or ratio; ``-`` for those without one."""
+    """Group rows by the class of their distance or ratio; rows without one are in ``-``."""
     edges = (0.0, *CLASS_EDGES["distance"]) if by == "distance" else CLASS_EDGES["ratio"]
     unit = " m" if by == "distance" else ""
     classes = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]

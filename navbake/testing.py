@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport
     from navbake.verifier.source import SceneSource
 
-MAX_LISTED = 10  # findings in a message
+MAX_LISTED = 10  # findings that a message lists
 
 
 def assert_true(
@@ -23,8 +23,8 @@ def assert_true(
     """Assert that a grid agrees with its scene, see `navbake.verify`.
 
     Args:
-        grid: As of `navbake.verify`.
-        scene: As of `navbake.verify`.
+        grid: The grid or its file, see `navbake.verify`.
+        scene: The scene, see `navbake.verify`.
         **options: Further arguments of `navbake.verify`.
 
     Returns:
@@ -48,11 +48,11 @@ def assert_true(
 
 
 def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -> AuditReport:
-    """Assert that an audit finds no error in a grid, see `navbake.audit`.
+    """Assert that an audit finds no error and no other remark in a grid, see `navbake.audit`.
 
     Args:
-        grid: As of `navbake.audit`.
-        remarks: Assert that it has no remark either.
+        grid: The grid or its file, see `navbake.audit`.
+        remarks: Whether remarks that are no errors count, too.
 
     Returns:
         The report of the audit.
@@ -69,7 +69,7 @@ def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -
 
 
 def _list_findings(heading: str, lines: list[str]) -> str:
-    """A message of a heading and the first lines, and how many more there are."""
+    """Write a message: a heading, the first lines, and the number of lines that were left out."""
     message = [heading, *lines[:MAX_LISTED]]
     num_more = len(lines) - MAX_LISTED
     if num_more > 0:

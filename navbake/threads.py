@@ -1,7 +1,7 @@
-"""Runs compiled kernels on Python threads, each thread with chunks of the work.
+"""Runs compiled kernels on several Python threads, each of which takes chunks of the work.
 
-Kernels release the GIL. They compile in a fraction of the time of numba's own parallel loops, and
-work after a fork and from any thread.
+Kernels release the GIL. They are used in place of numba's own parallel loops: they compile in a
+fraction of the time, and work after a fork and from any thread.
 """
 
 import os
@@ -20,9 +20,10 @@ from navbake.errors import ConfigError
 
 Result = TypeVar("Result")
 
-LEAST_CELLS = 4096  # the fewest cells that are worth a call on another thread
+LEAST_CELLS = 4096  # work on fewer cells is not worth a call on another thread
 CHUNKS_PER_THREAD = 8  # enough to balance the threads
-_limit = threading.local()  # `count`: the most threads for kernels that this thread starts
+# `_limit.count`: so many threads at most run the kernels that the present Python thread starts
+_limit = threading.local()
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
 
@@ -30,18 +31,19 @@ _pool_lock = threading.Lock()
 def run_in_chunks(
     kernel: Callable[..., object], count: int, *args: object, least: int = 1, begin: int = 0
 ) -> None:
-    """Call a kernel for ``range(begin, begin + count)``, by chunks, on as many threads as allowed.
+    """Call a kernel for the indices ``range(begin, begin + count)``, in chunks, on several threads.
 
-    The threads take the chunks in order, each the next one when it is done. The result must not
-    depend on that: each chunk writes data that no other chunk reads or writes.
+    A thread that has finished a chunk takes the next one. The result must not depend on that: each
+    chunk writes data that no other chunk reads or writes.
 
     Args:
-        kernel: ``kernel(*args, first, last)`` does the work of ``range(first, last)``; compiled
-            with ``nogil=True``.
-        count: Size of the work, >= 0.
+        kernel: ``kernel(*args, first, last)`` does the work for the indices ``range(first, last)``.
+            It is compiled with ``nogil=True``.
+        count: Number of indices, >= 0.
         *args: Arguments of all calls.
-        least: Smallest chunk that is worth a call, >= 1; less work runs on this thread.
-        begin: Start of the work.
+        least: Fewest indices that are worth a call, >= 1; if there are no more, only this thread
+            works.
+        begin: First index.
     """
     max_threads = num_threads()
     chunk_size = max(least, -(-count // (max_threads * CHUNKS_PER_THREAD)))
@@ -59,7 +61,7 @@ def run_in_chunks(
         _run_kernel(kernel, args, chunks)
     finally:
         deque(chunks, maxlen=0)  # after an error, no further chunk begins
-        # threads that have not begun would find no chunk
+        # cancel calls that have not begun: they would find no chunk
         begun = [future for future in futures if not future.cancel()]
         for future in begun:
             future.result()
@@ -68,8 +70,9 @@ def run_in_chunks(
 def run_beside(task: Callable[..., Result], *args: object) -> Callable[[], Result]:
     """Start a function on another thread.
 
-    Its kernels may take as many threads as those of this thread. If it has not begun when the
-    result is needed, as with one thread or if all are busy, it runs on the waiting thread.
+    The kernels that it starts may use as many threads as those that this thread starts. If the
+    function has not begun when its result is needed (there is one thread, or all are busy), it runs
+    on the waiting thread.
 
     Args:
         task: The function.
@@ -108,19 +111,19 @@ def _run_kernel(
 
 
 def num_threads() -> int:
-    """Return the most threads for kernels that this Python thread starts."""
+    """Return on how many threads, at most, the kernels run that this Python thread starts."""
     return int(getattr(_limit, "count", None) or numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 @contextmanager
 def limit_threads(count: int | None) -> Iterator[None]:
-    """Limit the threads of kernels that this Python thread calls in a with statement.
+    """In a with statement, limit the threads of the kernels that this Python thread starts.
 
     Args:
-        count: The most threads, >= 1; None changes nothing.
+        count: The largest number of threads, >= 1; None changes nothing.
 
     Raises:
-        ConfigError: It is no whole number >= 1.
+        ConfigError: The count is no whole number >= 1.
     """
     count_before = getattr(_limit, "count", None)
     if count is not None:
@@ -147,7 +150,7 @@ def _get_pool() -> ThreadPoolExecutor:
 
 
 def _after_fork() -> None:
-    """Reset the pool in a forked child, which has no threads, and whose lock may be locked."""
+    """Make a forked process start a new pool: it has no threads, and its lock may be locked."""
     global _pool, _pool_lock
     _pool = None
     _pool_lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""Writes YAML, and reads hand-written YAML: plain scalars as in YAML 1.2, and unique keys."""
+"""Writes YAML, and reads hand-written YAML: scalars as in YAML 1.2; a key twice is an error."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from navbake.errors import ConfigError
 if TYPE_CHECKING:  # it loads numpy
     from navbake.types import JsonValue
 
-MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
+MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # keys are names, with dots
 MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
-# PyYAML raises these for a value that doesn't fit its explicit tag, as in ``!!bool maybe``
+# PyYAML raises these for a value that doesn't fit its explicit tag, such as ``!!bool maybe``
 TAG_ERRORS = (AttributeError, IndexError, KeyError, TypeError, ValueError)
 _TAG = "tag:yaml.org,2002:"
 
@@ -59,7 +59,7 @@ for _name, _pattern in {
 
 
 def read_yaml(path: Path) -> JsonValue:
-    """Read a YAML file, as `parse_yaml`; raises a ConfigError if it can't be read."""
+    """Read a YAML file, see `parse_yaml`; raise a ConfigError if the file can't be read."""
     try:
         return decode_yaml(path.read_bytes(), str(path))
     except FileNotFoundError:
@@ -76,7 +76,7 @@ def decode_yaml(content: bytes, source: str) -> JsonValue:
         source: The name of the file, for messages.
 
     Raises:
-        ConfigError: It is not UTF-8, or no YAML.
+        ConfigError: The content is not UTF-8, or no YAML.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -87,7 +87,7 @@ def decode_yaml(content: bytes, source: str) -> JsonValue:
 
 
 def encode_yaml(content: object) -> bytes:
-    """Encode content as YAML in its own order, innermost lists and mappings in a line."""
+    """Encode content as YAML: keys in their order, each innermost list or mapping on one line."""
     text: str = yaml.safe_dump(
         content, sort_keys=False, default_flow_style=None, allow_unicode=True
     )
@@ -105,7 +105,7 @@ def parse_yaml(text: str, source: str) -> JsonValue:
         Nested dicts and lists, text, numbers, booleans and None.
 
     Raises:
-        ConfigError: It is no YAML, or a key is there twice; with the line of the fault.
+        ConfigError: The text is no YAML, or a key is there twice; the message names the line.
     """
     try:
         return yaml.load(text, _Loader)  # a SafeLoader
@@ -125,12 +125,12 @@ def parse_yaml(text: str, source: str) -> JsonValue:
 
 
 def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Set single values in a copy of nested mappings.
+    """Return a copy of nested mappings in which some values are replaced.
 
     Args:
         settings: Nested mappings, as read from YAML.
-        overrides: Texts ``a.b=value`` with a dotted key and a value in YAML; the last one of a key
-            counts.
+        overrides: Texts ``a.b=value`` with a dotted key and a value in YAML; if there are several
+            for a key, the last one counts.
 
     Raises:
         ConfigError: An override has no key, no YAML as its value, or a key below a value that is no
@@ -154,7 +154,10 @@ def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> di
 
 
 def override_key(override: str) -> tuple[str, ...]:
-    """Split the key of ``a.b=value`` at its dots; a name of a joint or mesh may hold dots."""
+    """Return the parts of the key of ``a.b=value``, split at its dots.
+
+    The name of a joint or a mesh, which may contain dots, is one part.
+    """
     dotted, equals, _ = override.partition("=")
     parts = tuple(part.strip() for part in dotted.split("."))
     if not equals or not all(parts):

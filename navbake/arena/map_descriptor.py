@@ -1,10 +1,10 @@
 """Arenas of squares: their obstacles, maps that an agent explores, and map descriptors.
 
-A map descriptor has the explored squares of an arena and their obstacles as two hex strings.
-Part 1 has a bit for each square, 1 for explored, between two bits 11 and two bits 11.
+A map descriptor holds the explored squares of an arena and their obstacles as two hex strings.
+Part 1 begins with the two bits 11, has a bit for each square (1 for explored), and ends with 11.
 Part 2 has a bit for each explored square, 1 for an obstacle, and 0s up to a full byte. Squares
-go row by row from the bottom, each row from the left. An arena of 15 × 20 squares fills 38 bytes
-in part 1; other sizes get 0s after the closing 11, up to a full byte.
+go row by row from the bottom, each row from the left. Part 1 of an arena of 15 × 20 squares is
+exactly 38 bytes; for other sizes, 0s follow the closing 11, up to a full byte.
 
 Arrays are ``[row, col]`` with row 0 at the top, as in all of navbake.
 """
@@ -28,8 +28,9 @@ ARENA = (20, 15)  # rows and columns of the format's arena
 SQUARE = 0.1  # edge of its squares [m]
 PADDING = np.array([1, 1], dtype=np.uint8)  # before and after the bits of part 1
 MAX_SQUARES = 10**8  # of a map
-END_SLACK = 1e-6  # a ray that ends this near before a square's side ends in the square [m]
-PARALLEL = 1e-12  # the share of a direction along an axis that counts as none
+END_SLACK = 1e-6  # a ray that ends so near to a square's side ends in the square behind [m]
+# a ray is parallel to an axis if the other component of its unit vector is at most this
+PARALLEL_TOLERANCE = 1e-12
 
 UNEXPLORED = "?"
 FREE = "."
@@ -41,13 +42,13 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
 
     Args:
         explored: Shape (rows, cols), row 0 at the top, true for explored squares.
-        obstacles: Of the same shape, true for obstacles; ignored in unexplored squares.
+        obstacles: Of the same shape, true for squares with an obstacle; ignored where unexplored.
 
     Returns:
         Part 1 and part 2, in capitals; part 2 is empty if nothing is explored.
 
     Raises:
-        FormatError: The two have different shapes, or no squares.
+        FormatError: The arrays have different shapes, or no squares.
     """
     is_explored = _as_flags(explored, "explored")
     is_obstacle = _as_flags(obstacles, "obstacles")
@@ -68,15 +69,15 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
 
 
 def _to_hex(bits: NDArray[Any]) -> str:
-    """Hexadecimal digits of bits, with 0s up to a full byte."""
+    """Return bits as hexadecimal digits in capitals, with 0s up to a full byte."""
     return np.packbits(bits.astype(np.uint8)).tobytes().hex().upper()
 
 
 def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
     """Decode a map; the inverse of `encode`.
 
-    Lower-case letters are accepted, and so is a part 2 that is padded with 0s to a whole hex digit
-    instead of a whole byte.
+    Lower-case letters are accepted. Part 2 may be padded with 0s to a whole hex digit only, instead
+    of a whole byte.
 
     Args:
         part1: Part 1 of the map descriptor.
@@ -84,8 +85,8 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
         shape: Rows and columns of the arena, >= 1 each.
 
     Returns:
-        explored and obstacles, shape (rows, cols), bool, row 0 at the top; unexplored squares
-        have no obstacle.
+        Two masks, shape (rows, cols), bool, row 0 at the top: the explored squares, and the squares
+        with an obstacle. Unexplored squares have no obstacle.
 
     Raises:
         FormatError: A string is not hexadecimal, too short or too long, or its padding is wrong.
@@ -143,7 +144,7 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
 
 
 def _wrong_part(key: str, value: object, *, expected: str, actual: str) -> FormatError:
-    """The error of a part of a descriptor, or of an array of a map."""
+    """Return an error for a wrong part of a descriptor, or a wrong array of a map."""
     message = f"expected {expected}, got {actual}"
     return FormatError(message, key=key, value=value, expected=expected)
 
@@ -152,8 +153,8 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     """Draw a map as text: ``?`` for unexplored, ``.`` for free, ``#`` for obstacles.
 
     Args:
-        explored: As of `encode`.
-        obstacles: As of `encode`.
+        explored: See `encode`.
+        obstacles: See `encode`.
 
     Returns:
         A line for each row, the top row first.
@@ -202,7 +203,7 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
 
 
 def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
-    """The bits of hexadecimal digits, with 0s up to a full byte, and the number of digits."""
+    """Return the bits of hex digits, with 0s up to a full byte, and the number of digits."""
     if not isinstance(text, str):
         raise _wrong_part(
             name,
@@ -221,13 +222,13 @@ def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
 
 
 def _wrong_argument(key: str, value: object, *, expected: str, actual: str) -> QueryError:
-    """The error of an argument of a query."""
+    """Return an error for a wrong argument."""
     message = f"expected {expected}, got {actual}"
     return QueryError(message, key=key, value=value, expected=expected)
 
 
 def check_squares(square: float, corner: ArrayLike) -> Float:
-    """Check the edge of the squares of an arena, and its lower left corner.
+    """Check the edge of an arena's squares, and the arena's lower left corner.
 
     Args:
         square: Edge of a square [m], > 0.
@@ -266,7 +267,7 @@ def place_squares(
     Args:
         level: The level.
         square: Edge of a square [m], > 0.
-        corner: World x, y of the arena's lower left corner [m]; None for that of the level.
+        corner: World x, y of the arena's lower left corner [m]; None for the level's corner.
         shape: Rows and columns, >= 1 each; None for as many as are needed to cover the level from
             the corner.
 
@@ -329,14 +330,15 @@ def _shown_bounds(bounds: tuple[float, float, float, float]) -> str:
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     """Mark the squares of an arena that overlap an obstacle of a level.
 
-    Obstacles are occupied cells and the area outside the level. Touching is no overlap.
+    Obstacles are occupied cells and the area outside the level. A square that only touches an
+    obstacle doesn't overlap it.
 
     Args:
         level: The level.
         squares: The squares, as `place_squares` returns them.
 
     Returns:
-        True for obstacles, shape (rows, cols), bool, row 0 at the top.
+        True for squares that overlap an obstacle, shape (rows, cols), bool, row 0 at the top.
     """
     lattice = level.lattice
     is_occupied = np.pad(level.occupancy != 0, 1, constant_values=True)  # one cell around the level
@@ -344,32 +346,37 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     sums = np.pad(is_occupied.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
     def cell_ranges(offset: float, num_squares: int, num_cells: int) -> tuple[Int, Int]:
-        """The first cell and the end of the cells of each square along an axis, when padded."""
+        """Return the cells that each square overlaps along an axis: the first, and the one after.
+
+        They are indices into the padded array. `offset` is the distance from the level's first
+        cell to the first square [m].
+        """
         edges = (offset + np.arange(num_squares + 1) * squares.cell_size) / lattice.cell_size
         start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
         end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
         start = np.clip(start, 0, num_cells + 1)
         return start, np.clip(np.maximum(end, start + 1), 1, num_cells + 2)
 
-    row0, row1 = cell_ranges(lattice.y_max - squares.y_max, squares.height, lattice.height)
-    col0, col1 = cell_ranges(squares.x_min - lattice.x_min, squares.width, lattice.width)
-    row0 = row0[:, None]
-    row1 = row1[:, None]
-    num_occupied: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
+    rows, end_rows = cell_ranges(lattice.y_max - squares.y_max, squares.height, lattice.height)
+    cols, end_cols = cell_ranges(squares.x_min - lattice.x_min, squares.width, lattice.width)
+    rows = rows[:, None]
+    end_rows = end_rows[:, None]
+    num_occupied: Int = sums[end_rows, end_cols] - sums[rows, end_cols]
+    num_occupied = num_occupied - sums[end_rows, cols] + sums[rows, cols]
     return num_occupied > 0
 
 
 class ExploredMap:
     """A map of squares that an agent fills from its sensors.
 
-    The arena is surrounded by walls, which are no part of it. The latest observation of a square
-    counts; within one call of `observe`, a square in which a ray ends is an obstacle, even if
-    other rays pass through it.
+    The arena is surrounded by walls, which are no part of it. If a square is observed several
+    times, the latest observation counts. Within one call of `observe`, a square in which a ray ends
+    is an obstacle, even if other rays pass through it.
 
     Attributes:
         lattice: The squares in the world.
         explored: Shape (rows, cols), bool, row 0 at the top.
-        obstacles: The same; never true in unexplored squares.
+        obstacles: Shape (rows, cols), bool; never true in unexplored squares.
 
     Example:
         >>> explored = navbake.ExploredMap((20, 15), square=0.1)
@@ -534,7 +541,7 @@ class ExploredMap:
         return draw(self.explored, self.obstacles)
 
     def _square_at(self, x: float, y: float) -> tuple[int, int]:
-        """Row and column of a world position [m]; raises a QueryError outside the arena."""
+        """Return row and column of a world position [m]; raise a QueryError outside the arena."""
         if np.isfinite([x, y]).all():
             row, col = map(int, self.lattice.rows_cols([x, y]))
             if self.lattice.holds(row, col):
@@ -556,8 +563,8 @@ class ExploredMap:
             y: World y of the ray's start [m].
             angle: Direction of the ray [rad].
             length: Length of the ray [m].
-            with_end: Add the square that contains or follows the ray's end, once, at the ray's
-                length or more.
+            with_end: Whether the last square must be the one that contains the ray's end, or
+                begins there; its distance is then the ray's length or more.
 
         Returns:
             Rows and columns of the squares, nearest first, and the distances where the ray enters
@@ -569,9 +576,9 @@ class ExploredMap:
         start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size
         direction = np.array([np.cos(angle), -np.sin(angle)])
         end = (length + (2 * END_SLACK if with_end else 0.0)) / size
-        crossings = [np.array([0.0, end])]  # with the sides of squares, along the ray
+        crossings = [np.array([0.0, end])]  # of the ray and the sides of squares, along the ray
         for coordinate, slope, count in zip(start, direction, num_squares, strict=True):
-            if abs(slope) > PARALLEL:
+            if abs(slope) > PARALLEL_TOLERANCE:
                 # sides in the arena only: a ray that leaves it never returns
                 low, high = np.sort([coordinate, coordinate + slope * end]).clip(-1.0, count + 1.0)
                 sides = np.arange(np.ceil(low), np.floor(high) + 1)
@@ -591,7 +598,7 @@ class ExploredMap:
 
 
 def _check_rays(angles: ArrayLike, max_range: float) -> Float:
-    """Check the directions and the range of sensors; returns the directions, shape (n,)."""
+    """Check directions [rad] and range [m] of sensors; return the directions, shape (n,)."""
     directions = _as_numbers(angles, "angles [rad]")
     if not np.isfinite(directions).all():
         raise _wrong_argument("angles", angles, expected="finite angles [rad]", actual="others")
@@ -603,7 +610,7 @@ def _check_rays(angles: ArrayLike, max_range: float) -> Float:
 
 
 def _as_numbers(values: ArrayLike, name: str) -> Float:
-    """Numbers as an array, shape (n,), float64; raises a QueryError that names them."""
+    """Return numbers as an array, shape (n,), float64; a QueryError calls them by `name`."""
     try:
         numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):

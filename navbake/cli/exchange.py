@@ -27,10 +27,10 @@ from navbake.formats.convert import (
     GRID_FORMATS,
     ROUTE_FORMATS,
     FileFormat,
-    encode_as,
+    encode_with,
     find_format,
     list_files,
-    read_as,
+    read_with,
 )
 from navbake.formats.source import write_files
 
@@ -138,12 +138,12 @@ def convert(
         missing = f"cannot read {source}: No such file or directory"
         raise FormatError(f"{missing}, but {level_file} is there: each level has a file of its own")
     inputs += list_files(source, reader)
-    grid = read_as(source, reader.name, **read_options)
+    grid = read_with(reader, source, **read_options)
     if route:
         inflated = grid if radius is None else grid.inflate(radius)
         given_options["route"] = [_plan_route(inflated, text) for text in route]
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
-    files = encode_as(grid, target, writer.name, **given_options)
+    files = encode_with(writer, grid, target, **given_options)
     if output == STDOUT:
         if len(files) > 1:
             raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")

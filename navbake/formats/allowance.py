@@ -1,8 +1,9 @@
 """Checks of values in untrusted files, and limits on the cells and memory that reading them takes.
 
-A few bytes of runs or packed data may expand to more than memory holds. So a reader makes one
-`Allowance` for the file, and takes each array from it before it is reserved. Users' own files
-(settings, lists, outlines of rooms) have no such limit.
+A few bytes of runs or packed data may expand to more than memory holds. So a reader makes an
+`Allowance` for each file. Before it reserves memory for an array, it subtracts the array's size
+from the allowance, which raises an error if too little is left. Users' own files (settings, lists,
+outlines of rooms) have no such limit.
 """
 
 from __future__ import annotations
@@ -25,15 +26,16 @@ MAX_VOXELS = 1 << 31  # 1290 along each axis
 MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompression bomb
 MAX_DEPTH = 64  # of nested metadata, userData, timings and unknown fields
 MAX_HEADER = 65536  # text before the voxels of a binvox or octree, comments included [bytes]
-FREE_BYTES = 256 << 20  # of memory that any file may fill
-# and for each of its bytes; a campus as an octree takes 400, house-100 as JSON 40
+FREE_BYTES = 256 << 20  # of memory that a file of any size may fill
+# of memory that a file may fill in addition, for each of its own bytes; a campus as an octree takes
+# 400, house-100 as JSON 40
 BYTES_PER_BYTE = 512
-BYTES_PER_CELL = 128  # of all arrays together, with a caller's `max_cells`
-BYTES_PER_TEXT_BYTE = 4  # bytes of memory for one of packed JSON, whose values take more
-PIXEL_COST = 6  # bytes of memory for a pixel: an image, a copy, and values
+BYTES_PER_CELL = 128  # of memory for all arrays together, if the caller gives `max_cells`
+BYTES_PER_TEXT_BYTE = 4  # of memory that counts for a byte of unpacked JSON
+BYTES_PER_PIXEL = 6  # of memory: an image, a copy, and values
 MAX_SHOWN = 40  # characters of a wrong value that an error shows
-LEAF_TYPES = {str, int, bool, type(None)}  # JSON's values without children, but for floats
-FAST_TYPES = LEAF_TYPES | {dict, list, tuple}  # that need no check of their own
+LEAF_TYPES = {str, int, bool, type(None)}  # of JSON values without children, except floats
+FAST_TYPES = LEAF_TYPES | {dict, list, tuple}  # of values that need no further check
 JSON_CLASSES = (str, int, float, dict, list, tuple)  # subclasses count as well
 
 
@@ -63,11 +65,11 @@ def format_value(value: object) -> str:
 
 @dataclass(frozen=True)
 class JsonPath:
-    """A location in a file, as errors state it; indexing returns the location of an entry.
+    """A location in a file, which errors state; indexing it returns the location of an entry.
 
     Attributes:
         file: the file's name, or what the content was read from.
-        path: the location in the file, as ``grids[1].weights.data[17]``; "" for the top.
+        path: the location in the file, such as ``grids[1].weights.data[17]``; "" for the top.
 
     Example:
         >>> JsonPath("house.grid.json")["grids"][1]["weights"].path
@@ -87,22 +89,22 @@ class JsonPath:
         return JsonPath(self.file, self.path + step)
 
     def fail(
-        self, what: str, remedy: str = "", *, expected: str | None = None, value: object = None
+        self, fault: str, remedy: str = "", *, expected: str | None = None, value: object = None
     ) -> NoReturn:
         """Raise a FormatError with the fault and its location.
 
         Args:
-            what: the fault, the beginning of the message.
+            fault: what is wrong, the beginning of the message.
             remedy: what to do, the end of the message.
-            expected: what was expected, for the attribute of the error alone.
-            value: the wrong value, for the attribute of the error alone.
+            expected: what was expected; it becomes an attribute of the error.
+            value: the wrong value; it becomes an attribute of the error.
 
         Raises:
             FormatError: always.
         """
         where = f"at `{self.path}` in" if self.path else "in"
         file = self.file if self.file.isprintable() else repr(self.file)
-        message = f"{what} {where} {file}"
+        message = f"{fault} {where} {file}"
         raise FormatError(
             f"{message}; {remedy}" if remedy else message,
             path=self.file,
@@ -116,7 +118,7 @@ class JsonPath:
         """Raise a FormatError with the expected and the actual value.
 
         Args:
-            expected: what was expected, as ``a list``.
+            expected: what was expected, such as ``a list``.
             value: the actual value, `ABSENT` if there is none.
 
         Raises:
@@ -147,7 +149,7 @@ def check_whole_number(value: object, place: JsonPath, minimum: int) -> int:
 
 
 def check_number(value: object, place: JsonPath, *, positive: bool = False) -> float:
-    """Return a finite number, after a check; whole numbers become int, so that JSON has no .0.
+    """Return a finite number, after a check; a whole number becomes an int, so that JSON has no .0.
 
     Args:
         value: the number as parsed.
@@ -158,7 +160,7 @@ def check_number(value: object, place: JsonPath, *, positive: bool = False) -> f
         The number, an int if it is whole and below 2**53.
 
     Raises:
-        FormatError: the value is not such a number.
+        FormatError: the value is not a finite number, or not positive though it has to be.
     """
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     try:
@@ -223,7 +225,7 @@ def check_optional_object(content: Json, key: str, place: JsonPath) -> Json:
 def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
     """Return a value after a check that it is JSON and not nested too deep.
 
-    All values of one depth are checked at once, which is fast: there is no Python call for each.
+    All values of one depth are checked at once: that is faster than a Python call for each.
 
     Args:
         value: any value. Keys of objects must be strings, floats finite.
@@ -271,10 +273,11 @@ def _refuse_first_invalid(value: JsonValue, place: JsonPath) -> None:
 
 
 class Allowance:
-    """The cells, memory and text [bytes] that reading a file of some size may still reserve.
+    """How many cells, and how many bytes of memory and of text, reading a file may still take.
 
-    Callers raise the limits by a keyword, ``max_cells`` of grids or ``max_voxels`` of voxels; then
-    only the free memory limits these. Images have no such keyword.
+    By default this depends on the file's size. The caller of a reader may set a different limit, by
+    an argument: ``max_cells`` for grids, ``max_voxels`` for voxels. With ``max_voxels``, the memory
+    is limited only by what is free. Images have no such argument.
     """
 
     def __init__(self, num_bytes: int, keyword: str = "", limit: int | None = None) -> None:
@@ -282,7 +285,7 @@ class Allowance:
 
         Args:
             num_bytes: the size of the file [bytes].
-            keyword: the argument by which callers raise the limits: ``max_cells``,
+            keyword: the argument by which callers change the limits: ``max_cells``,
                 ``max_voxels``, or "" for an image.
             limit: the caller's value of that argument, at least 1; None for the default limits.
 

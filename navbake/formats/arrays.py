@@ -1,4 +1,4 @@
-"""Arrays in NavGrid files: JSON lists, raw or run-length encoded, one value per cell.
+"""Arrays in NavGrid files: JSON lists of a value for each cell, raw or run-length encoded.
 
 Run-length encoding is ``[value, count, value, count, …]``. NaN and Infinity, which JSON lacks, are
 ``null``.
@@ -18,7 +18,7 @@ from navbake.navgrid.metadata import datatype_name
 from navbake.types import Float, Int, JsonValue
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-CHUNK_LENGTH = 1 << 20  # cells or runs encoded at once, to limit memory
+CHUNK_LENGTH = 1 << 20  # so many cells or runs are encoded at once, to limit memory
 
 
 def decode_array(
@@ -45,10 +45,10 @@ def decode_array(
             original client keeps ``null``).
 
     Returns:
-        The array, of that shape and its datatype.
+        The array, of this shape, with the datatype that the file states.
 
     Raises:
-        FormatError: the array is broken, too large, or its length is not that of the shape.
+        FormatError: the array is broken or too large, or its length does not fit the shape.
     """
     data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):
@@ -109,7 +109,10 @@ def _check_counts(data: list[JsonValue], place: JsonPath, num_cells: int) -> Int
 def _cast_values(
     data: list[JsonValue], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
-    """Convert every step-th entry to the dtype; raise a FormatError for the first that can't be."""
+    """Convert every `step`-th entry to a dtype; None becomes the number `null`.
+
+    A FormatError is raised for the first entry that the dtype can't hold.
+    """
     types = (int, float, type(None)) if dtype.kind == "f" else (int, float)
     values = _to_float64(data, place, slice(0, None, step), f"a value of {dtype}", types)
     if dtype.kind == "f":
@@ -130,7 +133,10 @@ def _cast_values(
 def _to_float64(
     data: list[JsonValue], place: JsonPath, selection: slice, expected: str, types: tuple[type, ...]
 ) -> Float:
-    """Convert a slice of a list of numbers and None, which becomes NaN, to an array."""
+    """Convert a slice of a list to an array; None becomes NaN.
+
+    A FormatError is raised for the first entry whose type is none of `types`.
+    """
     entries = data[selection]
     if not set(map(type, entries)) <= set(types):  # as a type of its own, bool is no int
         indices = range(len(data))[selection]
@@ -146,8 +152,7 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     float32 is written as the shortest decimal that identifies it as a float32.
 
     Args:
-        array: an array of one of `DATATYPES`, of any shape; its elements are written in their order
-            in memory.
+        array: an array of one of `DATATYPES`, of any shape; it is written row by row.
         place: its location in the file, for errors.
 
     Returns:

@@ -1,9 +1,9 @@
-"""The table of file formats that grids and graphs of routes are converted from and to.
+"""The table of the file formats of grids and of graphs of routes, and functions that use it.
 
-The table names functions as ``module:function`` below `navbake.formats`. They are imported on use,
-so that the command line lists formats without loading them. A writer, ``(grid, path, **options)``,
-returns the contents of files by path, in the order of writing; a reader, ``(path, **options)``,
-returns a grid.
+The table names functions as ``module:function`` below `navbake.formats`. They are imported when
+they are used, so that the command line lists formats without loading them. A writer is called as
+``(grid, path, **options)`` and returns path -> content of the files, in the order of writing. A
+reader is called as ``(path, **options)`` and returns a grid.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ class FileFormat(NamedTuple):
     """A format of files that hold a grid, parts of one, or a graph of routes.
 
     Attributes:
-        name: the format's name, as in ``--to`` and ``--from``.
-        endings: endings of its files' names, the usual one first; the longest match wins.
+        name: the format's name, which ``--to`` and ``--from`` take.
+        endings: endings of its files' names, the usual one first. A file whose name fits several
+            endings has the format of the longest.
         meaning: a description in one line.
         encode: the writer as ``module:function``, None if the format is only read.
         read: the reader as ``module:function``, None if the format is only written.
@@ -189,7 +190,7 @@ GRID_FORMATS = (
         write_options=("cut_corners",),
     ),
 )
-"""Formats of grids. Where several formats share an ending, a file with it is of the first."""
+"""Formats of grids. If several formats share an ending, a file with it has the first of them."""
 
 ROUTE_FORMATS = (
     FileFormat(
@@ -303,7 +304,23 @@ def read_as(path: str | os.PathLike[str], name: str | None = None, **options: ob
     Raises:
         FormatError: the format is unknown, or the file is broken.
     """
-    file_format = find_format(path, name, writing=False)
+    return read_with(find_format(path, name, writing=False), path, **options)
+
+
+def read_with(file_format: FileFormat, path: str | os.PathLike[str], **options: object) -> NavGrid:
+    """Read a grid with the reader of a format.
+
+    Args:
+        file_format: the format, which can be read.
+        path: the file.
+        options: options of the format's reader, see `FileFormat.read_options`.
+
+    Returns:
+        The grid.
+
+    Raises:
+        FormatError: the file is broken.
+    """
     grid: NavGrid = resolve(f"navbake.formats.{file_format.read}")(path, **options)
     return grid
 
@@ -344,7 +361,24 @@ def encode_as(
     Raises:
         FormatError: the format is unknown, takes no such option, or can't hold the grid.
     """
-    file_format = find_format(path, name, writing=True)
+    return encode_with(find_format(path, name, writing=True), grid, Path(path), **options)
+
+
+def encode_with(file_format: FileFormat, grid: NavGrid, path: Path, **options: object) -> Files:
+    """Encode the files of a grid with the writer of a format, without writing them.
+
+    Args:
+        file_format: the format, which can be written.
+        grid: the grid.
+        path: the file that is to be written; several files take their names from it.
+        options: options of the format's writer, see `encode_as`.
+
+    Returns:
+        The content of each file by its path, in the order of writing.
+
+    Raises:
+        FormatError: the format takes no such option, or can't hold the grid.
+    """
     for option in options:
         if option not in file_format.write_options:
             accepted = ", ".join(file_format.write_options) or "none"
@@ -357,7 +391,7 @@ def encode_as(
         radius = options.pop("radius", None)
         if radius is not None:
             grid = grid.inflate(radius)  # type: ignore[arg-type] # checks the radius itself
-    files: Files = resolve(f"navbake.formats.{file_format.encode}")(grid, Path(path), **options)
+    files: Files = resolve(f"navbake.formats.{file_format.encode}")(grid, path, **options)
     return files
 
 
@@ -379,71 +413,3 @@ def write_as(
         FormatError: see `encode_as`; or a file can't be written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
-
-
-def select_levels(
-    grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
-) -> list[int]:
-    """Return the numbers of the levels to write: all of them, or a single one.
-
-    Args:
-        grid: the grid.
-        path: the file that is to be written.
-        level: the number of the only level to write, None for all.
-        endings: the endings that the path may have, in lower case.
-
-    Returns:
-        The levels' numbers, ascending.
-
-    Raises:
-        FormatError: the path has none of these endings, or the grid has no such level.
-    """
-    if path.suffix.lower() not in endings:
-        expected = f"a name that ends in {' or '.join(endings)}"
-        raise FormatError(f"expected {expected}, got {path}", path=str(path), expected=expected)
-    if level is None:
-        return list(range(len(grid.levels)))
-    check_level(grid, level)
-    return [level]
-
-
-def check_level(grid: NavGrid, level: int) -> None:
-    """Raise a FormatError for the number of a level that the grid doesn't have.
-
-    Args:
-        grid: the grid.
-        level: the number, 0 is the lowest.
-
-    Raises:
-        FormatError: the grid has no such level.
-    """
-    if not 0 <= level < len(grid.levels):
-        raise FormatError(
-            f"no level {level}: the grid has {len(grid.levels)}, counted from 0",
-            key="level",
-            value=level,
-        )
-
-
-def list_level_paths(
-    grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
-) -> dict[int, Path]:
-    """Return the path of each level's file by the level's number.
-
-    Args:
-        grid: the grid.
-        path: the file of a single level. Those of several have a number after the stem, as
-            ``map_0.yaml``.
-        level: the number of the only level to write, None for all.
-        endings: the endings that the path may have, in lower case.
-
-    Returns:
-        The paths by level number, ascending.
-
-    Raises:
-        FormatError: as of `select_levels`.
-    """
-    numbers = select_levels(grid, path, level, endings)
-    if len(numbers) == 1:
-        return {numbers[0]: path}
-    return {number: path.with_name(f"{path.stem}_{number}{path.suffix}") for number in numbers}

@@ -3,16 +3,16 @@
 With the settings written beside it, the scene bakes to the cells of the grid:
 
 - A floor is a slab under each cell that has one, at its height. Unknown cells have none.
-- A wall stands on the floor of each blocked cell that isn't unknown. It rises to the floor above
-  it, or over all floors, so that its top is no floor by itself.
-- Adjacent cells with the same heights share a box (`cover_quads`). Boxes are a thousandth of a
+- A wall stands on the floor of each blocked cell that isn't unknown. It rises to the next floor
+  above it. If there is none, it rises over all floors, so that its top doesn't count as a floor.
+- Adjacent cells with the same heights share a box (`cover_with_quads`). Boxes are a thousandth of a
   cell smaller on each side, so that none reaches into an adjacent cell.
 - Blocked cells that are not connected with a free cell, even through other blocked cells, become
   unknown: a bake derives the floor under objects from the floor beside them.
-- Of several levels, the same places are free at the same heights. Where levels interleave, as at
-  the top of a stair, a tread may move to the level below.
-- The settings have the cells' size and place, the levels' grounds, an agent without a radius (the
-  cells already include the grid's), and keep floors of any size.
+- If there are several levels, the same places are free at the same heights. But where levels
+  interleave, for example at the top of a stair, a tread may be on the level below.
+- The settings have the cells' size and place, and the levels' grounds. The agent has no radius: the
+  blocked cells already include the radius of the grid's agent. Floors of any size are kept.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.convert import select_levels
-from navbake.formats.floor_mesh import cover_quads
+from navbake.formats.floor_mesh import cover_with_quads
+from navbake.formats.level_paths import select_levels
 from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
@@ -38,14 +38,14 @@ from navbake.yaml_text import encode_yaml
 WALL_HEIGHT = 2.5  # over the highest floor [m]
 # Thickness of a floor [m]; thin, because it takes headroom from the level below
 SLAB_THICKNESS = 0.02
-BOX_INSET = 1e-3  # of a cell, by which a box is smaller on each side
-TOP_MARGIN = 0.01  # where the uppermost level ends, over its highest floor [m]; walls go on
+BOX_INSET = 1e-3  # by how much a box is smaller on each side [cells]
+TOP_MARGIN = 0.01  # the uppermost level ends so far over its highest floor; walls rise on [m]
 MAX_BOXES = 200_000
 MAX_WALL_HEIGHT = 1e4  # [m]
 DECIMALS = 9  # of lengths in the settings [m]
-LATTICE_TOLERANCE = 1e-3  # by which the lattices of levels may be off [cells]
-SAME_CELL_SIZE = 1e-9  # by which the levels' cell sizes may differ [m]
-DEFAULT_MAX_CELLS = 25_000_000  # of the settings, unless the grid has more
+LATTICE_TOLERANCE = 1e-3  # by how much the lattices of levels may be displaced [cells]
+CELL_SIZE_TOLERANCE = 1e-9  # by how much the levels' cell sizes may differ [m]
+DEFAULT_MAX_CELLS = 25_000_000  # `grid.max_cells` in the settings, unless the grid has more
 SCENE_HEAD = """\
   <default>
     <default class="floor"><geom type="box" rgba="0.82 0.8 0.76 1"/></default>
@@ -78,8 +78,8 @@ def encode_mjcf(
         grid: the grid.
         path: the scene, which ends in ``.xml``; the settings have the same name, with ``.yaml``.
         level: the number of the only level to write; None for all, each at its height.
-        height: of walls over the highest floor [m], more than the agent's height. If None: 2.5,
-            or more for a high agent.
+        height: how far walls rise over the highest floor [m]; more than the agent's height. If
+            None: 2.5 m, or 1 m more than the agent's height if that is higher.
         flat: whether to put all floors of a level at its ground, as on a map without heights; this
             needs fewer boxes on rough ground.
 
@@ -141,7 +141,11 @@ def encode_mjcf(
 
 
 def _find_floor(level: SceneGrid2D, is_flat: bool) -> Float:
-    """Return world z of each cell's floor [m], NaN for none; the ground if a grid has no floors."""
+    """Return world z of each cell's floor [m]; NaN where there is none.
+
+    It is the ground in all cells if the level has no floor heights, and in all cells with a floor
+    if `is_flat`.
+    """
     if "floorHeight" not in level.attributes:
         return np.full(level.shape, level.ground)
     if is_flat:
@@ -150,7 +154,7 @@ def _find_floor(level: SceneGrid2D, is_flat: bool) -> Float:
 
 
 def _join_lattices(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice, slice]]]:
-    """Return a lattice that holds all levels, and each level's rows and columns in it."""
+    """Return a lattice that covers all levels, and each level's slices of its rows and columns."""
     cell_size = levels[0].lattice.cell_size
     bounds = np.array([level.lattice.bounds for level in levels])
     x0, y0 = bounds[:, :2].min(axis=0)
@@ -162,7 +166,7 @@ def _join_lattices(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice
     for level in levels:
         lattice = level.lattice
         offset = (np.array(lattice.bounds) - common.bounds) / cell_size
-        has_same_size = abs(lattice.cell_size - cell_size) <= SAME_CELL_SIZE
+        has_same_size = abs(lattice.cell_size - cell_size) <= CELL_SIZE_TOLERANCE
         if not has_same_size or np.abs(offset - np.rint(offset)).max() > LATTICE_TOLERANCE:
             raise FormatError("expected levels on one lattice: extrude one (level) at a time")
         row = round((common.y_max - lattice.y_max) / cell_size)
@@ -172,18 +176,25 @@ def _join_lattices(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice
 
 
 def _make_boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
-    """Return boxes over rectangles of cells of the mask with the same lower and upper heights.
+    """Cover the cells of a mask by few boxes.
 
-    Each is its lower and upper corner [m]; the shape is (n, 2, 3).
+    Args:
+        lattice: the lattice of the cells.
+        mask: the cells to cover, shape (height, width).
+        low: world z where the box of each cell begins [m], shape (height, width).
+        high: world z where the box of each cell ends [m], shape (height, width).
+
+    Returns:
+        The lower and upper corner of each box, world x, y, z [m], shape (n, 2, 3).
     """
     height_pairs = np.stack([low[mask], high[mask]], axis=1)
     unique_pairs, pair_numbers = np.unique(height_pairs, axis=0, return_inverse=True)
     labels = np.zeros(mask.shape, dtype=np.int32)
     labels[mask] = pair_numbers.ravel() + 1
-    quads = cover_quads(labels, np.zeros(mask.shape), 0.0, 0.0, -BOX_INSET)
+    quads = cover_with_quads(labels, np.zeros(mask.shape), 0.0, 0.0, -BOX_INSET)
     quad_labels = labels[quads.first_cell[:, 0], quads.first_cell[:, 1]]
     z = unique_pairs[quad_labels.astype(np.int64) - 1]
-    # of the corners, the first two differ in x, the second and third in y
+    # the first two corners of a quad differ in x, the second and the third in y
     x = lattice.x_min + lattice.cell_size * quads.cols[:, :2]
     y = lattice.y_max - lattice.cell_size * quads.rows[:, 1:3]
     return np.stack([x, y, z], axis=-1)

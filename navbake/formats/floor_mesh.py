@@ -1,7 +1,7 @@
 """The walkable floor of a grid as a mesh of few quads, written as binary glTF (.glb) or OBJ.
 
-Each level is an object. Each room is a material of it in a GLB, and a group of it in an OBJ;
-trimesh has neither several primitives of an object in a GLB nor groups in an OBJ.
+Each level is an object. Each of its rooms has a material in a GLB, and is a group in an OBJ. Files
+are not written by trimesh, which can do neither.
 
 Source: glTF 2.0 Specification, Khronos Group, sections 3 and 4.
 """
@@ -29,9 +29,9 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.types import Float, Int, Json, JsonValue
 
-HEIGHT_TOLERANCE = 0.001  # by which a quad may be off the floor, unless a caller says else [m]
-DEFAULT_MAX_SLOPE = 45.0  # of grids that state none [deg]
-SLOPE_TOLERANCE = 1e-6  # share by which a slope may exceed the steepest, for rounding
+HEIGHT_TOLERANCE = 0.001  # by default, a quad may be so far off the floor [m]
+DEFAULT_MAX_SLOPE = 45.0  # for grids that state none [deg]
+SLOPE_TOLERANCE = 1e-6  # share by which a slope may exceed the largest one, for rounding
 NO_ROOM = "no room"
 COMPONENT_TYPES = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
 # targets of buffer views
@@ -51,8 +51,9 @@ class LevelMesh:
         origin: the outer corner of the level's cell 0, on its ground, world x, y, z [m].
         vertices: world x, y, z [m], shape (4 n, 3), float64; four for each quad, anticlockwise
             seen from above.
-        room: the number of each quad's room in `rooms`, shape (n,), int64, ascending; 0 for none.
-        rooms: the names of the rooms that `room` numbers, each once; entry 0 is "no room".
+        room: for each quad, the index into `rooms` of its room, shape (n,), int64, ascending; 0 for
+            none.
+        rooms: the names of the rooms of all quads, each once; entry 0 is "no room".
         indices: for each entry of `rooms`, the room's index on the level, see
             `SceneGrid2D.room_index`.
     """
@@ -66,7 +67,7 @@ class LevelMesh:
 
     @property
     def faces(self) -> Int:
-        """Each triangle's vertex indices, anticlockwise from above, shape (2 n, 3), int64."""
+        """The triangles, shape (2 n, 3), int64: indices into `vertices`, anticlockwise from above."""
         first_vertex = 4 * np.arange(len(self.room))[:, None, None]
         faces: Int = (first_vertex + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
         return faces
@@ -111,11 +112,11 @@ class FloorMesh:
 def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> FloorMesh:
     """Make a mesh of a grid's free cells.
 
-    Each free cell is covered once; the mesh has holes at all other cells. Cells of one room in a
-    rectangle whose floor is a plane within the tolerance become one quad: level, or sloped where
-    three cells or more in a line rise evenly, up to the grid's `maxSlope` (45 degrees if it states
-    none). So stairs are level treads, and ramps are slopes; stairs whose treads are all one cell
-    deep become a slope.
+    Each free cell is covered once; the mesh has holes at all other cells. A quad covers a rectangle
+    of cells of one room whose floor is a plane within the tolerance. The plane is horizontal, or a
+    slope that three cells or more in a line follow, up to the grid's `maxSlope` (45 degrees if it
+    states none). So a stair becomes horizontal treads, and a ramp a slope; but a stair whose treads
+    are all one cell deep becomes a slope, too.
 
     There are no risers. Where two quads meet, their heights differ by the step between the cells'
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height
@@ -126,7 +127,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
         tolerance: by how much the mesh may be off the floor at a cell's centre [m], >= 0.
 
     Returns:
-        The mesh, a part for each level.
+        The mesh, with a `LevelMesh` for each level.
 
     Raises:
         QueryError: the tolerance is invalid.
@@ -139,7 +140,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
             value=tolerance,
             expected="a tolerance of 0 m or more",
         )
-    # rooms by level and index, with unique names in the grid
+    # (level, index) of a room -> its name, or its id if other rooms have that name
     count = Counter(room.name for room in grid.rooms)
     names = {
         (room.level, room.index): room.name if room.name and count[room.name] == 1 else room.id
@@ -156,7 +157,9 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
         size = lattice.cell_size
         room_index = level.room_index.astype(np.int32)
         labels = np.where(level.free, room_index + 1, 0)
-        quads = cover_quads(labels, level.floor_or_ground, float(tolerance), max_gradient * size)
+        quads = cover_with_quads(
+            labels, level.floor_or_ground, float(tolerance), max_gradient * size
+        )
         quad_index = room_index[quads.first_cell[:, 0], quads.first_cell[:, 1]]
         order = np.argsort(quad_index, kind="stable")
         x = lattice.x_min + quads.cols * size
@@ -181,7 +184,7 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
 
 
 class Quads(NamedTuple):
-    """Quads that cover cells; corners are anticlockwise seen from above, the lower left one first.
+    """Quads that cover cells. Corners run anticlockwise seen from above, from the lower left one.
 
     Attributes:
         first_cell: row and column of each quad's first cell in reading order, shape (n, 2), int64.
@@ -196,7 +199,7 @@ class Quads(NamedTuple):
     heights: Float
 
 
-def cover_quads(
+def cover_with_quads(
     labels: NDArray[np.int32], heights: Float, tolerance: float, max_rise: float, margin: float = 0
 ) -> Quads:
     """Cover cells by few quads, each of one label and one plane; see `cover_planes`.
@@ -260,7 +263,7 @@ class GlbBuffer:
 
         Args:
             content: the bytes.
-            target: glTF's number of the kind of buffer that the bytes are for; None for an image.
+            target: glTF's number for what the bytes are, see `VERTEX_TARGET`; None for an image.
 
         Returns:
             The number of their buffer view.
@@ -271,7 +274,7 @@ class GlbBuffer:
         return len(self._views) - 1
 
     def add_indices(self, faces: NDArray[np.uint32]) -> int:
-        """Append indices into vertices, of any shape; return the number of their accessor."""
+        """Append vertex indices, an array of any shape; return the number of their accessor."""
         return self._add(np.ravel(faces), "SCALAR", INDEX_TARGET)
 
     def add_vectors(self, values: NDArray[Any], **fields: JsonValue) -> int:
@@ -287,13 +290,16 @@ class GlbBuffer:
         return self._add(values, f"VEC{values.shape[1]}", VERTEX_TARGET, **fields)
 
     def add_positions(self, vertices: NDArray[np.float32]) -> int:
-        """Append vertices, shape (n, 3), n > 0, with their bounds, which glTF demands."""
+        """Append vertices, shape (n, 3), n > 0, with their bounds, which glTF demands.
+
+        Return the number of their accessor.
+        """
         low = vertices.min(axis=0).tolist()
         high = vertices.max(axis=0).tolist()
         return self.add_vectors(vertices, min=low, max=high)
 
     def _add(self, values: NDArray[Any], kind: str, target: int, **fields: JsonValue) -> int:
-        """Append values and their accessor, of a kind as ``VEC3``; return its number."""
+        """Append values and their accessor; return its number. A kind is, for example, ``VEC3``."""
         values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
         view = self.add_bytes(values.tobytes(), target)
         component_type = COMPONENT_TYPES[values.dtype]
@@ -305,7 +311,8 @@ class GlbBuffer:
         """Encode a GLB file.
 
         Args:
-            document: the other parts of glTF's JSON; empty ones are left out, as glTF demands.
+            document: the other fields of glTF's JSON; empty ones are left out, because glTF forbids
+                them.
 
         Returns:
             The content of the file.
@@ -331,9 +338,9 @@ class GlbBuffer:
 def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = HEIGHT_TOLERANCE) -> Files:
     """Encode a grid's walkable floor as GLB; see `make_floor_mesh` for its quads.
 
-    y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
-    name, with its origin at the outer corner of cell 0 on the ground; each room a material by its
-    name, in its colour of the pictures.
+    As glTF demands, y is up, and lengths are in metres: world x, y, z become ``(x, z, -y)``. Each
+    level is an object with the level's name; its origin is the outer corner of cell 0 on the
+    ground. Each room is a material with the room's name, in the colour that it has in pictures.
 
     Args:
         grid: the grid.
@@ -387,7 +394,7 @@ def encode_obj(
 ) -> Files:
     """Encode a grid's walkable floor as OBJ; see `make_floor_mesh` for its quads.
 
-    Each level is an object, each room a group of it. Vertices have their room's colour after their
+    Each level is an object, each of its rooms a group. A vertex has its room's colour after its
     position, an extension that most programs read. Each character of a name that is no letter,
     digit, ``.`` or ``-`` becomes ``_``.
 
@@ -395,8 +402,7 @@ def encode_obj(
         grid: the grid.
         path: the path of the file.
         tolerance: by how much the mesh may be off the floor at a cell's centre [m], >= 0.
-        up: the axis that is up: ``y`` for ``(x, z, -y)`` of the world, ``z`` for the world's own
-            x, y, z, in metres.
+        up: the upward axis. ``z`` keeps the world's x, y, z; ``y`` turns them into ``(x, z, -y)``.
 
     Returns:
         The file's content by its path.

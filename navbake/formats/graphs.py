@@ -38,12 +38,12 @@ OUTSIDE = "(outside)"  # the node that doors without a second room lead to
 class _Neighbor(NamedTuple):
     """One of the eight cells around a cell."""
 
-    down: int  # rows
-    right: int  # columns
-    move_bit: int  # of a cell's moves, see `navbake.runtime.grid_arrays`
+    down: int  # how many rows further down
+    right: int  # how many columns further right
+    move_bit: int  # the bit of this move in a cell's moves, see `navbake.runtime.grid_arrays`
 
 
-# in the order of columns in a row of the matrix
+# in the order that their columns have in a row of the matrix
 NEIGHBORS = (
     _Neighbor(-1, -1, 5),
     _Neighbor(-1, 0, 1),
@@ -93,9 +93,9 @@ class CellGraph:
 
     Attributes:
         matrix: ``matrix[i, j]`` is the cost of the step from node i to node j: its length [m]
-            times the weight of the cell of j. A scipy csr_array, shape (n, n), float64, columns
-            ascending. A missing entry means that there is no step; a stored 0 is a step to a cell
-            of weight 0.
+            times the weight of the cell of j; over a link, plus the link's cost. A scipy csr_array,
+            shape (n, n), float64, columns ascending. A missing entry means that there is no step; a
+            stored 0 is a step to a cell of weight 0.
         level: the level of each node's cell, shape (n,), int64.
         row: the row of each node's cell on its level, shape (n,), int64.
         col: the column of each node's cell, shape (n,), int64.
@@ -113,11 +113,11 @@ class CellGraph:
     grid: NavGrid
 
     def node_at(self, position: ArrayLike, level: int | None = None) -> int | None:
-        """Find the node of a position's cell, see `GridBase.cell_at`.
+        """Find the node of the cell at a position, see `grid.cell_at`.
 
         Args:
             position: world x, y and perhaps z [m].
-            level: the number of its level, None to go by z.
+            level: the number of the level; None to find it by z.
 
         Returns:
             The index of the node; None if there is no free cell.
@@ -278,7 +278,8 @@ class RoomWay:
 
     Attributes:
         rooms: the ids of both rooms, in the grid's order.
-        kind: ``door``, ``open`` (no door between) or ``link`` (a step to another level).
+        kind: ``door``, ``open`` (an opening without a door) or ``link`` (a step or
+            a link between cells that aren't neighbours, for example to another level).
         door: the door's id, None unless the kind is ``door``.
         state: the door's current state, None unless the kind is ``door``.
         passable: whether steps lead through the connection now; always False for a connection to
@@ -363,9 +364,9 @@ class RoomGraph:
 class _Opening(NamedTuple):
     """An opening between two rooms: connected sides of cells, or links."""
 
-    rooms: tuple[int, int]  # numbers from 1, ascending
-    kind: str  # as of `RoomWay`
-    cells: Int  # flat ids, on both sides
+    rooms: tuple[int, int]  # the rooms' numbers from 1, ascending
+    kind: str  # ``open`` or ``link``, see `RoomWay`
+    cells: Int  # flat ids of the cells on both sides
     width: float  # [m]
     position: Float  # middle, world x, y, z [m]
 
@@ -373,20 +374,29 @@ class _Opening(NamedTuple):
 def make_room_graph(grid: NavGrid) -> RoomGraph:
     """Make the graph of a grid's rooms, as they are now.
 
-    Two rooms are connected if a step leads from one to the other, see `PathFinder`: over the sides
-    of neighbouring cells, or over links to another level. Adjoining sides are one opening. An
-    opening within 0.4 m of a door's leaf, between the door's rooms, is that door. A door without
-    steps through it (closed or blocked) is a connection that is not passable. Cells outside of all
-    rooms are not in the graph.
+    Two rooms are connected if a step leads from one to the other, see `PathFinder`: over the common
+    side of neighbouring cells, or over a link. Sides that share corners are one opening. An opening
+    that is within 0.4 m of a door's leaf and joins the door's rooms belongs to that door. A door
+    that no step leads through (because it is closed or blocked) is a connection that is not
+    passable. Cells outside of all rooms are not in the graph.
+
+    Args:
+        grid: the grid.
+
+    Returns:
+        The graph.
+
+    Raises:
+        QueryError: a weight of the grid is negative.
     """
     search = Search(grid)
     room_map = map_rooms(grid)
     flat = search.flat
     rooms = room_map.rooms
     openings = dict(enumerate(_find_openings(search, room_map.number)))
-    # numbers of rooms from 1 by id; 0 stands for the outside
+    # id of a room -> its number, from 1; 0 stands for the outside
     room_numbers: dict[str | None, int] = {room.id: k for k, room in enumerate(rooms, 1)}
-    connections: list[tuple[tuple[int, int], RoomWay]] = []  # each after the numbers of its rooms
+    connections: list[tuple[tuple[int, int], RoomWay]] = []  # (numbers of the rooms, connection)
 
     def add_connection(
         numbers: tuple[int, int],
@@ -418,7 +428,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
         leaf_ends = {level: find_leaf_ends(grid, door, level) for level in door.levels}
         level = next((number for number, ends in leaf_ends.items() if ends is not None), None)
         if level is None or len(door_rooms) != 2 or door_rooms[0] == door_rooms[1]:
-            continue  # the file names no two rooms for the door
+            continue  # the door has no line, or joins no two rooms
         leaf = np.array(leaf_ends[level])
         joined_rooms = (door_rooms[0], door_rooms[1])
         # the openings that the door closes
@@ -450,40 +460,45 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
 
 class _RoomSteps(NamedTuple):
-    """Steps between rooms: over sides of cells of one level, or over links."""
+    """Steps from one room to another: over common sides of cells of a level, or over links."""
 
     kind: str  # ``open`` or ``link``
-    ends: Int  # flat ids of the cells at both ends, shape (2, n)
-    corners: Int  # row and column of k corners of cells of each, shape (k, 2, n)
+    ends: Int  # flat ids of the cells at both ends of each step, shape (2, n)
+    # for each step, row and column of k corners: both ends of the common side, or all corners of
+    # the cell from which a link starts; shape (k, 2, n)
+    corners: Int
 
 
-def _find_openings(search: Search, number: Int32) -> Iterator[_Opening]:
-    """Yield the openings between two rooms: over sides of cells, level by level, and over links.
+def _find_openings(search: Search, room_of_cell: Int32) -> Iterator[_Opening]:
+    """Yield the openings between two rooms: over sides of cells, level by level, then over links.
 
-    `number` is that of each cell's room by flat id, 0 for none.
+    Args:
+        search: the search on the grid.
+        room_of_cell: by flat id, the number of each cell's room; 0 for none.
     """
     from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
     flat = search.flat
     moves = search.graph.moves
-    all_crossings: list[_RoomSteps] = []
+    all_steps: list[_RoomSteps] = []
     for level in range(flat.num_levels):
         level_cells = flat.cells_of(level)
         first_cell = level_cells.start
         width = int(flat.layout.width[level])
         ends: list[Int] = []
         corners: list[Int] = []
-        # the side to the east has the corners above and below it, that to the south both beside it
+        # a cell's east side runs from its upper right corner down to the lower right one, its south
+        # side from the lower left corner to the lower right one
         for move, step, first_corner in ((EAST, 1, (0, 1)), (SOUTH, width, (1, 0))):
             cells = first_cell + np.flatnonzero(moves[level_cells] & move)
-            room = number[cells]
-            next_room = number[cells + step]
+            room = room_of_cell[cells]
+            next_room = room_of_cell[cells + step]
             cells = cells[(room != next_room) & (room > 0) & (next_room > 0)]
             row, col = np.divmod(cells - first_cell, width)
             ends.append(np.stack([cells, cells + step]))
             down, right = first_corner
             corners.append(np.array([[row + down, col + right], [row + 1, col + 1]]))
-        all_crossings.append(
+        all_steps.append(
             _RoomSteps("open", np.concatenate(ends, axis=-1), np.concatenate(corners, axis=-1))
         )
 
@@ -491,38 +506,38 @@ def _find_openings(search: Search, number: Int32) -> Iterator[_Opening]:
     level_of_end, row, col = flat.split(link_ends)
     is_neighbor = level_of_end[0] == level_of_end[1]
     is_neighbor &= np.abs(row[0] - row[1]) + np.abs(col[0] - col[1]) == 1
-    source_room, target_room = number[link_ends]
+    source_room, target_room = room_of_cell[link_ends]
     # each step exists in both directions, of which one is enough
-    is_crossing = flat.free[link_ends].all(axis=0) & ~is_neighbor
-    is_crossing &= (source_room > 0) & (source_room < target_room)
-    # rows of all levels below each other, so that corners of different levels differ
+    joins_rooms = flat.free[link_ends].all(axis=0) & ~is_neighbor
+    joins_rooms &= (source_room > 0) & (source_room < target_room)
+    # stack the rows of all levels, so that corners of different levels differ
     row_stride = int(flat.layout.height.max()) + 1
-    stacked_row = (row + level_of_end * row_stride)[0, is_crossing]
-    source_col = col[0, is_crossing]
+    stacked_row = (row + level_of_end * row_stride)[0, joins_rooms]
+    source_col = col[0, joins_rooms]
     link_corners = np.array(
         [
             [stacked_row + down, source_col + right]
             for down, right in ((0, 0), (0, 1), (1, 0), (1, 1))
         ]
     )
-    all_crossings.append(_RoomSteps("link", link_ends[:, is_crossing], link_corners))
+    all_steps.append(_RoomSteps("link", link_ends[:, joins_rooms], link_corners))
 
-    for crossings in all_crossings:
-        room_pairs = np.sort(number[crossings.ends], axis=0).astype(np.int64)
-        for group in _group_connected(room_pairs, crossings.corners):
-            extents = np.ptp(crossings.corners[:, :, group], axis=(0, 2))
+    for steps in all_steps:
+        room_pairs = np.sort(room_of_cell[steps.ends], axis=0).astype(np.int64)
+        for group in _group_connected(room_pairs, steps.corners):
+            extents = np.ptp(steps.corners[:, :, group], axis=(0, 2))
             num_rows, num_cols = extents.tolist()
-            group_level = flat.level_of(crossings.ends[0, group[0]])
+            group_level = flat.level_of(steps.ends[0, group[0]])
             cell_size = float(flat.layout.cell_size[group_level])
-            if crossings.kind == "open":
+            if steps.kind == "open":
                 opening_width = math.hypot(num_rows * cell_size, num_cols * cell_size)
             else:
                 opening_width = max(num_rows, num_cols) * cell_size
-            group_ends = crossings.ends[:, group]
+            group_ends = steps.ends[:, group]
             low, high = room_pairs[:, group[0]].tolist()
             yield _Opening(
                 rooms=(low, high),
-                kind=crossings.kind,
+                kind=steps.kind,
                 cells=np.unique(group_ends),
                 width=opening_width,
                 position=flat.positions(group_ends).mean(axis=(0, 1)),
@@ -530,25 +545,31 @@ def _find_openings(search: Search, number: Int32) -> Iterator[_Opening]:
 
 
 def _group_connected(room_pairs: Int, corners: Int) -> Iterator[Int]:
-    """Yield groups of crossings of the same two rooms that share corners.
+    """Group steps that join the same two rooms and share corners, directly or through others.
 
-    Crossings and corners are the nodes of a graph, whose components are the groups. `room_pairs`
-    has shape (2, n), `corners` (k, 2, n); a group is the indices of its crossings, ascending.
+    Steps and corners are the nodes of a graph, whose components are the groups.
+
+    Args:
+        room_pairs: the numbers of the two rooms of each step, shape (2, n).
+        corners: see `_RoomSteps`, shape (k, 2, n).
+
+    Yields:
+        The indices of the steps of each group, ascending.
     """
-    num_crossings = room_pairs.shape[1]
-    if not num_crossings:
+    num_steps = room_pairs.shape[1]
+    if not num_steps:
         return
-    # corners with their rooms, which make them different for different pairs
+    # a corner together with two rooms, so that steps of different rooms share no corner
     keys = np.concatenate([np.broadcast_to(room_pairs, corners.shape), corners], axis=1)
     keys = keys.swapaxes(0, 1).reshape(4, -1)
     _, corner_number = np.unique(keys, axis=1, return_inverse=True)
-    corner_node = num_crossings + corner_number.ravel()
-    crossing_node = np.tile(np.arange(num_crossings), len(corners))
-    num_nodes = num_crossings + int(corner_number.max()) + 1
-    is_edge = np.ones(len(crossing_node), dtype=np.int8)
-    graph = sparse.coo_array((is_edge, (crossing_node, corner_node)), shape=(num_nodes, num_nodes))
+    corner_node = num_steps + corner_number.ravel()
+    step_node = np.tile(np.arange(num_steps), len(corners))
+    num_nodes = num_steps + int(corner_number.max()) + 1
+    is_edge = np.ones(len(step_node), dtype=np.int8)
+    graph = sparse.coo_array((is_edge, (step_node, corner_node)), shape=(num_nodes, num_nodes))
     _, labels = csgraph.connected_components(graph, directed=False)
-    component = labels[:num_crossings]
+    component = labels[:num_steps]
     order = np.argsort(component, kind="stable")
     yield from np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
 
@@ -556,9 +577,9 @@ def _group_connected(room_pairs: Int, corners: Int) -> Iterator[Int]:
 def _find_distance(line: Float, points: Float) -> float:
     """Return the distance from the nearest of some points to a line segment [m]."""
     start = line[0]
-    along = line[1] - line[0]
-    share = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-    return float(np.linalg.norm(points - start - share[:, None] * along, axis=1).min())
+    extent = line[1] - line[0]
+    share = np.clip((points - start) @ extent / max(float(extent @ extent), 1e-300), 0.0, 1.0)
+    return float(np.linalg.norm(points - start - share[:, None] * extent, axis=1).min())
 
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
@@ -591,8 +612,8 @@ def encode_networkx(graph: networkx.Graph[Any]) -> bytes:
     node_attributes = [attributes for _, attributes in clean_graph.nodes(data=True)]
     edge_attributes = [attributes for _, _, attributes in clean_graph.edges(data=True)]
     for attributes in (clean_graph.graph, *node_attributes, *edge_attributes):
-        clean = {key: replace_characters(value) for key, value in attributes.items()}
-        attributes.update(clean)
+        replaced = {key: replace_characters(value) for key, value in attributes.items()}
+        attributes.update(replaced)
     file = io.BytesIO()
     # this writer needs the standard library alone, so all machines write the same bytes
     networkx_module.write_graphml_xml(clean_graph, file)

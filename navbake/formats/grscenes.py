@@ -1,9 +1,9 @@
-"""GRScenes' ``occupancy.npy``: samples of a level, with their world coordinates at the margins.
+"""GRScenes' ``occupancy.npy``: samples of a level, with their world coordinates.
 
-The first row has the x of each column [m], the first column the y of each row [m]; their common
-corner has no meaning.
-The other values are 0 for free, 1 for an obstacle, and -1 for undefined. In files of GRScenes, y
-falls from row to row, and the steps of x and y differ by a little.
+The array's first row has world x of each column [m], its first column world y of each row [m]; the
+entry that they share has no meaning. The other entries are 0 for free, 1 for an obstacle, and -1
+for undefined. In files of GRScenes, y falls from row to row, and the steps of x and y differ a
+little.
 
 Source: the answer of GRScenes' authors in InternUtopia's issue 83.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from navbake.files import readable_stem
 from navbake.formats.allowance import Allowance, JsonPath
-from navbake.formats.convert import list_level_paths
+from navbake.formats.level_paths import list_level_paths
 from navbake.formats.npz import read_npy
 from navbake.formats.occupancy import (
     FREE,
@@ -32,8 +32,10 @@ from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice
 from navbake.types import Float
 
 OBSTACLE_VALUE = 1
-MAX_UNEVENNESS = 0.01  # of a step, by which a coordinate may be off
-MAX_DRIFT = 0.01  # of a cell, by which a map with steps of two lengths may be off at its end
+MAX_UNEVENNESS = 0.01  # by how much a coordinate may be off its even place [steps]
+# if steps of x and y differ but one cell size is used for both: by how much the last cell may be
+# off its place [cells]
+MAX_DRIFT = 0.01
 BYTES_PER_CELL = 32  # of memory: values, weights, layers
 
 
@@ -70,8 +72,8 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     """Read an ``occupancy.npy`` as a grid of one level, with a flat floor at z = 0.
 
     Cells are squares. If the steps of x and y differ, the cell size is the smaller step, and each
-    cell has the value of the sample around its centre. So each sample has a cell, and no wall gets
-    a gap.
+    cell gets the value of the sample nearest to its centre. So each sample has a cell, and no wall
+    gets a gap.
 
     Args:
         path: the file.
@@ -121,7 +123,7 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     allowance = Allowance(array.nbytes, "max_cells")
     allowance.take_cells(shape, place)
     allowance.take_array(shape, BYTES_PER_CELL, place)
-    # the sample of each cell's middle
+    # row and column of the sample that is nearest to each cell's centre
     rows = (np.arange(shape[0]) + 0.5) * cell_size / dy
     rows = np.minimum(rows, num_rows - 0.5).astype(np.int64)
     cols = (np.arange(shape[1]) + 0.5) * cell_size / dx

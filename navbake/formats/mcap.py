@@ -1,9 +1,14 @@
 """MCAP files of ROS 2 messages, which Foxglove, rerun and ``ros2 bag play`` open.
 
-Topics: ``/map``, or ``/map_0`` and on of several levels, with a ``nav_msgs/OccupancyGrid`` at the
-level's height; ``/path_0`` and on with a ``nav_msgs/Path`` each; and ``/links`` with a
-``visualization_msgs/MarkerArray`` of the steps between levels and, from stop to stop, of the named
-links. Frames are ``map``, times are 0.
+The topics are:
+
+- ``/map``, or for several levels ``/map_0``, ``/map_1``, …: a ``nav_msgs/OccupancyGrid`` at the
+  level's height.
+- ``/path_0``, ``/path_1``, …: a ``nav_msgs/Path`` each.
+- ``/links``: a ``visualization_msgs/MarkerArray`` with lines for the steps between levels, and from
+  stop to stop of the named links.
+
+All frames are ``map``, all times are 0.
 
 Source: the definitions of messages of ROS 2 Humble; ``mcap_ros2`` encodes them.
 """
@@ -19,14 +24,14 @@ from typing import Any
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.convert import select_levels
+from navbake.formats.level_paths import select_levels
 from navbake.formats.occupancy import compute_occupancy_values
 from navbake.formats.source import Files, import_extra
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.types import Json
 
-# fields of messages by type, ``name: type`` as in ROS' own definitions
+# type of a message -> its fields, in the language of ROS' own definitions
 MESSAGES = {
     "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
     "builtin_interfaces/Duration": "int32 sec; uint32 nanosec",
@@ -59,7 +64,7 @@ MESSAGES = {
 }
 MAP_FRAME = {"frame_id": "map"}
 NO_ROTATION = {"w": 1.0}  # a quaternion
-LINE_LIST = 5  # type of a marker: a line between each two points
+LINE_LIST = 5  # type of a marker: points 0 and 1 are the ends of a line, then 2 and 3, …
 LINE_WIDTH = 0.03  # [m]
 LINE_COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 
@@ -67,7 +72,7 @@ LINE_COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 def encode_mcap(
     grid: NavGrid, path: Path, *, level: int | None = None, route: Sequence[Route] = ()
 ) -> Files:
-    """Encode an MCAP file with a message for each level, one for each path, and one for all links.
+    """Encode an MCAP file: a message for each level, one for each path, and one for all links.
 
     Args:
         grid: the grid.
@@ -123,13 +128,16 @@ def encode_mcap(
 
 
 def _make_markers(grid: NavGrid) -> Iterator[Json]:
-    """Yield lines of the steps, in the namespace ``links``, then of each named link, in its own."""
+    """Yield markers of lines: one for all steps, then one for each named link.
+
+    The first is in the namespace ``links``, each other one in a namespace of the link's name.
+    """
     # both ends of each step
     level, cell = grid.step_array.reshape(-1, 2).T
     width = np.array([scene.width for scene in grid.levels])[level]
     row, col = np.divmod(cell, width)
     step_ends = grid.position_of((level, row, col))
-    lines: list[tuple[str, list[Sequence[float]]]] = []  # namespace, and both ends of each line
+    lines: list[tuple[str, list[Sequence[float]]]] = []  # (namespace, both ends of each line)
     if len(step_ends):
         lines.append(("links", list(step_ends)))
     for link in grid.links:

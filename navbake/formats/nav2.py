@@ -1,20 +1,20 @@
 """Maps of ROS and nav2: an image of a level, and its YAML.
 
-A map has its origin at the lower left corner of the image's lower left pixel, and its rows from
-the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, and, from the
-bottom, in the row of the same formula of y.
+A map has its origin at the lower left corner of the image's lower left pixel. Position (x, y) lies
+in column ``floor((x - origin_x) / resolution)`` and in row ``floor((y - origin_y) / resolution)``,
+counted from the bottom.
 
-Source: ``map_io.cpp`` of ``nav2_map_server``, whose rules for pixels `read_pixel_values` follows:
-the three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The
-rules are those of a version:
+Source: ``map_io.cpp`` of ``nav2_map_server``. `read_pixel_values` follows its rules for pixels: the
+three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. They differ
+between nav2's versions:
 
 - ``humble``, to Jazzy: a grey is the mean of its channels, a value on a threshold is neither free
   nor occupied, and transparency counts as a fourth channel in mode ``trinary`` and makes a pixel
   unknown in ``scale``.
-- ``main``: a grey is its luma, of 8 bits; a value on a threshold is free or occupied; what is
-  transparent is unknown in both modes.
+- ``main``: a grey is the pixel's luma, of 8 bits; a value on a threshold is free or occupied; a
+  transparent pixel is unknown in both modes.
 
-Files that `encode_nav2` writes have the same values by both.
+Files that `encode_nav2` writes mean the same in both versions.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from navbake.errors import FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
 from navbake.formats.allowance import ABSENT, JsonPath, check_number, check_vector
-from navbake.formats.convert import list_level_paths
+from navbake.formats.level_paths import list_level_paths
 from navbake.formats.navgrid import check_grid
 from navbake.formats.source import (
     Files,
@@ -52,7 +52,7 @@ MODES = ("trinary", "scale", "raw")
 PIXEL_RULES = ("humble", "main")
 IMAGE_SUFFIXES = ("pgm", "png")
 YAML_SUFFIXES = (".yaml", ".yml")
-# thresholds of map_saver; 0.25 would take 205 for free
+# map_saver's thresholds; with a free threshold of 0.25, a grey of 205 would be free
 OCCUPIED_THRESHOLD = 0.65
 FREE_THRESHOLD = 0.196
 DECIMALS = 9  # of an origin: nanometres [m]
@@ -71,9 +71,9 @@ class MapYaml(NamedTuple):
         origin: the outer corner of the lower left cell, world x, y [m], and the map's yaw [rad].
         mode: ``trinary``, ``scale`` or ``raw``.
         negate: whether dark pixels are free.
-        occupied: the threshold above which a pixel's darkness is occupied, 0 to 1.
-        free: the threshold below which a pixel's darkness is free, 0 to 1.
-        ground: world z of the floor [m], a key of navbake's.
+        occupied: the threshold, 0 to 1: pixels that are darker are occupied.
+        free: the threshold, 0 to 1: pixels that are less dark are free.
+        ground: world z of the floor [m], from navbake's own key in the YAML.
     """
 
     image: Path
@@ -100,7 +100,7 @@ def encode_nav2(
     """Encode the maps of a grid: for each level an image, and a YAML that names it.
 
     Cells without a floor are unknown, all others free or occupied. Modes ``scale`` and ``raw`` also
-    have costs: 1 to 98 for weights above 1, and 99 for cells that only an inflation closed.
+    have costs: 1 to 98 for weights above 1, and 99 for cells that only an inflation blocks.
 
     Args:
         grid: the grid.
@@ -110,16 +110,16 @@ def encode_nav2(
         radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         mode: ``trinary``, ``scale`` or ``raw``.
         image: ``pgm`` or ``png``; ``png`` in mode ``scale``, else ``pgm``, if None.
-        inflation: the distance from obstacles up to which cells get costs by nav2's formula, its
-            ``inflation_radius`` [m]; not in mode ``trinary``. Then the default of `radius` is
-            the grid's.
+        inflation: nav2's ``inflation_radius`` [m]: cells up to this distance from obstacles get
+            costs by nav2's formula; not in mode ``trinary``. With it, `radius` is the radius of the
+            grid's agent by default.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
 
     Returns:
         The content of each file by its path.
 
     Raises:
-        FormatError: there is no such level, mode or image, or options exclude each other.
+        FormatError: there is no such level, mode or kind of image, or options exclude each other.
         QueryError: a radius, inflation or scaling is out of its range.
     """
     if not image:
@@ -180,7 +180,8 @@ def encode_map(
     x_min, y_min, _, _ = level.lattice.bounds
     occupied_threshold = OCCUPIED_THRESHOLD
     free_threshold = FREE_THRESHOLD
-    if mode == "scale":  # spreads values between the thresholds over 0 to 100: keep them distinct
+    # mode scale maps what is between the thresholds to 0 to 100: with these, all values differ
+    if mode == "scale":
         occupied_threshold = 1.0
         free_threshold = 0.0
     entries: Json = {
@@ -204,10 +205,11 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
     ``navbake.ground``), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
     to 98 become weights of nav2's costs; 99 is blocked.
 
-    A map with a ``yaw`` of quarter turns, to a tenth of a cell over its diagonal, is rotated
-    exactly. Otherwise it is resampled on cells along the world's axes: a cell has the value of the
-    map at its centre, but is occupied if occupied cells of the map cover 1 % of it, so that no wall
-    gets a gap. The content of the YAML is kept as ``nav2`` in the metadata.
+    If the map's yaw is a whole number of quarter turns, the cells are only rearranged. The yaw may
+    be off by so little that the map's farthest corner moves by a tenth of a cell. Any other map is
+    resampled on cells along the world's axes: a cell has the value of the map at its centre, but is
+    occupied if occupied cells of the map cover 1 % of it, so that no wall gets a gap. The content
+    of the YAML is kept as ``nav2`` in the metadata.
 
     Args:
         path: the YAML.
@@ -358,7 +360,7 @@ def read_pixel_values(
         light = light + opacity
         max_light = 4 * pixels.white
 
-    # a table from the few different greys, or sums of channels, to values
+    # make a table first: there are few different greys, or sums of channels
     shade = np.arange(max_light + 1, dtype=real) / real(max_light)
     darkness = shade if map_yaml.negate else 1 - shade
     occupied_threshold = real(map_yaml.occupied)
@@ -367,14 +369,14 @@ def read_pixel_values(
         raw_values = np.rint(shade * 255)
         table = np.where(raw_values <= occupancy.OCCUPIED, raw_values, occupancy.UNKNOWN)
     else:
-        between: NDArray[Any] = np.full(max_light + 1, float(occupancy.UNKNOWN))
+        other_values: NDArray[Any] = np.full(max_light + 1, float(occupancy.UNKNOWN))
         if map_yaml.mode == "scale":
             percent = (darkness - free_threshold) / real(map_yaml.occupied - map_yaml.free) * 100
-            between = np.floor(percent + real(0.5)) if is_main else np.rint(percent)
+            other_values = np.floor(percent + real(0.5)) if is_main else np.rint(percent)
         is_free = darkness <= free_threshold if is_main else darkness < free_threshold
         is_occupied = occupied_threshold <= darkness if is_main else occupied_threshold < darkness
         table = np.where(
-            is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, between)
+            is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, other_values)
         )
     values: occupancy.OccupancyValues = table.astype(np.int8)[light]
 
@@ -385,7 +387,7 @@ def read_pixel_values(
 
 
 def check_choice(value: str, choices: tuple[str, ...], name: str) -> None:
-    """Raise a FormatError if the value of an option is none of its choices.
+    """Raise a FormatError if an option has none of its possible values.
 
     Args:
         value: the option's value.

@@ -26,7 +26,7 @@ import yaml
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, check_number, check_object
-from navbake.formats.convert import check_level, list_level_paths
+from navbake.formats.level_paths import check_level, list_level_paths
 from navbake.formats.nav2 import IMAGE_SUFFIXES, YAML_SUFFIXES, check_choice, encode_map, read_map
 from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import MAX_PIXELS
-from navbake.formats.convert import select_levels
+from navbake.formats.level_paths import select_levels
 from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, encode_image, open_image, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D

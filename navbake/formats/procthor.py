@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.files import readable_stem
-from navbake.formats.convert import list_level_paths
+from navbake.formats.level_paths import list_level_paths
 from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, encode_image, open_image
 from navbake.navgrid.grid import NavGrid, SceneGrid2D

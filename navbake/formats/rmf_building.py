@@ -1,10 +1,13 @@
 """Grids as buildings of Open-RMF's traffic editor (``.building.yaml``), in metres.
 
-A level has its floor as polygons with holes, walls along the outlines of wall cells, doors that
-swing or slide, and the lanes of a graph of routes; the building has the lifts with a car. A level
-is flat, at the height of most of its floor; floors that are up to 1 m higher or lower are moved to
-that height.
-Stairs, furniture, rooms and other links have no place in the format and are left out.
+Each level has its floor as polygons with holes, walls, doors that swing or slide, and the lanes of
+a graph of routes. Walls follow the outlines of the grid's wall cells. The building has the lifts
+whose car is known. A level is flat, at its most frequent floor height; floor that is up to 1 m
+higher or lower is moved to that height.
+
+The format can't hold stairs, furniture, rooms and links other than lifts: they are left out.
+
+In this module, `level` is a level of the grid, and `building_level` the level that is written.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``. Its scenes are read by
 `navbake.baker.readers.building`.
@@ -14,10 +17,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,7 +32,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
 from navbake.navgrid.rooms import Door
-from navbake.types import Float, Json
+from navbake.types import Bool, Float, Json
 from navbake.yaml_text import encode_yaml
 
 if TYPE_CHECKING:
@@ -40,22 +43,39 @@ shapely = lazy("shapely")
 routes = lazy("navbake.routes.build")
 
 LOG = logging.getLogger(__name__)
-WALL_THICKNESS = 0.1  # that simulators give walls [m]
-SHAFT_GAP = 0.1  # between a lift's car and the walls of its shaft [m]
+WALL_THICKNESS = 0.1  # simulators give each wall this thickness [m]
+SHAFT_GAP = 0.1  # distance of a lift's car from the walls of its shaft [m]
 DECIMALS = 4  # of coordinates
-# types of values in the format
+# the format writes a value after the number of its type
 TEXT_TYPE = 1
 INTEGER_TYPE = 2
 REAL_TYPE = 3
 BOOLEAN_TYPE = 4
-MAX_HEIGHT_OFF = 1.0  # by which a floor may be off the elevation if it is laid flat [m]
-MAX_SLIDE_OFFSET = 0.25  # share of a door's width that a sliding leaf may stand off its line
+# floor that is higher or lower than its level's elevation by more is left out [m]
+MAX_HEIGHT_DIFFERENCE = 1.0
+# a leaf slides if its open cells are nearer to the door's line than this share of its width
+MAX_SLIDE_OFFSET = 0.25
+
+LiftCar: TypeAlias = tuple[float, float, float, float, float]
+"""A lift's car, see `Link.car`: x and y of its middle [m], yaw [rad], width and depth [m]."""
 
 
 class _BuildingLevel:
-    """A level of the building while it is made: its entry, and the numbers of its vertices."""
+    """A level of the building while it is made; collects the parts of its entry in the file.
+
+    Doors, lanes and walls are edges: numbers of two vertices, and values.
+
+    Attributes:
+        elevation: world z of the level's floor [m].
+        doors: the edges of the doors.
+        floors: the outer polygons of the floor.
+        holes: the polygons that are cut out of the floor.
+        lanes: the edges of the lanes.
+        walls: the edges of the walls.
+    """
 
     def __init__(self, elevation: float) -> None:
+        # (x, y, name) -> number of the vertex, in the order of the file
         self._vertex_numbers: dict[tuple[float, float, str], int] = {}
         self.elevation = round(elevation, DECIMALS)
         self.doors: list[list[object]] = []
@@ -65,7 +85,7 @@ class _BuildingLevel:
         self.walls: list[list[object]] = []
 
     def add_vertex(self, x: float, y: float, name: str = "") -> int:
-        """Return the number of the vertex at x, y [m], and add it if it is new."""
+        """Return the number of the vertex with this place [m] and name; add it if it is new."""
         vertex = (rounded(x, DECIMALS), rounded(y, DECIMALS), name)
         return self._vertex_numbers.setdefault(vertex, len(self._vertex_numbers))
 
@@ -83,7 +103,10 @@ class _BuildingLevel:
 
 
 def encode_building(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid as a building; log a warning of links and areas that the format can't hold.
+    """Encode a grid as a building; log a warning that names what the format can't hold.
+
+    The warning names links, steps between levels, and areas; rooms and furniture are left out
+    without one.
 
     Args:
         grid: the grid.
@@ -99,21 +122,35 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     level_names = list(grid.level_names)
     if len({*level_names}) < len(level_names):
         level_names = [f"level {number}" for number in range(len(level_names))]
-    levels = [_BuildingLevel(_find_elevation(scene)) for scene in grid.levels]
     lifts = [link for link in grid.links if link.kind == "lift"]
-    doors = {door.id: door for door in grid.doors}
-    for number, (scene, level) in enumerate(zip(grid.levels, levels, strict=True)):
-        _add_floors(level, scene)
-        _add_walls(level, grid, number, lifts)
-        for name, leaves in _join_leaves(find_door_lines(grid, number)).items():
-            level.doors.append(_make_door(level, name, leaves, doors, scene, number))
-    _add_lanes(levels, grid)
+    building_levels = []
+    for number, level in enumerate(grid.levels):
+        building_level = _BuildingLevel(_find_elevation(level))
+        _add_floors(building_level, level)
+        _add_walls(building_level, grid, number, lifts)
+        _add_doors(building_level, grid, number)
+        building_levels.append(building_level)
+    _add_lanes(building_levels, grid)
     lift_entries = {
         link.name: _make_lift(link, link.car, grid, level_names)
         for link in lifts
         if link.car is not None
     }
+    _warn_of_omissions(grid, lift_entries)
+    content = {
+        "building_name": grid.scene_id or "building",
+        "coordinate_system": "cartesian_meters",
+        "levels": {
+            name: building_level.to_json()
+            for name, building_level in zip(level_names, building_levels, strict=True)
+        },
+        "lifts": lift_entries,
+    }
+    return {path: encode_yaml(content)}
 
+
+def _warn_of_omissions(grid: NavGrid, lift_entries: Mapping[str, Json]) -> None:
+    """Log a warning if the grid has links without an entry, steps or areas: they are left out."""
     omitted = [f"the link {link.name!r}" for link in grid.links if link.name not in lift_entries]
     if len(grid.step_array):
         omitted.append("steps between levels")
@@ -121,66 +158,91 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
         omitted.append("areas")
     if omitted:
         LOG.warning("buildings of Open-RMF have no place for %s: left out", ", ".join(omitted))
-    content = {
-        "building_name": grid.scene_id or "building",
-        "coordinate_system": "cartesian_meters",
-        "levels": {name: level.to_json() for name, level in zip(level_names, levels, strict=True)},
-        "lifts": lift_entries,
-    }
-    return {path: encode_yaml(content)}
 
 
 def _find_elevation(level: SceneGrid2D) -> float:
-    """Return the most frequent height of a level's free floor, to a centimetre; else its ground."""
+    """Return the most frequent floor height of a level's free cells [m], to a centimetre.
+
+    If no free cell has a floor height, return the level's ground.
+    """
     floor = level.floor[level.free & ~np.isnan(level.floor)]
     if not len(floor):
         return level.ground
-    heights, count = np.unique(np.round(floor, 2), return_counts=True)
-    return float(heights[count.argmax()])
+    heights, counts = np.unique(np.round(floor, 2), return_counts=True)
+    return float(heights[counts.argmax()])
 
 
-def _add_floors(level: _BuildingLevel, scene: SceneGrid2D) -> None:
-    """Add the floor of a level as polygons, and the holes in them."""
+def _add_floors(building_level: _BuildingLevel, level: SceneGrid2D) -> None:
+    """Add a level's floor as polygons, and the holes in them."""
     with np.errstate(invalid="ignore"):
-        is_floor = np.abs(scene.floor - level.elevation) <= MAX_HEIGHT_OFF
-    for rings in trace_polygons(is_floor.astype(np.uint8), scene.lattice).get(1, []):
-        for k, ring in enumerate(rings):
-            vertices = [level.add_vertex(x, y) for x, y in ring.tolist()]
-            polygons = level.holes if k else level.floors
-            polygons.append({"parameters": {}, "vertices": vertices})
+        is_floor = np.abs(level.floor - building_level.elevation) <= MAX_HEIGHT_DIFFERENCE
+    for outline, *holes in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
+        building_level.floors.append(_make_polygon(building_level, outline))
+        building_level.holes += [_make_polygon(building_level, hole) for hole in holes]
 
 
-def _add_walls(level: _BuildingLevel, grid: NavGrid, number: int, lifts: Iterable[Link]) -> None:
-    """Add walls along the outlines of wall cells, half their thickness inside of these."""
-    scene = grid.levels[number]
-    has_wall_name = np.zeros(scene.shape, dtype=np.bool_)
-    for cell, entry in scene.user_data.items():
-        has_wall_name.flat[cell] = bool(entry.get("walls"))
-    # without names of walls, all that stands on a floor is one
-    is_wall = scene.solid != 0
-    is_wall &= has_wall_name if has_wall_name.any() else ~np.isnan(scene.floor)
-    is_wall &= ~mark_door_cells(grid, number, in_current_state=False)
-    x, y = np.meshgrid(scene.lattice.center_x(), scene.lattice.center_y())
-    for link in lifts:
-        if not link.car:
-            continue
-        _, _, _, width, depth = link.car
-        along, aside = _to_car_frame(link.car, x, y)
-        is_wall &= (abs(along) > width / 2 + SHAFT_GAP) | (abs(aside) > depth / 2 + SHAFT_GAP)
-    cell_size = scene.lattice.cell_size
-    for rings in trace_polygons(is_wall.astype(np.uint8), scene.lattice).get(1, []):
-        area = shapely.Polygon(rings[0], rings[1:]).simplify(cell_size / 2)
+def _make_polygon(building_level: _BuildingLevel, corners: Float) -> Json:
+    """Make the entry of a polygon, and add its corners (world x, y [m]) to the vertices."""
+    vertices = [building_level.add_vertex(x, y) for x, y in corners.tolist()]
+    return {"parameters": {}, "vertices": vertices}
+
+
+# ---------------------------------------------------------------- walls
+
+
+def _add_walls(
+    building_level: _BuildingLevel, grid: NavGrid, number: int, lifts: Iterable[Link]
+) -> None:
+    """Add a level's walls: they run along the outlines of the wall cells, inside of these."""
+    level = grid.levels[number]
+    is_wall = _find_wall_cells(grid, number, lifts)
+    cell_size = level.lattice.cell_size
+    for outline, *holes in trace_polygons(is_wall.astype(np.uint8), level.lattice).get(1, []):
+        area = shapely.Polygon(outline, holes).simplify(cell_size / 2)
         for ring in _inset_rings(area, cell_size):
-            vertices = [level.add_vertex(x, y) for x, y in ring.coords]
+            vertices = [building_level.add_vertex(x, y) for x, y in ring.coords]
             for start, end in pairwise(vertices):
                 if start != end:
-                    level.walls.append([start, end, {}])
+                    building_level.walls.append([start, end, {}])
+
+
+def _find_wall_cells(grid: NavGrid, number: int, lifts: Iterable[Link]) -> Bool:
+    """Mark the cells of a level that are part of a wall.
+
+    These are the solid cells whose user data name a wall. If no cell's do, all solid cells with a
+    floor count. Doorways, and the place of a lift's car, are no walls.
+
+    Args:
+        grid: the grid.
+        number: the level's number.
+        lifts: the grid's lifts.
+
+    Returns:
+        The mask, shape (height, width).
+    """
+    level = grid.levels[number]
+    names_wall = np.zeros(level.shape, dtype=np.bool_)
+    for cell_id, entry in level.user_data.items():
+        names_wall.flat[cell_id] = bool(entry.get("walls"))
+    is_wall = level.solid != 0
+    is_wall &= names_wall if names_wall.any() else ~np.isnan(level.floor)
+    is_wall &= ~mark_door_cells(grid, number, in_current_state=False)
+    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
+    for lift in lifts:
+        if not lift.car:
+            continue
+        _, _, _, width, depth = lift.car
+        car_x, car_y = _to_car_frame(lift.car, x, y)
+        is_wall &= (abs(car_x) > width / 2 + SHAFT_GAP) | (abs(car_y) > depth / 2 + SHAFT_GAP)
+    return is_wall
 
 
 def _inset_rings(area: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
-    """Yield rings half a wall and half a cell inside of an area; less where it is narrower.
+    """Yield the middle lines of walls that fill an area of wall cells.
 
-    A blocked cell is one that a wall touches, so walls end half a cell inside of them on average.
+    A line runs half a wall and half a cell inside of the area's outline: a wall cell is one that a
+    wall touches, so a wall ends half a cell inside of it on average. Where the area is too narrow
+    for that, the line runs nearer to the outline.
     """
     remaining_parts = [area]
     full_inset = (WALL_THICKNESS + cell_size) / 2
@@ -193,147 +255,208 @@ def _inset_rings(area: BaseGeometry, cell_size: float) -> Iterator[LinearRing]:
             for polygon in shapely.get_parts(inner):
                 yield polygon.exterior
                 yield from polygon.interiors
-            # what the walls do not cover is tried again with a smaller inset
+            # what these walls don't cover gets walls with a smaller inset
             uncovered = part.difference(inner.buffer(1.05 * inset, join_style="mitre"))
             remaining_parts += [
                 piece for piece in shapely.get_parts(uncovered) if piece.area > cell_size**2
             ]
 
 
-Coordinates = TypeVar("Coordinates", float, Float)
+# ---------------------------------------------------------------- doors
 
 
-def _to_car_frame(
-    car: tuple[float, float, float, float, float], x: Coordinates, y: Coordinates
-) -> tuple[Coordinates, Coordinates]:
-    """Convert world x and y to the frame of a lift's car [m]."""
-    car_x, car_y, yaw, _, _ = car
-    cos = math.cos(yaw)
-    sin = math.sin(yaw)
-    dx = x - car_x
-    dy = y - car_y
-    return dx * cos + dy * sin, dy * cos - dx * sin
+class _DoorMotion(NamedTuple):
+    """How a door opens."""
+
+    kind: str  # ``hinged`` or ``sliding``
+    # the side of the door's line to which it swings: 1 for the left, looking from end to start
+    direction: int
+    axis: str  # the end of the line at which the hinge is, ``start`` or ``end``
+
+
+def _add_doors(building_level: _BuildingLevel, grid: NavGrid, number: int) -> None:
+    """Add a level's doors; the two leaves of a double door become one door."""
+    level = grid.levels[number]
+    doors = {door.id: door for door in grid.doors}
+    for name, leaves in _join_leaves(find_door_lines(grid, number)).items():
+        start, end = _find_line_ends(leaves)
+        open_positions = _find_open_positions(doors[leaves[0].id], level, number)
+        motion = _find_motion(doors[leaves[0].id], start, end, open_positions, len(leaves))
+        values = {
+            "name": [TEXT_TYPE, name],
+            "type": [TEXT_TYPE, f"double_{motion.kind}" if len(leaves) > 1 else motion.kind],
+            "motion_axis": [TEXT_TYPE, motion.axis],
+            "motion_degrees": [REAL_TYPE, 90.0],
+            # the format counts the side as seen from the hinge
+            "motion_direction": [
+                INTEGER_TYPE,
+                motion.direction if motion.axis == "start" else -motion.direction,
+            ],
+            "right_left_ratio": [REAL_TYPE, 1.0],
+        }
+        start_vertex = building_level.add_vertex(*start)
+        end_vertex = building_level.add_vertex(*end)
+        building_level.doors.append([start_vertex, end_vertex, values])
 
 
 def _join_leaves(lines: Iterable[DoorLine]) -> dict[str, list[DoorLine]]:
-    """Return the leaves of each door by its name; ``NAME_right`` and ``NAME_left`` are of NAME."""
+    """Return the lines of each door's leaves by the door's name.
+
+    ``NAME_right`` and ``NAME_left`` are the two leaves of the door ``NAME``.
+    """
     lines = list(lines)
     ids = {line.id for line in lines}
-    doors: dict[str, list[DoorLine]] = {}
+    leaves_of_door: dict[str, list[DoorLine]] = {}
     for line in lines:
         stem, _, side = line.id.rpartition("_")
-        is_leaf = side in ("right", "left") and {f"{stem}_right", f"{stem}_left"} <= ids
-        doors.setdefault(stem if is_leaf else line.id, []).append(line)
-    return doors
+        is_pair = side in ("right", "left") and {f"{stem}_right", f"{stem}_left"} <= ids
+        leaves_of_door.setdefault(stem if is_pair else line.id, []).append(line)
+    return leaves_of_door
 
 
-def _make_door(
-    level: _BuildingLevel,
-    name: str,
-    leaves: list[DoorLine],
-    doors: dict[str, Door],
-    scene: SceneGrid2D,
-    number: int,
-) -> list[object]:
-    """Make the edge of a door, from its hinge on.
-
-    Whether it swings or slides, and to which side, follows from the cells of its open leaf.
-    """
-    # from end to end of all leaves
+def _find_line_ends(leaves: list[DoorLine]) -> tuple[Float, Float]:
+    """Return the two ends of the line over all leaves of a door, world x, y [m]."""
     ends = np.array([end for leaf in leaves for end in (leaf.start, leaf.end)])
     distances = np.linalg.norm(ends[:, None] - ends[None], axis=2)
-    start, end = ends[list(np.unravel_index(int(distances.argmax()), distances.shape))]
-    width = float(np.hypot(*(end - start)))
-    backward = (start - end) / max(width, 1e-9)
-    sideward = np.array([-backward[1], backward[0]])
+    start, end = np.unravel_index(int(distances.argmax()), distances.shape)
+    return ends[start], ends[end]
 
-    is_double = len(leaves) > 1
-    motion = "hinged"
-    direction = 1
-    axis = "start"
-    door = doors[leaves[0].id]
+
+def _find_open_positions(door: Door, level: SceneGrid2D, number: int) -> Float:
+    """Return the centres of the cells that a door's leaf covers when it is open.
+
+    If its bare leaf covers none, the cells count that it blocks for the agent.
+
+    Args:
+        door: the door.
+        level: a level of the grid.
+        number: the level's number.
+
+    Returns:
+        World x, y [m], shape (n, 2).
+    """
     open_cells = door.solid_in("open", number + 1)[number]
     if not len(open_cells):
         open_cells = door.cells_in("open", number + 1)[number]
-    positions = scene.lattice.positions(*np.divmod(open_cells, scene.width))
-    # without open cells it slides into a wall, but for one that may swing out of the grid
-    if not len(positions) and "open" in door.cells and None not in door.rooms:
-        motion = "sliding"
-    elif len(positions):
-        offset = (positions - (start + end) / 2).mean(axis=0)
-        direction = 1 if offset @ sideward >= 0 else -1
-        if abs(offset @ sideward) < MAX_SLIDE_OFFSET * width / len(leaves):
-            motion = "sliding"
-        if not is_double:
-            axis = "start" if offset @ backward >= 0 else "end"
-    values = {
-        "name": [TEXT_TYPE, name],
-        "type": [TEXT_TYPE, f"double_{motion}" if is_double else motion],
-        "motion_axis": [TEXT_TYPE, axis],
-        "motion_degrees": [REAL_TYPE, 90.0],
-        "motion_direction": [INTEGER_TYPE, direction if axis == "start" else -direction],
-        "right_left_ratio": [REAL_TYPE, 1.0],
-    }
-    return [level.add_vertex(*start), level.add_vertex(*end), values]
+    positions: Float = level.lattice.positions(*np.divmod(open_cells, level.width))
+    return positions
 
 
-def _add_lanes(levels: list[_BuildingLevel], grid: NavGrid) -> None:
-    """Add the lanes of the grid's graph of routes on each level."""
+def _find_motion(
+    door: Door, start: Float, end: Float, open_positions: Float, num_leaves: int
+) -> _DoorMotion:
+    """Find out whether a door swings or slides, and to which side, from its open leaf.
+
+    A door whose open leaf covers no cell slides into a wall; but it is taken to swing if it may
+    swing out of the grid, because it leads out of all rooms.
+
+    Args:
+        door: the door; of a double door, the one of its first leaf.
+        start: one end of the door's line, world x, y [m].
+        end: the other end.
+        open_positions: the cells of the open leaf, see `_find_open_positions`.
+        num_leaves: the number of the door's leaves.
+    """
+    if not len(open_positions):
+        is_sliding = "open" in door.cells and None not in door.rooms
+        return _DoorMotion("sliding" if is_sliding else "hinged", direction=1, axis="start")
+    width = float(np.hypot(*(end - start)))
+    to_start = (start - end) / max(width, 1e-9)  # unit vector from end to start
+    to_side = np.array([-to_start[1], to_start[0]])  # to the left of that
+    offset = (open_positions - (start + end) / 2).mean(axis=0)
+    is_sliding = abs(offset @ to_side) < MAX_SLIDE_OFFSET * width / num_leaves
+    is_hinged_at_end = num_leaves == 1 and offset @ to_start < 0
+    return _DoorMotion(
+        kind="sliding" if is_sliding else "hinged",
+        direction=1 if offset @ to_side >= 0 else -1,
+        axis="end" if is_hinged_at_end else "start",
+    )
+
+
+# ---------------------------------------------------------------- lanes and lifts
+
+
+def _add_lanes(building_levels: list[_BuildingLevel], grid: NavGrid) -> None:
+    """Add the lanes of the grid's graph of routes, except those over links and between levels."""
     graph = routes.make_routes(grid)
     for lane in graph.lanes:
         start = graph.nodes[lane.start]
         end = graph.nodes[lane.end]
         if start.level != end.level or lane.link is not None:
             continue
-        level = levels[start.level]
-        start_vertex = level.add_vertex(start.position[0], start.position[1], start.name)
-        end_vertex = level.add_vertex(end.position[0], end.position[1], end.name)
+        building_level = building_levels[start.level]
+        start_vertex = building_level.add_vertex(start.position[0], start.position[1], start.name)
+        end_vertex = building_level.add_vertex(end.position[0], end.position[1], end.name)
         values = {"bidirectional": [BOOLEAN_TYPE, lane.two_way], "graph_idx": [INTEGER_TYPE, 0]}
         if lane.speed is not None:
             values["speed_limit"] = [REAL_TYPE, lane.speed]
-        level.lanes.append([start_vertex, end_vertex, values])
+        building_level.lanes.append([start_vertex, end_vertex, values])
 
 
-def _make_lift(
-    link: Link,
-    car: tuple[float, float, float, float, float],
-    grid: NavGrid,
-    level_names: list[str],
-) -> Json:
-    """Make the entry of a lift: its car, and a door at each side with a stop."""
+Coordinates = TypeVar("Coordinates", float, Float)
+
+
+def _to_car_frame(car: LiftCar, x: Coordinates, y: Coordinates) -> tuple[Coordinates, Coordinates]:
+    """Convert world x and y to the frame of a lift's car: x along its width, y along its depth."""
+    middle_x, middle_y, yaw, _, _ = car
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
+    dx = x - middle_x
+    dy = y - middle_y
+    return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+class _CarDoor(NamedTuple):
+    """A door of a lift's car: the middle of one side of the car, in the car's frame."""
+
+    side: str  # ``right``, ``left``, ``front`` or ``back``
+    x: float  # [m]
+    y: float  # [m]
+    yaw: float  # direction of the side [rad]
+    side_length: float  # [m]
+
+
+def _find_car_door(car: LiftCar, x: float, y: float) -> _CarDoor:
+    """Find the door on the side of a lift's car that faces a stop at world x, y [m]."""
+    _, _, _, width, depth = car
+    stop_x, stop_y = _to_car_frame(car, x, y)
+    if abs(stop_x) - width / 2 >= abs(stop_y) - depth / 2:
+        side = "right" if stop_x > 0 else "left"
+        return _CarDoor(side, math.copysign(width / 2, stop_x), 0.0, math.pi / 2, depth)
+    side = "front" if stop_y > 0 else "back"
+    return _CarDoor(side, 0.0, math.copysign(depth / 2, stop_y), 0.0, width)
+
+
+def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) -> Json:
+    """Make the entry of a lift: its car, and a door on each side of the car that has a stop.
+
+    Args:
+        link: the lift.
+        car: its car.
+        grid: the grid.
+        level_names: the names of the building's levels.
+    """
     x, y, yaw, width, depth = car
-    doors: Json = {}
-    level_doors: dict[str, list[str]] = {}
+    doors: Json = {}  # side of the car -> entry of its door
+    level_doors: dict[str, list[str]] = {}  # level's name -> sides that open there
     initial_level = None
     for stop in link.stops:
-        along, aside = _to_car_frame(car, stop.position[0], stop.position[1])
-        if abs(along) - width / 2 >= abs(aside) - depth / 2:
-            side = "right" if along > 0 else "left"
-            door_x = math.copysign(width / 2, along)
-            door_y = 0.0
-            door_yaw = math.pi / 2
-            side_length = depth
-        else:
-            side = "front" if aside > 0 else "back"
-            door_x = 0.0
-            door_y = math.copysign(depth / 2, aside)
-            door_yaw = 0.0
-            side_length = width
-        door_width = min(link.width or 1.0, side_length - 2 * SHAFT_GAP)
-        doors[side] = {
+        door = _find_car_door(car, stop.position[0], stop.position[1])
+        door_width = min(link.width or 1.0, door.side_length - 2 * SHAFT_GAP)
+        doors[door.side] = {
             "door_type": 2,
-            "x": round(door_x, DECIMALS),
-            "y": round(door_y, DECIMALS),
+            "x": round(door.x, DECIMALS),
+            "y": round(door.y, DECIMALS),
             "width": round(door_width, DECIMALS),
-            "motion_axis_orientation": round(door_yaw, 6),
+            "motion_axis_orientation": round(door.yaw, 6),
         }
         sides = level_doors.setdefault(level_names[stop.level], [])
-        if side not in sides:
-            sides.append(side)
-        # the car stands on the first level that has a floor in the shaft
-        scene = grid.levels[stop.level]
-        row, col = scene.lattice.rows_cols(np.array([x, y]))
-        if initial_level is None and np.isfinite(scene.floor[row, col]):
+        if door.side not in sides:
+            sides.append(door.side)
+        # the car stands on the level of the first stop that has a floor in the shaft
+        level = grid.levels[stop.level]
+        row, col = level.lattice.rows_cols(np.array([x, y]))
+        if initial_level is None and np.isfinite(level.floor[row, col]):
             initial_level = level_names[stop.level]
     return {
         "x": x,

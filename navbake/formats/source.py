@@ -26,9 +26,9 @@ import orjson
 from navbake.errors import ConfigError, FormatError, MissingDependencyError
 from navbake.files import write_together
 from navbake.formats.allowance import (
+    BYTES_PER_PIXEL,
     MAX_BYTES,
     MAX_HEADER,
-    PIXEL_COST,
     Allowance,
     JsonPath,
     format_value,
@@ -342,7 +342,7 @@ def open_image(
             warnings.simplefilter("ignore")  # the pixels are counted here
             image = Image.open(io.BytesIO(data), formats=kinds)
             allowance.take_cells(image.size, place)
-            allowance.take_array(image.size, PIXEL_COST, place)
+            allowance.take_array(image.size, BYTES_PER_PIXEL, place)
             image.load()
             return image
     except FormatError:

@@ -26,19 +26,20 @@ def cut_band(
     *,
     whole: bool = False,
 ) -> NDArray[np.uint8]:
-    """Mark the vertical columns that have an occupied voxel in a range of heights.
+    """Mark the vertical columns of voxels that are occupied in a range of heights.
 
     Args:
-        voxels: Voxels of any dtype; all that are not 0 count.
+        voxels: Voxels of any dtype; those that are not 0 are occupied.
         low: Lower end of the range [m]: world z, or the height over the floor if one is given.
         high: Upper end of the range [m], > low.
         floor: World z of each cell's floor [m], shape (ny, nx); where it is NaN, there is no floor,
             and the column is occupied.
-        whole: Count only voxels that lie in the range as a whole, not all that overlap it.
+        whole: Whether only voxels count that lie in the range as a whole; else all that overlap it
+            count.
 
     Returns:
-        1 for occupied, else 0, uint8, shape (ny, nx): ``[row, col]`` as in navigation grids, with
-        rows towards smaller y. The cells are those of `lattice_of`.
+        1 for occupied columns, else 0, uint8, shape (ny, nx): ``[row, col]`` as in navigation
+        grids, with rows towards smaller y. The cells are those of `lattice_of`.
 
     Raises:
         QueryError: The range is empty, or the floor has another shape.
@@ -79,7 +80,7 @@ def cut_band(
 def plan_of(
     voxels: VoxelGrid, floor: float, *, step: float = 0.25, height: float = 1.14
 ) -> SceneGrid2D:
-    """Make a navigation grid of a level floor from the voxels above it.
+    """Make a navigation grid of a flat, horizontal floor from the voxels above it.
 
     A cell is blocked if a voxel overlaps the heights from `step` to `height` over the floor. Holes
     in the floor are not detected, because voxels don't show where there is a floor.
@@ -117,8 +118,9 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     """Make voxels of a level's occupied cells, from `step` to `height` over their floors.
 
     Cells without a floor are filled from `step` to `height` over the level's ground. Voxels have
-    the cells' edge, and begin `step` over the ground or below; each that overlaps these heights of
-    its cell by more than float32 rounding is filled. Rooms and weights are left out.
+    the cells' edge. Their lattice starts `step` above the ground, or whole voxels below that where
+    floors are lower. A voxel is filled if it overlaps its cell's range by more than float32
+    rounding. Rooms and weights are left out.
 
     Args:
         level: A level with ``occupancy`` and ``floorHeight``.
@@ -142,9 +144,9 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     has_floor = ~np.isnan(level.floor_height)
     floor = np.where(has_floor, stored.astype(np.float64) * level.unit, level.ground)
     slack = CELL_SLACK + np.spacing(np.abs(stored)).astype(np.float64) * level.unit / res
-    # begin whole voxels below the heights over the ground, under those over the lowest floor
-    num_below = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
-    bottom = level.ground + step - num_below * res
+    # whole voxels from `step` over the ground down to `step` over the lowest floor
+    num_lower_voxels = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
+    bottom = level.ground + step - num_lower_voxels * res
     start = np.floor((floor + step - bottom) / res + slack)
     end = np.ceil((floor + height - bottom) / res - slack)
     shape = (lattice.width, lattice.height, max(int(end.max()), 1))

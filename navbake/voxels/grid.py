@@ -22,9 +22,9 @@ from navbake.lazy import resolve
 from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, num_cells
 from navbake.types import Bool, Float, Int, Vector3
 
-DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
+DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers are IDs
 HUGE_COUNT = 2**200  # more than any memory holds, and still a float
-MIN_EDGE = 1e-5  # smallest edge of a voxel, well above the tolerance of touching [m]
+MIN_EDGE = 1e-5  # smallest edge of a voxel, well above the tolerance for touching [m]
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -34,13 +34,13 @@ class VoxelGrid:
     Voxel (i, j, k) is the cube of edge `res` with the lower corner ``origin + (i, j, k) * res``.
 
     Attributes:
-        values: Shape (nx, ny, nz): bool, True for occupied; or IDs, 0 for empty, uint8, uint16 or
-            uint32.
+        values: The voxels, shape (nx, ny, nz). Either bool, True for occupied; or IDs, 0 for empty,
+            uint8, uint16 or uint32.
         origin: Lower corner of voxel (0, 0, 0), world x, y, z [m].
         res: Edge of a voxel [m], > 0.
-        names: Names by ID, without 0; some may be missing.
+        names: ID -> name. IDs may have no name; 0 has none.
         known: Shape (nx, ny, nz), bool, False where the occupancy is unknown; None if all is known.
-        notes: Assumptions and warnings of what made, read or wrote the grid, one line each.
+        notes: Assumptions and warnings from making, reading or writing the grid, one line each.
     """
 
     values: NDArray[Any]
@@ -84,13 +84,13 @@ class VoxelGrid:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """(nx, ny, nz), voxels along x, y and z."""
+        """(nx, ny, nz): the numbers of voxels along x, y and z."""
         nx, ny, nz = self.values.shape
         return nx, ny, nz
 
     @property
     def is_segmented(self) -> bool:
-        """Whether voxels hold IDs."""
+        """Whether the voxels hold IDs."""
         return self.values.dtype != np.bool_
 
     @property
@@ -100,7 +100,7 @@ class VoxelGrid:
 
     @property
     def bounds(self) -> Float:
-        """Lower and upper corner, shape (2, 3), float64, world frame [m]."""
+        """Lower and upper corner of the grid, world x, y, z [m], shape (2, 3), float64."""
         lower = np.array(self.origin)
         return np.stack([lower, lower + np.array(self.shape) * self.res])
 
@@ -203,17 +203,17 @@ class VoxelGrid:
     ) -> None:
         """Write the voxels in the format of the file's ending; `navbake.load_voxels` reads them.
 
-        The names of IDs are written into a second file beside it: those of ``a.npz`` into
-        ``a.npz.names.json``.
+        The names of IDs are written into a second file beside it, which is ``a.npz.names.json`` for
+        ``a.npz``.
 
         Args:
             path: Name of the file, which ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
-            free: Of octrees (``.bt``, ``.ot``): write known voxels that are not occupied as free,
+            free: For octrees (``.bt``, ``.ot``): write known voxels that are not occupied as free,
                 not as unknown.
-            layout: Of ``.binvox``: ``airsim`` is the layout of AirSim's ``simCreateVoxelGrid``,
+            layout: For ``.binvox``: ``airsim`` is the layout of AirSim's ``simCreateVoxelGrid``,
                 which lacks the position of the grid.
-            mapping: Of ``.binvox``: the ID to write for each ID, 0 to 255; ``"compact"`` numbers
-                the IDs that occur from 1, in order. None to write them as they are.
+            mapping: For ``.binvox``: ID -> the ID that is written for it, 0 to 255. ``"compact"``
+                numbers the IDs that occur from 1, in order. None writes them as they are.
 
         Raises:
             FormatError: The name has another ending, the format cannot hold the voxels, or the file
@@ -231,7 +231,7 @@ class VoxelGrid:
 
 
 def _wrong_field(key: str, value: object, expected: str, text: str) -> FormatError:
-    """The error of a wrong attribute; `text` shows the value."""
+    """Return an error for a wrong value of an attribute; the message shows the value as `text`."""
     message = f"expected {expected}, got {text}"
     return FormatError(message, key=key, value=value, expected=expected)
 
@@ -257,8 +257,8 @@ class Placement:
         origin: Its lower corner, world x, y, z [m], shape (3,).
         res: Edge of a voxel [m].
         shape: Numbers of voxels along x, y and z.
-        moved: How far aligning the grid with multiples of `res` has moved it [m]: the largest of
-            the three axes.
+        moved: By how much the grid was moved to align it with multiples of `res` [m]: the largest
+            of the moves along x, y and z.
     """
 
     origin: Float
@@ -282,7 +282,8 @@ def place_grid(
         position: Centre of the grid, world x, y, z [m]; None for the centre of `bounds`.
         cells: Numbers of voxels along x, y and z.
         size: Lengths along x, y and z that whole voxels are to cover [m]. Give one of `cells` and
-            `size`, or none to cover `bounds`, with corners on multiples of `res`.
+            `size`; or none of both, and the grid covers `bounds`, with corners on multiples of
+            `res`.
         res: Edge of a voxel [m], >= 1e-5.
         bounds: Lower and upper corner of the scene's box, shape (2, 3) [m]; None if the scene is
             endless.
@@ -290,8 +291,8 @@ def place_grid(
             most.
 
     Raises:
-        ConfigError: A number is wrong, both cells and size are given, or a centre alone is, or the
-            grid needs more memory than there is.
+        ConfigError: A number is wrong; both `cells` and `size` are given, or only a centre is; or
+            the grid needs more memory than there is.
     """
     checked_edge = finite_array(res, ())
     if checked_edge is None or checked_edge < MIN_EDGE:
@@ -401,7 +402,10 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
 
     Args:
         value: The numbers.
-        expected: What the message of the ConfigError names as expected.
+        expected: What the ConfigError's message says was expected.
+
+    Raises:
+        ConfigError: The value is not three finite numbers.
     """
     numbers = finite_array(value, (3,))
     if numbers is None:
@@ -410,7 +414,7 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
 
 
 def _free_memory() -> int:
-    """Memory available without swapping [bytes]; 2**62 if unknown."""
+    """Return how much memory is available without swapping [bytes]; 2**62 if that is unknown."""
     free = 2**62
     # ValueError: a container's limit may be "max"; IndexError: a line may have no number
     with suppress(OSError, ValueError):

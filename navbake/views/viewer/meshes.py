@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.formats.floor_mesh import GlbBuffer, cover_quads
+from navbake.formats.floor_mesh import GlbBuffer, cover_with_quads
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
@@ -686,7 +686,7 @@ def make_floor_surface(
     height_span = float(np.ptp(heights))
     flatness = FLAT_TOLERANCE
     while True:
-        _, row, col, z = cover_quads(labels, heights, flatness, MAX_RISE * cell_size, OVERLAP)
+        _, row, col, z = cover_with_quads(labels, heights, flatness, MAX_RISE * cell_size, OVERLAP)
         if len(row) <= max_rectangles or flatness > height_span:
             break
         flatness *= 2
