@@ -67,7 +67,7 @@ class LevelMesh:
 
     @property
     def faces(self) -> Int:
-        """The triangles: indices into `vertices`, anticlockwise from above, shape (2 n, 3), int64."""
+        """The triangles: indices into `vertices`, anticlockwise from above, shape (2 n, 3)."""
         first_vertex = 4 * np.arange(len(self.room))[:, None, None]
         faces: Int = (first_vertex + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
         return faces
