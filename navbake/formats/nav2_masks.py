@@ -1,10 +1,11 @@
 """Masks of nav2's costmap filters: where robots stay out, and how fast they go.
 
 A mask is a map on the cells of its level, in mode ``raw``; 0 changes nothing. In a keepout mask,
-100 is forbidden and less is a cost. In a speed mask, a value of 1 to 100 stands for a limit of
-``base + multiplier * value``: of type 1 in percent of a robot's speed, of type 2 in m/s. These
-numbers are in the parameters of nav2's ``costmap_filter_info_server``, which are written beside
-the mask with those of the ``map_server`` that serves it: ``slow_filter.yaml`` beside ``slow.yaml``.
+100 is forbidden and less is a cost. In a speed mask, a value of 1 to 100 stands for the speed limit
+``base + multiplier * value``: in percent of a robot's speed for type 1, in m/s for type 2. Type,
+base and multiplier are parameters of nav2's ``costmap_filter_info_server``. They are written beside
+the mask, with the parameters of the ``map_server`` that serves it: ``slow_filter.yaml`` beside
+``slow.yaml``.
 
 Source: ``keepout_filter.cpp``, ``speed_filter.cpp`` of ``nav2_costmap_2d`` and nav2's documentation
 of both.
@@ -47,21 +48,28 @@ SPEED_PERCENT = 1
 SPEED_ABSOLUTE = 2
 MAX_VALUE = 100  # of a mask
 MAX_LISTED = 20  # names that an error lists
-LIMIT_SLACK = 1e-9  # share by which a limit may be below a value's and still have this value
-ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # that are tried first [m/s]
+# a speed limit that is lower than that of a value by this share still gets the value
+LIMIT_SLACK = 1e-9
+ROUND_MULTIPLIERS = (1.0, 0.5, 0.1, 0.05, 0.01)  # tried in this order [m/s]
 
 
 class Zone(NamedTuple):
     """A part of a level that can be named: a room or a polygon."""
 
-    names: tuple[str, ...]  # that it can be called by
-    level: int
-    room_index: int | None  # of a room on its level; None for a polygon
-    mask: Bool | None  # cells of a polygon, shape (height, width); None for a room
+    names: tuple[str, ...]  # all names that it can be given by
+    level: int  # number of its level
+    room_index: int | None  # the room's index on its level; None for a polygon
+    mask: Bool | None  # the polygon's cells, shape (height, width); None for a room
 
 
 class FilterScale(NamedTuple):
-    """The scale of a speed mask's values: the limit is ``base + multiplier * value``."""
+    """What a speed mask's values stand for: the limit ``base + multiplier * value``.
+
+    Attributes:
+        type: nav2's number of the type of filter, such as `SPEED_PERCENT`.
+        base: the limit that the value 0 would stand for [% or m/s].
+        multiplier: by how much the limit grows for each 1 of the value [% or m/s].
+    """
 
     type: int = KEEPOUT
     base: float = 0.0
@@ -82,9 +90,9 @@ def encode_mask(
 ) -> Files:
     """Encode the masks of the keepout filter, or of the speed filter, one for each level.
 
-    Without zones, the masks mark the grid's areas: a keepout mask marks those that bar the agent; a
-    speed mask those with a speed limit. Limits are rounded down. Finite costs of areas are left out
-    of keepout masks, with a warning.
+    Without zones, the masks mark the grid's areas: a keepout mask the areas that bar the agent, a
+    speed mask the areas with a speed limit. Limits are rounded down. A keepout mask leaves out the
+    finite costs of areas, with a warning.
 
     Args:
         grid: the grid.
@@ -108,8 +116,8 @@ def encode_mask(
         parameters.
 
     Raises:
-        FormatError: a name is unknown, a limit is invalid or rounded down to 0, a polygon contains
-            no cell centre of its level, or there is nothing to mark.
+        FormatError: a name is unknown, a limit is invalid or rounded down to 0, a polygon marks no
+            cell of its level, or there is nothing to mark.
         QueryError: the grid has no such agent.
     """
     image = image or "pgm"
@@ -155,13 +163,13 @@ encode_speed = partial(encode_mask, has_limits=True)
 def _mark_areas(
     grid: NavGrid, agent: Agent | None, has_limits: bool, absolute: bool
 ) -> tuple[list[OccupancyValues], FilterScale]:
-    """Return the mask of each level by the grid's areas, and what the values stand for."""
-    values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # by area, from 1
+    """Make the mask of each level from the grid's areas; return the masks and their scale."""
+    values = np.zeros(len(grid.areas) + 1, dtype=np.int8)  # of each area; areas count from 1
     scale = FilterScale()
     if has_limits:
         agent_speed = DEFAULT_SPEED if agent is None else agent.speed
         scale = FilterScale(SPEED_PERCENT)
-        unit = agent_speed / 100.0  # limit of a value of 1 [m/s]
+        unit = agent_speed / 100.0  # the limit that the value 1 stands for [m/s]
         if absolute:
             unit = _find_multiplier([area.speed for area in grid.areas if area.speed is not None])
             scale = FilterScale(SPEED_ABSOLUTE, 0.0, unit)
@@ -184,16 +192,17 @@ def _mark_areas(
         if has_limits:
             what = "has a speed"
         raise FormatError(f"a mask needs zones or areas: no area of the grid {what}")
-    priced = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
-    if priced and not has_limits:
-        LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(priced))
+    costly_areas = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
+    if costly_areas and not has_limits:
+        LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(costly_areas))
     return [values[level.area_index] for level in grid.levels], scale
 
 
 def _find_multiplier(speeds: Sequence[float]) -> float:
-    """Find the limit of a value of 1 [m/s] so that values up to 100 stand for speeds [m/s].
+    """Find a multiplier [m/s] by which values up to 100 can stand for all of some speeds [m/s].
 
-    It is a round number if the values of all speeds are whole by it.
+    It is the first of `ROUND_MULTIPLIERS` of which all speeds are whole multiples. If there is
+    none, it is a hundredth of the largest speed.
     """
     max_speed = max(speeds, default=1.0)
     for multiplier in ROUND_MULTIPLIERS:
@@ -211,9 +220,9 @@ def _mark_zones(
     zones_path: str | PathLike[str] | None,
     has_limits: bool,
 ) -> list[OccupancyValues]:
-    """Return the mask of each level by rooms and polygons."""
+    """Make the mask of each level from zones, see `encode_mask` for the arguments."""
     available = _find_zones(grid, zones_path, has_limits)
-    marks: list[tuple[Zone, int]] = []  # zones and their values
+    marks: list[tuple[Zone, int]] = []  # (zone, value of its cells)
     if zone is None and not has_limits:
         marks = [(polygon, OCCUPIED) for polygon in available if polygon.mask is not None]
     for entry in zone or []:
@@ -244,7 +253,7 @@ def _mark_zones(
     masks: list[OccupancyValues] = [
         np.full(level.shape, FREE, dtype=np.int8) for level in grid.levels
     ]
-    # where zones overlap, the least value counts, so it is written last
+    # the least value is written last, so it counts where zones overlap
     for marked_zone, value in sorted(marks, key=lambda mark: -mark[1]):
         cells = marked_zone.mask
         if cells is None:
@@ -254,7 +263,10 @@ def _mark_zones(
 
 
 def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: bool) -> list[Zone]:
-    """Return the rooms of a grid, and the polygons of a file."""
+    """Return the rooms of a grid and the polygons of a file as zones.
+
+    A polygon has the cells whose centre is in it if `has_limits`, else all cells that it touches.
+    """
     zones = []
     for room in grid.rooms:
         names = [str(room.index), room.id]
@@ -289,7 +301,7 @@ def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: boo
 
 
 def _find_parameters_path(path: Path) -> Path:
-    """Return the path of the parameters of a mask's filter."""
+    """Return the path of the file with the filter's parameters, beside a mask's YAML."""
     return path.with_name(f"{path.stem}_filter{path.suffix}")
 
 
@@ -304,7 +316,7 @@ def read_mask(
     level: int = 0,
     agent: str | Agent | None = None,
 ) -> NavGrid:
-    """Read a mask of the keepout or speed filter as areas: one for each value except 0 and unknown.
+    """Read a mask of the keepout or speed filter as areas: one for each value above 0.
 
     In a keepout mask, 99 and 100 bar all agents, and lower values are nav2's costs.
 
@@ -314,7 +326,7 @@ def read_mask(
         has_limits: whether the mask is one of the speed filter.
         grid: the grid that gets the areas, after those that it has; None for a new grid of free
             cells. A cell gets the mask's value at its centre.
-        level: the number of the grid's level that the mask is of.
+        level: the number of the grid's level that the mask belongs to.
         agent: the agent whose speed is 100 %: a name in the grid, or an agent; 1 m/s if None.
 
     Returns:
@@ -418,7 +430,7 @@ def read_speed(
 
 
 def _make_area(value: int, scale: FilterScale, has_limits: bool, agent_speed: float) -> Area:
-    """Make the area of the cells with a value."""
+    """Make the area for the cells of a mask with some value."""
     if not has_limits:
         if value >= INSCRIBED:
             return Area("keepout" if value == OCCUPIED else f"keepout {value}", math.inf)
@@ -431,7 +443,7 @@ def _make_area(value: int, scale: FilterScale, has_limits: bool, agent_speed: fl
 
 
 def _read_parameters(path: Path) -> FilterScale:
-    """Read the parameters beside a mask; without them, values are percent."""
+    """Read the scale of a mask's values from the parameters beside it; else values are percent."""
     parameters_path = _find_parameters_path(path)
     if not parameters_path.exists():
         return FilterScale(SPEED_PERCENT)

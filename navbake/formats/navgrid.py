@@ -3,9 +3,9 @@
 Unknown fields of a grid, of its levels and of its metadata, and further tile attributes, are kept
 and written back; unknown fields inside an array or a bbox are dropped.
 
-``userData`` (names of objects by cell) are most of a large file and rarely needed. In files of
-`SPLIT_BYTES` and more, msgspec splits levels into fields without parsing these, and user data stay
-text until first use.
+``userData`` (for each cell, the names of objects) are most of a large file and rarely needed. So in
+files of `SPLIT_BYTES` and more, msgspec splits each level into its fields, and all fields but the
+user data are parsed; these stay text until they are first used.
 """
 
 import gzip
@@ -68,11 +68,11 @@ SCENE_FIELDS = (
     "min", "unit", "bbox", "timings",
 )  # fmt: skip
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
-# attributes of a grid that are parsed from tables of its metadata
+# attributes of a grid that hold parsed tables of its metadata
 LINK_TABLES = ("step_array", "links")
 METADATA_TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
-SPLIT_BYTES = 1 << 20  # below, all is parsed at once and msgspec stays unloaded
-CELLS_AT_ONCE = 1 << 16  # whose user data are encoded at once, to limit memory
+SPLIT_BYTES = 1 << 20  # smaller files are parsed at once, without msgspec
+CELLS_AT_ONCE = 1 << 16  # user data of so many cells are encoded at once, to limit memory
 
 
 # ---------------------------------------------------------------- reading
@@ -81,20 +81,23 @@ CELLS_AT_ONCE = 1 << 16  # whose user data are encoded at once, to limit memory
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     """Read a NavGrid file, plain or gzipped (detected by its content).
 
-    ``type``, ``width``, ``height``, ``cellSize`` and ``min`` are required (a level takes
-    ``cellSize`` and ``unit`` over from its MultiLevelGrid). Without ``weights``, a cell weighs 1
-    if its occupancy is 0 and its floor is known, as far as the file has these attributes. ``null``
-    is infinity in weights and NaN in float attributes, in raw data too, where the original client
-    keeps it.
+    ``type``, ``width``, ``height``, ``cellSize`` and ``min`` are required; a level without
+    ``cellSize`` or ``unit`` has the value of its MultiLevelGrid. Without ``weights``, a cell weighs
+    infinity if it is occupied or has no floor height, else 1; an attribute that the file lacks
+    doesn't count. ``null`` is infinity in weights and NaN in float attributes, also in raw data,
+    where the original client keeps it.
 
-    The ``userData`` of a file of 1 MiB and more are parsed on first use or on saving; only then
-    their faults raise a FormatError.
+    The ``userData`` of a file of 1 MiB and more are parsed when they are first used or saved; their
+    faults raise a FormatError only then.
 
     Args:
         source: a path, a file's content, or a file opened in binary mode.
         max_cells: the largest number of cells of all levels together; their arrays may take 128
             bytes per cell. If None: 100 million cells, and at most 256 MiB of memory plus 512 bytes
             for each byte of the file.
+
+    Returns:
+        The grid: a `SceneGrid2D` or a `MultiLevelGrid`.
 
     Raises:
         FormatError: the file can't be read or does not follow the format.
@@ -120,21 +123,21 @@ def _parse_file(content: bytes, top: JsonPath) -> Json:
     if len(content) >= SPLIT_BYTES:
         with suppress(msgspec.DecodeError, RecursionError, orjson.JSONDecodeError):
             fields = msgspec.json.decode(content, type=dict[str, msgspec.Raw])
-            is_house = orjson.loads(memoryview(fields.get("type", b"null"))) == "MultiLevelGrid"
-            if not is_house or "grids" not in fields:
+            kind = orjson.loads(memoryview(fields.get("type", b"null")))
+            if kind != "MultiLevelGrid" or "grids" not in fields:
                 return _parse_level(fields)
             levels = msgspec.json.decode(fields["grids"], type=list[dict[str, msgspec.Raw]])
-            house = {
+            other_fields = {
                 key: orjson.loads(memoryview(text))
                 for key, text in fields.items()
                 if key != "grids"
             }
-            return {**house, "grids": [_parse_level(level) for level in levels]}
+            return {**other_fields, "grids": [_parse_level(level) for level in levels]}
     return check_object(parse_json(content, top), top)  # names the line of the fault
 
 
 def _parse_level(fields: dict[str, msgspec.Raw]) -> Json:
-    """Parse the fields of a level, but for its ``userData``, which stay text."""
+    """Parse the fields of a level, except its ``userData``, which stay text."""
     level: Json = {}
     for key, raw in fields.items():
         text = memoryview(raw)
@@ -148,7 +151,7 @@ def read_multi_level_grid(
     """Make a MultiLevelGrid from the content of a file.
 
     Args:
-        content: the parsed file; a layer may be a `ReadLayer`.
+        content: the parsed file; instead of a layer's array, it may have a `ReadLayer`.
         top: the top of the file, for errors.
         allowance: what the arrays' memory is taken from.
         key: the key of the levels in the file, for errors.
@@ -162,7 +165,7 @@ def read_multi_level_grid(
     grids = content.get("grids", ABSENT)
     if not isinstance(grids, list) or not grids:
         top[key].refuse("a list of at least one level", grids)
-    defaults: Json = {}  # of the levels
+    defaults: Json = {}  # fields that count for levels without them
     for name in ("cellSize", "unit"):
         if content.get(name) is not None:
             check_number(content[name], top[name], positive=True)
@@ -175,7 +178,7 @@ def read_multi_level_grid(
         if level.get("type", "SceneGrid2D") != "SceneGrid2D":
             top[key][i]["type"].refuse("'SceneGrid2D'", level["type"])
         levels.append(read_level(level, top[key][i], allowance, defaults))
-    house = MultiLevelGrid(
+    grid = MultiLevelGrid(
         grids=levels,
         cell_size=float(defaults.get("cellSize", levels[0].cell_size)),
         unit=float(defaults.get("unit", 1)),
@@ -183,8 +186,8 @@ def read_multi_level_grid(
         timings=check_optional_object(content, "timings", top),
         extra=_unknown_fields(content, MULTI_FIELDS, top),
     )
-    check_grid(house, top, key)
-    return house
+    check_grid(grid, top, key)
+    return grid
 
 
 def read_level(
@@ -193,11 +196,11 @@ def read_level(
     """Make a level from its content in a file.
 
     Args:
-        content: the parsed level; a layer may be a `ReadLayer`.
+        content: the parsed level; instead of a layer's array, it may have a `ReadLayer`.
         place: its location in the file, for errors.
         allowance: what the arrays' memory is taken from.
-        defaults: fields of the grid of several levels, which the level takes over where it has
-            none: ``cellSize``, ``unit`` and ``metadata``.
+        defaults: ``cellSize``, ``unit`` and ``metadata`` of the MultiLevelGrid, which count where
+            the level has no such field.
 
     Returns:
         The level.
@@ -293,14 +296,14 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
 
 
 def _unknown_fields(content: Json, format_fields: tuple[str, ...], place: JsonPath) -> Json:
-    """Return the fields that the format doesn't have, which are kept and written back."""
+    """Return the fields of a file that the format doesn't have; they are kept and written back."""
     return {
         key: check_json(content[key], place[key]) for key in content if key not in format_fields
     }
 
 
 def _read_user_data(value: JsonValue, place: JsonPath, num_cells: int) -> UserData:
-    """Make user data, which are checked at once, or if they are still text, on first use."""
+    """Make a level's user data: parsed ones are checked now, ones that are text on first use."""
 
     def check_entries(value: JsonValue) -> dict[int, Json]:
         entries: Json = {} if value is None else check_object(check_json(value, place), place)
@@ -336,7 +339,7 @@ def check_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     for number, level in enumerate(grid.levels):
         place = top[key][number] if key else top
         edge = level.lattice.cell_size
-        if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
+        if not edge >= LEAST_EDGE:  # sizes and areas of smaller cells can't be computed
             place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
         if not all(abs(value) <= MAX_COORDINATE for value in (*level.lattice.bounds, level.ground)):
             place.fail(
@@ -442,14 +445,14 @@ def encode_files(grid: NavGrid, path: Path) -> Files:
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:
-    """Encode a grid as NavGrid JSON, arrays as runs.
+    """Encode a grid as NavGrid JSON, with run-length encoded arrays.
 
     NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
     level's metadata are left out if they equal those of its MultiLevelGrid.
 
     Raises:
-        FormatError: there are NaN or infinity outside of arrays, a dtype that the format lacks,
-            or values in the metadata, user data or extra fields that JSON lacks.
+        FormatError: a number outside of arrays is NaN or infinite, the format lacks an array's
+            dtype, or JSON can't hold a value in the metadata, user data or extra fields.
     """
     top = JsonPath("the grid to be written")
     if isinstance(grid, SceneGrid2D):
@@ -459,7 +462,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         grid_attributes = grid.cell_attributes
         levels = []
         for number, level in enumerate(grid.grids):
-            # a level that takes over the grid's metadata, all dtypes included, is written without
+            # metadata that equal the grid's, with all dtypes, are left out
             inherits = grid.inherits_metadata(number, level)
             inherits &= all(entry in grid_attributes for entry in level.cell_attributes)
             metadata = None if inherits else level.metadata
@@ -474,7 +477,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
             **_extra_fields(grid, top),
         }
 
-    try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
+    try:  # OPT_SERIALIZE_NUMPY only because of np.float64
         option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
         return orjson.dumps(fields, option=option)
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
@@ -482,7 +485,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
 
 
 def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
-    """Return the fields of a level as in a file, its metadata only if there are any to write."""
+    """Return the fields of a level as in a file; without metadata if `metadata` is None."""
 
     def encode_layer(
         array: NDArray[Any], layer_place: JsonPath, datatype: str | None = None
@@ -524,7 +527,7 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
 
 
 def _encode_metadata(grid: NavGrid, place: JsonPath) -> Json:
-    """Return the grid's metadata with ``cellAttributes`` of the existing arrays."""
+    """Return the grid's metadata, in which ``cellAttributes`` lists the arrays that exist."""
     place = place["metadata"]
     check_optional_object(grid.metadata, "navbake", place)
     metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
@@ -532,7 +535,7 @@ def _encode_metadata(grid: NavGrid, place: JsonPath) -> Json:
 
 
 def _extra_fields(grid: NavGrid, place: JsonPath) -> Json:
-    """Return the grid's extra fields after a check that they are JSON with names of their own."""
+    """Return the grid's extra fields, after a check that they are JSON and not the format's own."""
     check_extra(grid.extra, type(grid), place)
     return {key: check_json(grid.extra[key], place[key]) for key in grid.extra}
 

@@ -1,12 +1,12 @@
-"""NumPy archives of grids, of voxels, and single arrays, read without unpickling.
+"""NumPy files: archives of grids and of voxels, and single arrays. Nothing is unpickled.
 
 A grid is stored completely. ``numpy.load("house.npz")`` has the layers of level 0 as
-``0/weights``, ``0/floorHeight``, ``0/roomIndex`` and so on, shape (height, width), in their dtypes
-in memory. ``grid`` is UTF-8 JSON, as bytes, with the other fields of a NavGrid file, and
-``0/userData`` likewise the level's user data.
+``0/weights``, ``0/floorHeight``, ``0/roomIndex`` and so on, shape (height, width), with the dtypes
+that they have in memory. The array ``grid`` holds the other fields of a NavGrid file, and
+``0/userData`` the level's user data; both are bytes of JSON in UTF-8.
 
-Voxels are ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and ``names``, and
-``known`` if some are unknown.
+An archive of voxels has ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and
+``names``; and ``known`` if some voxels are unknown.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ VERSION = 1  # of both kinds of archives
 ZIP_MAGIC = b"PK"
 NPY_MAGIC = b"\x93NUMPY"
 GRID_MARKER = "grid"  # the array that marks archives of grids
-# names of attributes that are names of arrays as well
+# an attribute with such a name has an array of the same name
 PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
 
@@ -79,7 +79,7 @@ class Archive:
         Args:
             name: the array's name in the archive.
             place: the array's location, for errors.
-            is_text: whether its memory is taken from the allowance of text.
+            is_text: whether it counts as text, see `Allowance.take_text`, and not as an array.
 
         Raises:
             FormatError: there is no such array, or it is too large.
@@ -96,7 +96,7 @@ class Archive:
             return array
 
     def read_text(self, name: str, place: JsonPath) -> bytes:
-        """Read the text that an array of bytes holds.
+        """Read an array of bytes that holds a text; return the text.
 
         Args:
             name: the array's name in the archive.
@@ -130,10 +130,10 @@ class Archive:
 
 @contextmanager
 def _convert_errors(expected: str, name: str) -> Iterator[None]:
-    """Turn the errors of zipfile, zlib and numpy about broken content into a FormatError."""
+    """Turn errors of zipfile, zlib and numpy into a FormatError: the content is broken."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Python syntax in broken headers
+            warnings.simplefilter("ignore")  # about Python syntax in broken headers
             yield
     except FormatError:
         raise
@@ -186,7 +186,7 @@ def open_archive(
 
 
 def _pack_arrays(arrays: Mapping[str, Any]) -> bytes:
-    """Encode an archive of arrays by name."""
+    """Encode an archive; `arrays` maps the name of each array to it."""
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
     return file.getvalue()
@@ -287,7 +287,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
             number, level
         )
         place = top["levels"][number]
-        # arrays have their attributes' names if zip allows them
+        # attribute -> name of its array: the same one if a zip file may contain it
         array_names = {
             name: name if PLAIN_NAME.fullmatch(name) else f"attribute {i}"
             for i, name in enumerate(level.attributes)
@@ -360,8 +360,8 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         levels = [_decode_level(archive, number, entry) for number, entry in enumerate(entries)]
         if kind == "MultiLevelGrid":
             content = {**_merge_extra(document, MultiLevelGrid, top), "grids": levels}
-            house = navgrid.read_multi_level_grid(content, top, allowance, "levels")
-            return navgrid.warn_of_newer(house, top, version > VERSION)
+            grid = navgrid.read_multi_level_grid(content, top, allowance, "levels")
+            return navgrid.warn_of_newer(grid, top, version > VERSION)
         if kind != "SceneGrid2D" or len(entries) != 1:
             top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
         _check_extra_fields(document, SceneGrid2D, top)
@@ -371,7 +371,7 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
 
 
 def _decode_level(archive: Archive, number: int, value: object) -> Json:
-    """Return a level as in a NavGrid file, with functions that read its layers."""
+    """Return a level as in a NavGrid file; in place of its arrays are functions that read them."""
     place = archive.top["levels"][number]
     entry = check_object(value, place)
     array_names = check_object(entry.get("attributes", ABSENT), place["attributes"])
@@ -392,7 +392,7 @@ def _decode_level(archive: Archive, number: int, value: object) -> Json:
 
 
 def _check_extra_fields(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
-    """Return an entry's extra fields after a check that they have names of their own."""
+    """Return an entry's extra fields, after a check that none is a field of the format."""
     extra = check_optional_object(entry, "extra", place)
     navgrid.check_extra(extra, kind, place["extra"])
     return extra

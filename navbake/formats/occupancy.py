@@ -1,8 +1,8 @@
 """Levels as the values of ROS's ``nav_msgs/OccupancyGrid``: -1 unknown, 0 free to 100 occupied.
 
 Arrays have row 0 at the top (largest y), as everywhere in navbake; a message has it at the bottom.
-Values from 1 to 98 are costs from 1 to 252, as ``nav2_costmap_2d`` publishes costmaps, and 99 is
-a cell that the robot's centre can't be on.
+Values from 1 to 98 stand for costs from 1 to 252, as when ``nav2_costmap_2d`` publishes a costmap.
+99 is a cell where the robot's centre can't be.
 
 Source: nav2's ``costmap_2d_publisher.cpp`` for the values of costs.
 """
@@ -28,16 +28,17 @@ ndimage = lazy("scipy.ndimage")
 
 UNKNOWN = -1
 FREE = 0
-INSCRIBED = 99
+INSCRIBED = 99  # the robot's inscribed circle would meet an obstacle
 OCCUPIED = 100
-# of a cell that isn't blocked
+# costs of a cell that isn't blocked
 MIN_COST = 1
 MAX_COST = 252
 LETHAL_COST = 253  # least cost of a blocked cell
 QUARTER_TURN = math.pi / 2
-QUARTER_TOLERANCE = 0.1  # by which a map's farthest corner may be off a quarter turn [cells]
-MIN_COVER = 0.01  # share of a cell that occupied ones have to cover to make it occupied
-CELLS_AT_ONCE = 1 << 18  # compared at once, to limit memory
+# a yaw counts as whole quarter turns if a map's farthest corner moves by less [cells]
+QUARTER_TOLERANCE = 0.1
+MIN_COVER = 0.01  # a new cell is occupied if occupied cells of the map cover this share of it
+CELLS_AT_ONCE = 1 << 18  # so many are compared at once, to limit memory
 
 OccupancyValues: TypeAlias = NDArray[np.int8]
 """Values of ``nav_msgs/OccupancyGrid``, shape (height, width), row 0 at the top."""
@@ -46,9 +47,9 @@ OccupancyValues: TypeAlias = NDArray[np.int8]
 def compute_occupancy_values(grid: NavGrid, number: int) -> OccupancyValues:
     """Compute the values of a level's cells.
 
-    A cell is unknown where a grid with floors has none; free at finite weights, with a cost for
-    weights above 1; occupied at obstacles; and 99 where only an inflation or an added obstacle
-    blocks it.
+    A free cell is 0, or has a cost if its weight is above 1. A blocked cell is unknown if it has no
+    floor (and the grid has floor heights), else occupied if its occupancy isn't 0. All other
+    blocked cells are 99: only an inflation or an added obstacle blocks them.
 
     Args:
         grid: the grid.
@@ -106,7 +107,7 @@ def compute_costmap_values(
 
 
 def _publish_costs(costs: NDArray[np.uint8]) -> OccupancyValues:
-    """Convert costs from 0 to 255 to the values that nav2 publishes for them."""
+    """Convert nav2's costs, 0 to 255, to the values of an OccupancyGrid that nav2 publishes."""
     table = 1 + 97 * (np.arange(256) - 1) // 251
     table[0] = FREE
     table[LETHAL_COST:] = INSCRIBED
@@ -119,8 +120,8 @@ def level_from_values(
     """Make a level from occupancy values.
 
     Cells of 100 are occupied, those of 99 blocked, and those of -1 have no floor. Values from 1 to
-    98 become weights, of the lowest cost that nav2 publishes as that value. All cells except
-    unknown ones have a flat floor, also occupied ones.
+    98 become weights: the lowest cost that nav2 publishes as that value. All cells except unknown
+    ones have a flat floor, also occupied ones.
 
     Args:
         values: the values, shape (height, width), int8.
@@ -153,12 +154,12 @@ def level_from_rooms(
     ground: float,
     scene_id: str,
 ) -> SceneGrid2D:
-    """Make a flat level of a map that has free cells and rooms.
+    """Make a flat level of a map that states which cells are free, and their rooms.
 
     Args:
         free: where an agent can stand, shape (height, width), bool.
         rooms: the number of each cell's room from 1, 0 for none, of the same shape, uint16.
-        names: the rooms' names by number; rooms without a name are missing.
+        names: number of a room -> its name; rooms without a name are missing.
         lattice: the lattice of the cells.
         ground: world z of the floor [m].
         scene_id: the name of the scene.
@@ -179,9 +180,10 @@ def align_with_axes(
 ) -> tuple[OccupancyValues, Lattice]:
     """Resample a map with any yaw onto cells along the world's axes.
 
-    A yaw of whole quarter turns, to a tenth of a cell over the map's diagonal, only permutes the
-    cells. Otherwise a new cell has the value of the map at its centre, or -1 outside of the map;
-    but the new cell is occupied if occupied cells of the map cover at least 1 % of it.
+    If the yaw is a whole number of quarter turns (or off by so little that the map's farthest
+    corner moves by a tenth of a cell), the cells are only rearranged. Otherwise a new cell has the
+    value of the map at its centre, or -1 outside of the map; but the new cell is occupied if
+    occupied cells of the map cover at least 1 % of it.
 
     Args:
         values: the map's values, shape (height, width), int8.
@@ -216,8 +218,8 @@ def align_with_axes(
     if lattice.width * lattice.height > MAX_PIXELS:
         raise FormatError(f"the turned map has {lattice.width} × {lattice.height} cells, too many")
 
-    # row and column in the map of a new cell's centre are the matrix times its row and column,
-    # and those of the new cell [0, 0]
+    # the place (row, col) of a new cell's centre in the map is the matrix times the new cell's row
+    # and column, plus the place of the new cell [0, 0]
     first_x = lattice.x_min + 0.5
     first_y = lattice.y_max - 0.5
     matrix = [[cos, sin], [-sin, cos]]
@@ -233,7 +235,7 @@ def align_with_axes(
         cval=UNKNOWN,
     )
 
-    covered = np.zeros(lattice.shape)  # share of each cell, where it isn't occupied already
+    covered = np.zeros(lattice.shape)  # share of each new cell, unless that is occupied already
     occupied_rows, occupied_cols = np.nonzero(values == OCCUPIED)
     for begin in range(0, len(occupied_rows), CELLS_AT_ONCE):
         chunk = slice(begin, begin + CELLS_AT_ONCE)
@@ -268,15 +270,23 @@ def _add_covered_shares(
     cos: float,
     sin: float,
 ) -> None:
-    """Add to `covered` the shares of cells that turned unit squares cover.
+    """Add to `covered` the share of each new cell that occupied cells of the map cover.
 
-    The squares are occupied cells of a map, turned about their centres, shape (n, 2) [cells]; only
-    cells that aren't occupied themselves count. By separating axes, two squares overlap where
-    their centres are nearer than half of their extents together along each side's direction. The
-    area is half the sum of the cross products of the ends of all sides' parts in the other square
-    (Green's theorem).
+    An occupied cell is a turned unit square. It overlaps a new cell if along each of the four
+    directions of their sides, their centres are nearer than half of both extents together
+    (separating axes). The overlap is bounded by the parts of each square's sides that are inside of
+    the other square; its area follows from the ends of these parts (Green's theorem).
+
+    Args:
+        covered: the share of each new cell that is covered so far, shape (height, width).
+        turned: the values of the new cells, of the same shape; occupied ones are left out.
+        lattice: the lattice of the new cells, with cells of edge 1.
+        centers: the centres of some occupied cells in the lattice's frame, shape (n, 2) [cells].
+        cos: the cosine of the map's yaw.
+        sin: the sine of the map's yaw.
     """
-    reach = (1.0 + abs(cos) + abs(sin)) / 2  # half extents along any of the four directions
+    # half of both extents together, the same along all four directions [cells]
+    max_distance = (1.0 + abs(cos) + abs(sin)) / 2
     row, col = lattice.rows_cols(centers)
     for down, right in np.ndindex(3, 3):
         rows = row + down - 1
@@ -285,24 +295,32 @@ def _add_covered_shares(
         dy = lattice.y_max - rows - 0.5 - centers[:, 1]
         u = cos * dx + sin * dy
         v = cos * dy - sin * dx
-        meets = np.max(np.abs([dx, dy, u, v]), axis=0) < reach
-        meets &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-        meets[meets] = turned[rows[meets], cols[meets]] != OCCUPIED
-        # the cell's centre from the square's, along the cell's sides and along the square's
-        offset = np.stack([dx, dy], axis=-1)[meets]
-        turned_offset = np.stack([u, v], axis=-1)[meets]
-        # both about the square's centre: the cell's sides in the square, and the reverse
+        overlaps = np.max(np.abs([dx, dy, u, v]), axis=0) < max_distance
+        overlaps &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+        overlaps[overlaps] = turned[rows[overlaps], cols[overlaps]] != OCCUPIED
+        # from the square's centre to the cell's, along the cell's sides and along the square's
+        offset = np.stack([dx, dy], axis=-1)[overlaps]
+        turned_offset = np.stack([u, v], axis=-1)[overlaps]
+        # the cell's sides in the square, and the square's in the cell, about the square's centre
         area = _integrate_sides(turned_offset, cos, -sin, True)
         area = area + _integrate_sides(-offset, cos, sin, False)
-        np.add.at(covered, (rows[meets], cols[meets]), area)
+        np.add.at(covered, (rows[overlaps], cols[overlaps]), area)
 
 
 def _integrate_sides(centers: Float, cos: float, sin: float, about_origin: bool) -> Float:
-    """Return half the cross products of the parts of squares' sides in a unit square at 0, 0.
+    """Integrate over the parts of turned squares' sides that are inside of a fixed square.
 
-    The squares are unit squares, turned, with these centres, shape (n, 2); the products are about
-    the origin, or else about each centre. Sides are cut by Liang and Barsky's algorithm. The
-    result has shape (n,).
+    All squares have edge 1; the fixed one has its centre at 0, 0. Sides are cut by Liang and
+    Barsky's algorithm.
+
+    Args:
+        centers: the centres of the turned squares, shape (n, 2).
+        cos: the cosine of their yaw.
+        sin: the sine of their yaw.
+        about_origin: whether the integral is about 0, 0; else it is about each square's centre.
+
+    Returns:
+        For each square, half the sum of the cross products of the ends of these parts, shape (n,).
     """
     total = np.zeros(len(centers))
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])

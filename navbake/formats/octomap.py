@@ -28,28 +28,28 @@ DEPTH = 16
 CENTER_KEY = 2**15  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
-LATTICE_TOLERANCE = 1e-3  # by which a grid may be off the tree's lattice [voxels]
-LEAF_BYTES = 20  # of a leaf in memory
+LATTICE_TOLERANCE = 1e-3  # by how much a grid may be off the tree's lattice [voxels]
+LEAF_BYTES = 20  # of memory for a leaf
 # OctoMap's clamping thresholds: the log-odds of certainly free or occupied voxels, as bytes
 CERTAIN_ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
-# states of nodes as bits, joined by bitwise or. MIXED nodes have children that differ, MIXED_FREE
-# ones no occupied child
+# states of nodes, as bits: the states of several nodes are joined by bitwise or. MIXED and
+# MIXED_FREE are nodes whose children differ; all voxels in a MIXED_FREE node are free or unknown
 UNKNOWN = 1
 FREE = 2
 OCCUPIED = 4
 MIXED_FREE = 8
 MIXED = 16
-NODE_STATES = np.full(32, MIXED_FREE, np.uint8)  # by the bitwise or of the children's states
+NODE_STATES = np.full(32, MIXED_FREE, np.uint8)  # bitwise or of the children's states -> state
 NODE_STATES[[state for state in range(32) if state & (OCCUPIED | MIXED)]] = MIXED
 NODE_STATES[[UNKNOWN, FREE, OCCUPIED]] = [UNKNOWN, FREE, OCCUPIED]
-# what a node's entry says of a child, by its state: two bits in a ``.bt``, one in an ``.ot``
+# state of a child -> its bits in the node's entry: two in a ``.bt``, one in an ``.ot``
 CHILD_BITS = {"bt": np.full(17, 3, np.int64), "ot": np.ones(17, np.int64)}
 CHILD_BITS["bt"][[UNKNOWN, FREE, OCCUPIED]] = [0, 1, 2]
 CHILD_BITS["ot"][UNKNOWN] = 0
 
 
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
-    """Encode a grid on whole multiples of its edge as an octree, ``bt`` or ``ot``.
+    """Encode voxels as an octree; their corners must be whole multiples of their edge.
 
     Args:
         grid: the voxels; those with an ID count as occupied.
@@ -60,7 +60,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         The content of the file.
 
     Raises:
-        FormatError: the kind is unknown, or the voxels are not on the tree's lattice or beyond its
+        FormatError: the kind is unknown, or the voxels are off the tree's lattice or beyond its
             extent.
     """
     if kind not in FIRST_LINES:
@@ -73,7 +73,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     if free:
         is_known = True if grid.known is None else grid.known
         states[~grid.occupied & is_known] = FREE
-    # of all nodes that have an entry in the file
+    # for all nodes that have an entry in the file: sort key, entry, state
     orders: list[Int] = []
     entries: list[Int] = []
     node_states: list[Int] = []
@@ -126,7 +126,14 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
 
 
 def _morton_codes(places: Int) -> Int:
-    """Interleave the bits of x, y, z below 2**16, x the lowest; shapes (n, 3) to (n,)."""
+    """Interleave the bits of x, y and z: those of x are the lowest of each three.
+
+    Args:
+        places: x, y, z, each below 2**16, shape (n, 3).
+
+    Returns:
+        The codes, shape (n,).
+    """
     codes = places.copy()
     masks = (0xFF0000FF, 0xF00F00F00F, 0xC30C30C30C3, 0x249249249249)
     for shift, mask in zip((16, 8, 4, 2), masks, strict=True):
@@ -136,7 +143,7 @@ def _morton_codes(places: Int) -> Int:
 
 
 def _find_first_key(grid: VoxelGrid) -> Int:
-    """Return the tree's key of the first voxel along each axis."""
+    """Return the keys of the grid's first voxel along each axis, shape (3,)."""
     place = np.array(grid.origin) / grid.res
     nearest = np.round(place)
     offset = np.abs(place - nearest).max()
@@ -147,9 +154,9 @@ def _find_first_key(grid: VoxelGrid) -> Int:
             f"{offset * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
     if np.abs([nearest, nearest + grid.shape]).max() > CENTER_KEY:
-        reach = CENTER_KEY * grid.res
+        max_extent = CENTER_KEY * grid.res
         raise FormatError(
-            f"an octree reaches {reach:g} m from the origin with voxels of {grid.res:g}"
+            f"an octree reaches {max_extent:g} m from the origin with voxels of {grid.res:g}"
             " m, and this grid goes beyond: expected larger voxels or a grid nearer to the origin"
         )
     return np.asarray(nearest.astype(np.int64) + CENTER_KEY)
@@ -232,7 +239,10 @@ def read_octomap(
 
 
 def _find_box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]:
-    """Return first keys and counts of the voxels in a box, without those that it only touches."""
+    """Return the first keys and the counts of the voxels that overlap a box, along each axis.
+
+    Voxels that the box only touches don't count.
+    """
     box = finite_array(bounds, (2, 3))
     if box is None or not (box[0] < box[1]).all():
         expected = "bounds as (lower, upper) corner [m]"
@@ -255,7 +265,7 @@ def _find_box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]
 
 
 def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
-    """Read kind, number of nodes and edge of voxels [m] from a header, and the data's offset."""
+    """Return a file's kind, number of nodes, edge of voxels [m], and the offset of its data."""
     first_line = data[:200].partition(b"\n")[0].decode("ascii", errors="replace").strip()
     kind = next((kind for kind, line in FIRST_LINES.items() if first_line == line), None)
     if kind is None:

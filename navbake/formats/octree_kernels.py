@@ -13,7 +13,7 @@ UNKNOWN = 0
 FREE = 1
 OCCUPIED = 2
 INNER = 3
-# faults, in place of a number of leaves
+# faults, which are returned instead of the number of leaves
 OVERRUN = -1
 TOO_DEEP = -2
 
@@ -23,20 +23,22 @@ def read_leaves(data, odds, has_odds, leaves):
     """Read the nodes of a ``.bt``, or of an ``.ot``, depth first.
 
     Args:
-        data: the nodes' bytes, shape (m,), uint8. In a ``.bt``, 2 bits for each child of a node
-            with children. In an ``.ot``, for each node 4 bytes of log-odds, and a byte whose bits
-            say which children exist.
-        odds: the log-odds of an ``.ot``, by node, float32; 0 and more are occupied.
-        has_odds: whether the data are those of an ``.ot``.
-        leaves: receives each leaf's first key x, y, z, its level, and 1 if it is occupied, shape
-            (n, 5), int32; empty to only count the leaves.
+        data: the nodes' bytes, shape (m,), uint8. In a ``.bt``, a node with children has 2 bytes, 2
+            bits for each child. In an ``.ot``, each node has 4 bytes of log-odds, and a byte whose
+            bits say which children exist.
+        odds: the log-odds of each node of an ``.ot``, float32; a node of 0 or more is occupied.
+        has_odds: whether the data come from an ``.ot``.
+        leaves: receives a row for each leaf: its lowest key along x, y and z, its level (its edge
+            is 2**level voxels), and 1 if it is occupied; shape (n, 5), int32. Empty to only count
+            the leaves.
 
     Returns:
-        The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where
-        the data are wrong.
+        The number of leaves, the number of bytes that were read, and the number of nodes. The first
+        is OVERRUN or TOO_DEEP if the data are wrong.
     """
     writes_leaves = leaves.shape[0] > 0
-    # of (level, x, y, z), level 16 the root, 0 a voxel; 8 children wait at each level at most
+    # rows (level, x, y, z) of nodes to be read; level 16 is the root, level 0 a voxel; at most 8
+    # children of each level wait here
     stack = np.zeros((8 * (DEPTH + 1), 4), np.int64)
     stack[0, 0] = DEPTH
     depth = 1
@@ -97,8 +99,8 @@ def fill_leaves(leaves, first, values, is_known):
     """Write leaves into voxels.
 
     Args:
-        leaves: the leaves, as `read_leaves` has them, shape (n, 5), int32.
-        first: the key of the first voxel along each axis, shape (3,), int64.
+        leaves: the leaves, see `read_leaves`, shape (n, 5), int32.
+        first: the keys of the first voxel along x, y and z, shape (3,), int64.
         values: receives whether each voxel is occupied, shape (nx, ny, nz), bool.
         is_known: receives True in each voxel that a leaf covers, of the same shape.
     """

@@ -1,10 +1,11 @@
 """Maps of OmniGibson and iGibson: square grey PNGs of 0.01 m a pixel.
 
-The origin is in the middle of the image, columns run along x, and rows along y, from the lowest.
-``floor_trav_0.png`` is 255 where a robot's centre may be on floor 0. ``floor_insseg_0.png`` has the
-number of the room, and ``floor_semseg_0.png`` that of its category, a line of
-``room_categories.txt``, both 0 outside of rooms. OmniGibson has room maps of floor 0 only.
-Files that navbake writes also have the cells in a text chunk of the PNG, which it reads back.
+The world's origin is in the middle of the image. Columns run along x, rows along y; the first row
+has the lowest y. ``floor_trav_0.png`` is 255 where a robot's centre may be on floor 0. Of each
+pixel, ``floor_insseg_0.png`` has the number of the room, and ``floor_semseg_0.png`` the number of
+the room's category: its line in ``room_categories.txt``, from 1. Both are 0 outside of rooms.
+OmniGibson has room maps of floor 0 only. In files that navbake writes, a text chunk of the PNG also
+states the grid's cells, which navbake reads back.
 
 Sources: ``map_base.py``, ``traversable_map.py`` and ``segmentation_map.py`` of OmniGibson.
 """
@@ -33,14 +34,15 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import MAX_COORDINATE, Lattice
 from navbake.types import Json
 
-MAX_ROOMS = 255  # numbers in a byte
-PIXEL_SIZE = 0.01  # edge [m]
-PIXEL_MARGIN = 1e-7  # [m], by which a pixel is smaller on each side: cells' edges aren't exact
+MAX_ROOMS = 255  # largest number in a byte
+PIXEL_SIZE = 0.01  # edge of a pixel [m]
+# a pixel counts as smaller by this on each side, because cells' edges are rounded [m]
+PIXEL_MARGIN = 1e-7
 ROOMS_FILE = "floor_insseg_0.png"
 CATEGORIES_FILE = "floor_semseg_0.png"
 CATEGORY_NAMES_FILE = "room_categories.txt"
 DEFAULT_CATEGORY = "room"
-NO_OBJECTS = "no_obj"  # in the name of a map without furniture
+NO_OBJECTS = "no_obj"  # part of the name of a map without furniture
 TRAILING_NUMBER = re.compile(r"[\s_-]*\d*$")  # at the end of a room's name
 
 
@@ -78,7 +80,7 @@ def encode_omnigibson(
             raise FormatError(
                 f"expected {expected}, got {got}", value=lattice.cell_size, expected=expected
             )
-        # half of the image's edge; 0 has to be in room maps
+        # half of the image's edge [pixels]; room maps need a 0, so there is a margin
         half_size = math.ceil(max(map(abs, lattice.bounds)) / PIXEL_SIZE) + 1
         if (2 * half_size) ** 2 > MAX_PIXELS:
             extent = half_size * PIXEL_SIZE
@@ -92,8 +94,9 @@ def encode_omnigibson(
             )
         text = orjson.dumps({**lattice._asdict(), "ground": scene.ground}).decode()
         free = np.ones((2 * half_size, 2 * half_size), dtype=bool)
-        reach = PIXEL_SIZE / 2 - PIXEL_MARGIN  # a pixel meets two cells at most along each axis
-        for right, up in itertools.product((-reach, reach), repeat=2):
+        # a pixel overlaps two cells at most along each axis: those at its corners
+        half_pixel = PIXEL_SIZE / 2 - PIXEL_MARGIN
+        for right, up in itertools.product((-half_pixel, half_pixel), repeat=2):
             free &= _sample_pixels(scene.free, lattice, half_size, right, up)
         pixels = np.where(free, np.uint8(255), np.uint8(0))
         map_path = path.with_name(f"{path.stem}_{number}{path.suffix}")
@@ -106,9 +109,14 @@ def encode_omnigibson(
 def _sample_pixels(
     layer: NDArray[Any], lattice: Lattice, half_size: int, right: float = 0.0, up: float = 0.0
 ) -> NDArray[Any]:
-    """Return a layer's values at all pixels' middles, moved right and up [m].
+    """Return a layer's value at a point of each pixel; 0 outside of the lattice.
 
-    Outside of the lattice they are 0.
+    Args:
+        layer: the value of each cell, shape (height, width).
+        lattice: the lattice of the cells.
+        half_size: half of the image's edge [pixels].
+        right: how far the point is to the right of the pixel's middle [m].
+        up: how far the point is above the pixel's middle [m].
     """
     middle = (np.arange(2 * half_size) + (0.5 - half_size)) * PIXEL_SIZE
     rows, cols = lattice.rows_cols(np.stack([middle + right, middle + up], axis=-1))
@@ -123,7 +131,7 @@ def _sample_pixels(
 def _encode_room_maps(
     grid: NavGrid, folder: Path, half_size: int, categories: Path | None
 ) -> Files:
-    """Encode the room maps of level 0, and its categories if no file of them is given."""
+    """Encode the room maps of level 0, and a list of categories if no file of them is given."""
     level = grid.levels[0]
     category_of_room = {
         room.index: _find_category(room.name or "") for room in grid.rooms if room.level == 0
@@ -147,7 +155,7 @@ def _encode_room_maps(
                 raise FormatError(
                     f"{what}: {remedy}", path=str(categories), value=category, hint=remedy
                 )
-    # the number of each room's category: its line, from 1
+    # index of a room -> number of its category: its line in the list, from 1
     category_numbers = np.zeros(num_rooms + 1, dtype=np.int64)
     if DEFAULT_CATEGORY in category_names:
         category_numbers[1:] = category_names.index(DEFAULT_CATEGORY) + 1
@@ -164,7 +172,7 @@ def _encode_room_maps(
 
 
 def _find_category(room_name: str) -> str:
-    """Return the category of a room: ``living_room`` of ``Living room 2``."""
+    """Return the category of a room by its name: ``Living room 2`` is a ``living_room``."""
     name = TRAILING_NUMBER.sub("", room_name.lower())
     return name.replace(" ", "_") or DEFAULT_CATEGORY
 
@@ -172,8 +180,8 @@ def _find_category(room_name: str) -> str:
 def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     """Read a traversability map as a grid of one level, with the rooms of room maps beside it.
 
-    Cells are pixels of 0.01 m; those of a map that navbake wrote are the cells of the written grid.
-    All have a flat floor, at z = 0 unless navbake wrote the map. Rooms are numbered as in
+    Cells are the pixels of 0.01 m; for a map that navbake wrote, they are the cells of the written
+    grid. All have a flat floor, at z = 0 unless navbake wrote the map. Rooms are numbered as in
     ``floor_insseg_0.png``, which is read beside a map whose name ends in ``_0``; with
     ``room_categories.txt``, they are named as OmniGibson names them, ``bedroom_0``.
 
@@ -232,7 +240,7 @@ def list_room_maps(path: Path) -> list[Path]:
 
 
 def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
-    """Return the lattice and the ground that navbake wrote into a map."""
+    """Return the lattice and the ground that the text of a map states."""
     try:
         cells: Json = orjson.loads(text)
         ground = float(cells.pop("ground"))
@@ -256,9 +264,17 @@ def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
 
 
 def _read_room_maps(folder: Path, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
-    """Read the room number of each pixel, and the rooms' names as OmniGibson's.
+    """Read the room number of each pixel, and the names that OmniGibson gives the rooms.
 
-    A name is the category of a room's first pixel, and the room's number in it, from 0.
+    A name is the room's category (that of its first pixel) with a number: the rooms of a category
+    are counted from 0.
+
+    Args:
+        folder: the folder of the maps.
+        size: the edge of each image [pixels].
+
+    Returns:
+        The image of room numbers, and number of a room -> its name.
     """
     rooms = _read_room_map(folder / ROOMS_FILE, size)
     categories = _read_room_map(folder / CATEGORIES_FILE, size)

@@ -1,10 +1,9 @@
 """Covers cells by rectangles on each of which the floor is a plane, greedily, row by row.
 
-Each cell that isn't covered yet, in reading order, becomes the upper left cell of a rectangle. Of
-the planes through the cell (level, or sloped along its row, its column or both), the kernel takes
-the one whose rectangle has the most cells, and of equal rectangles the one with fewer rows. That
-does not find the smallest possible number of rectangles, but comes near it on floor plans. Where
-all heights are the same, these are rectangles of one label.
+In reading order, each cell that isn't covered yet becomes the upper left cell of a rectangle. There
+are four planes through the cell: horizontal, or sloped along its row, its column or both. The
+kernel takes the one whose rectangle has the most cells; of several, the first in this order. That
+does not find the smallest possible number of rectangles, but comes near it on floor plans.
 """
 
 import numpy as np
@@ -18,14 +17,14 @@ FIRST_CAPACITY = 1024
 def cover_planes(labels, heights, tolerance, max_rise):
     """Cover all cells whose label isn't 0 by rectangles of one label and one plane each.
 
-    A rectangle's plane runs through the height of its first cell. It is level, or has the slope of
-    the next two cells to the right, below, or both, if these rise evenly.
+    A rectangle's plane has the height of its first cell there. It is horizontal, or has the slope
+    of the next two cells to the right, below, or both, if these rise evenly.
 
     Args:
         labels: the label of each cell, shape (height, width), int32.
         heights: the height at each cell's centre, of the same shape, float64 [m].
-        tolerance: by how much a height may be off its plane [m].
-        max_rise: the largest rise of a plane over a cell [m].
+        tolerance: by how much a cell's height may be off its plane [m].
+        max_rise: the largest rise of a plane from one cell to the next [m].
 
     Returns:
         Two arrays with a row for each rectangle. The first, shape (n, 4), int64, has the first row,
@@ -76,7 +75,10 @@ def cover_planes(labels, heights, tolerance, max_rise):
 
 @subkernel
 def _even_rise(labels, heights, is_open, row, col, down, right, tolerance):
-    """Return the rise over a cell along three cells of one label; 0 if they don't rise evenly."""
+    """Return the rise from cell to cell of three cells of one label in a line [m].
+
+    It is 0 if they don't rise evenly. The line leads `down` rows and `right` columns on each time.
+    """
     last_row = row + 2 * down
     last_col = col + 2 * right
     if last_row >= labels.shape[0] or last_col >= labels.shape[1]:
@@ -94,10 +96,11 @@ def _even_rise(labels, heights, is_open, row, col, down, right, tolerance):
 
 @subkernel
 def _largest_rectangle(labels, heights, is_open, row, col, x, y, tolerance):
-    """Return the rows and columns of the largest rectangle on a plane, from its upper left cell.
+    """Return the numbers of rows and columns of the largest rectangle with a given upper left cell.
 
-    `x` and `y` are the plane's rise from column to column and from row to row. Row by row, the
-    width is the number of cells from the first column on that lie on the plane in all rows so far.
+    All of its cells have one label and lie on a plane, which rises by `x` from column to column and
+    by `y` from row to row. Of several rectangles, the one with the fewest rows is taken. Row by
+    row, the width is the number of cells, from the first column on, that fit in all rows so far.
     """
     label = labels[row, col]
     first_height = heights[row, col]

@@ -224,7 +224,7 @@ def _find_wall_cells(grid: NavGrid, number: int, lifts: Iterable[Link]) -> Bool:
     names_wall = np.zeros(level.shape, dtype=np.bool_)
     for cell_id, entry in level.user_data.items():
         names_wall.flat[cell_id] = bool(entry.get("walls"))
-    is_wall = level.solid != 0
+    is_wall: Bool = level.solid != 0
     is_wall &= names_wall if names_wall.any() else ~np.isnan(level.floor)
     is_wall &= ~mark_door_cells(grid, number, in_current_state=False)
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
