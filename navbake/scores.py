@@ -420,7 +420,7 @@ class Measures:
         cells = cells[(island_of_cell[cells] == island) & (island > 0)]
         if not len(cells):
             return 0.0
-        distance = search.field(cells, by="length", backwards=False)
+        distance = search.lengths_from(cells)
         covered = np.flatnonzero((distance <= self.radius) & (island_of_cell == island))
         cell_size = flat.layout.cell_size[flat.level_of(covered)]
         return float((cell_size**2).sum() / search.islands.areas[island])

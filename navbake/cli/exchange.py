@@ -281,9 +281,9 @@ def _warn_of_closed_connections(before: Search, after: Search, radius: float) ->
         after: a search on the inflated grid.
         radius: the radius of the inflation, for the warning [m].
     """
-    from navbake.runtime.passage import find_closed_connections  # loads numpy
+    from navbake.runtime.passage import find_lost_connections  # loads numpy
 
-    closed = find_closed_connections(before, after)
+    closed = find_lost_connections(before, after)
     if closed:
         names = ", ".join(name for name, _ in closed)
         num_before = before.islands.count

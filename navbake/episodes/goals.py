@@ -128,7 +128,7 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     """
     flat = finder.search.flat
     if goal.room is not None:
-        return np.flatnonzero(finder.search.allowed(room=goal.room))
+        return np.flatnonzero(finder.search.mark_allowed(room=goal.room))
     points = [view.position for view in goal.view_points]
     if not points and goal.position:
         points = [goal.position]

@@ -415,11 +415,10 @@ class GridMethods:
             >>> path.length
             6.31
         """
-        from navbake.runtime.path_finder import plan_path
+        from navbake.runtime.path_finder import PathFinder
 
-        return plan_path(
-            self._as_grid(), start, goal, level=level, by=by, smooth=smooth, agent=agent
-        )
+        finder = PathFinder(self._as_grid(), agent=agent)
+        return finder.find_path(start, goal, level=level, by=by, smooth=smooth)
 
     def routes(self, agent: str | Agent | None = None) -> RouteGraph:
         """Make the graph of routes for an agent, as the grid is now.

@@ -88,7 +88,7 @@ class _Builder:
         # by cell
         islands = self.search.islands
         is_large = islands.areas >= MIN_ISLAND_AREA
-        self.inside: Bool = self.flat.free & is_large[islands.number]
+        self.is_routable: Bool = self.flat.free & is_large[islands.number]
         self.clearance = _measure_clearance(self.grid, self.flat)
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
         self.leaf_doors = {
@@ -97,7 +97,7 @@ class _Builder:
             for cell in find_leaf_cells(door, self.flat).tolist()
         }
 
-        self.lowest_price = float(self.flat.weight[self.flat.free].min(initial=1.0))
+        self.least_weight = float(self.flat.weight[self.flat.free].min(initial=1.0))
         self.links = [
             link
             for link in self.grid.links
@@ -124,7 +124,7 @@ class _Builder:
         """The stairs of the grid, each with its widest step that agents reach."""
         stairs = []
         for number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, self.flat)):
-            free_steps = steps[self.inside[steps].all(axis=1)]
+            free_steps = steps[self.is_routable[steps].all(axis=1)]
             if not len(free_steps):
                 continue
             clearance = np.round(self.clearance[free_steps].min(axis=1), DECIMALS)
@@ -178,13 +178,13 @@ class _Builder:
                 self._add_node(cell, "stop", f"{stairs.name} {self.flat.level_of(cell)}")
         for door in self.grid.doors:
             cells = find_leaf_cells(door, self.flat)
-            cells = cells[self.inside[cells]]
+            cells = cells[self.is_routable[cells]]
             if len(cells):
                 widest = int(cells[np.argmax(np.round(self.clearance[cells], DECIMALS))])
                 self._add_node(widest, "door", door.id, door=door.id)
         rooms = self.search.rooms
         for number, room in enumerate(rooms.rooms, 1):
-            cells = np.flatnonzero((rooms.number == number) & self.inside)
+            cells = np.flatnonzero((rooms.number == number) & self.is_routable)
             if len(cells):
                 # of several with the same clearance, the nearest to the room's centre
                 from_center = np.linalg.norm(self.flat.positions(cells) - room.centroid, axis=1)
@@ -202,7 +202,7 @@ class _Builder:
         cells_of_levels = []
         for number, level in enumerate(self.grid.levels):
             level_cells = self.flat.cells_of(number)
-            axis = thin_mask(self.inside[level_cells].reshape(level.shape))
+            axis = thin_mask(self.is_routable[level_cells].reshape(level.shape))
             _, num_branches = _count_neighbors(np.pad(axis, 1))
             branching = np.flatnonzero(axis & (num_branches >= 3))
             cells_of_levels.append(level_cells.start + branching)
@@ -220,7 +220,7 @@ class _Builder:
 
     def _add_waypoints(self) -> None:
         """Add waypoints until every cell is near a node, beginning with the farthest cells."""
-        cells = np.flatnonzero(self.inside)
+        cells = np.flatnonzero(self.is_routable)
         positions = self.flat.positions(cells)
         positions[:, 2] += 1e3 * self.flat.level_of(cells)  # other levels are far
         tree = spatial.cKDTree(positions)
@@ -261,19 +261,19 @@ class _Builder:
         if self.search.can_pass(start_xy, end_xy, level):
             return True
         _, (row, target_row), (col, target_col) = self.flat.split(np.array([cell, target]))
-        down = int(target_row - row)
-        across = int(target_col - col)
-        num_steps = max(abs(down), abs(across))
-        is_straight = down == 0 or across == 0 or abs(down) == abs(across)
+        row_offset = int(target_row - row)
+        col_offset = int(target_col - col)
+        num_steps = max(abs(row_offset), abs(col_offset))
+        is_straight = row_offset == 0 or col_offset == 0 or abs(row_offset) == abs(col_offset)
         if not num_steps or not is_straight:
             return False
-        row_step = down // num_steps
-        col_step = across // num_steps
+        row_step = row_offset // num_steps
+        col_step = col_offset // num_steps
         directions = list(zip(ROW_STEP, COL_STEP, strict=True))
         bit = directions.index((row_step, col_step))
         cell_step = row_step * int(self.flat.layout.width[level]) + col_step
-        passed = cell + cell_step * np.arange(num_steps)
-        return bool((self.search.graph.moves[passed] >> bit & 1).all())
+        crossed_cells = cell + cell_step * np.arange(num_steps)
+        return bool((self.search.graph.moves[crossed_cells] >> bit & 1).all())
 
     # ---------------------------------------------------------------- lanes
 
@@ -292,11 +292,11 @@ class _Builder:
     def _line_cost(self, points: Float, level: int) -> float:
         """The cost of a line on a level, shape (n, 2) [m]."""
         return sum(
-            float(np.hypot(*(end - start))) * self._mean_price(start, end, level)
+            float(np.hypot(*(end - start))) * self._mean_weight(start, end, level)
             for start, end in itertools.pairwise(points)
         )
 
-    def _mean_price(self, start: Float, end: Float, level: int) -> float:
+    def _mean_weight(self, start: Float, end: Float, level: int) -> float:
         """The mean weight of the cells on a straight line."""
         return float(self.flat.weight[self._cells_on_line(start, end, level)].mean())
 
@@ -318,7 +318,7 @@ class _Builder:
         """The doors in which two nodes stand, and None."""
         return {None, self.nodes[node].door, self.nodes[target].door}
 
-    def _is_free(self, node: int, target: int, allowed_doors: set[str | None]) -> bool:
+    def _is_lane_free(self, node: int, target: int, allowed_doors: set[str | None]) -> bool:
         """Whether a straight lane is free, and leads through no doors but those allowed."""
         is_seen = self._sees(self.cells[node], self.cells[target])
         return is_seen and self._doors_on_lane(node, target) <= allowed_doors
@@ -397,9 +397,9 @@ class _Builder:
         pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
         for node, target, length in self._shortest_first(pairs):
             if (
-                self.route_costs[node, target] > MAX_DETOUR * length * self.lowest_price
+                self.route_costs[node, target] > MAX_DETOUR * length * self.least_weight
                 and self.route_costs[node, target] > MAX_DETOUR * self._lane_cost(node, target)
-                and self._is_free(node, target, self._doors_of_ends(node, target))
+                and self._is_lane_free(node, target, self._doors_of_ends(node, target))
             ):
                 self._add_straight_lane(node, target)
 
@@ -428,7 +428,7 @@ class _Builder:
             is_near = is_near + is_near @ touches
         near_pairs = np.stack(sparse.triu(is_near, 1).nonzero(), axis=1)
         for node, target, length in self._shortest_first(near_pairs):
-            if self.route_costs[node, target] > MAX_DETOUR * length * self.lowest_price:
+            if self.route_costs[node, target] > MAX_DETOUR * length * self.least_weight:
                 self._add_path(node, target, self._doors_of_ends(node, target))
         # through doors that stand side by side
         for node, target in self._find_touching_nodes().tolist():
@@ -479,7 +479,7 @@ class _Builder:
             if (
                 before != after
                 and self.route_costs[before, after] > self._lane_cost(before, after)
-                and self._is_free(before, after, allowed_doors)
+                and self._is_lane_free(before, after, allowed_doors)
             ):
                 self._add_straight_lane(before, after)
 
@@ -508,17 +508,19 @@ class _Builder:
                         farthest = place
             cell = remaining[farthest]
             next_cells = remaining[farthest + 1 : farthest + 2]
-            near_node = None
+            corner_node = None
             if next_cells:
-                price = self._mean_price(line[0], line[farthest + 1], level)
-                near_node = self._node_in_place_of(cell, corner, next_cells[0], price)
-            if near_node is None:
-                near_node = self._add_node(cell, "waypoint")
-            corners.append(near_node)
+                mean_weight = self._mean_weight(line[0], line[farthest + 1], level)
+                corner_node = self._node_in_place_of(cell, corner, next_cells[0], mean_weight)
+            if corner_node is None:
+                corner_node = self._add_node(cell, "waypoint")
+            corners.append(corner_node)
             remaining = remaining[farthest + 1 :]
         return corners
 
-    def _node_in_place_of(self, cell: int, corner: int, next_cell: int, price: float) -> int | None:
+    def _node_in_place_of(
+        self, cell: int, corner: int, next_cell: int, mean_weight: float
+    ) -> int | None:
         """The nearest node that can take the place of a path's corner in a cell; None without one.
 
         It sees the corner before, a node, and the cell after, and its lane from the corner before
@@ -532,7 +534,8 @@ class _Builder:
             if self.nodes[index].level == level
             and self._sees(self.cells[index], self.cells[corner])
             and self._sees(self.cells[index], next_cell)
-            and self._lane_cost(corner, index) <= MAX_DETOUR * price * self._distance(corner, index)
+            and self._lane_cost(corner, index)
+            <= MAX_DETOUR * mean_weight * self._distance(corner, index)
         ]
         return min(candidates, key=distance.__getitem__, default=None)
 

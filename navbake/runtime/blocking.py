@@ -1,7 +1,7 @@
 """Obstacles that are added to a grid while it is in use, and grids for agents of other sizes.
 
-An obstacle changes the grid's layers in place, until it is freed; grids made for other agents
-follow.
+An obstacle changes the grid's layers in place, until it is freed. It also blocks the grids that
+were made from this one for other agents.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from navbake.types import Float, Int
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-SIZE_TOLERANCE = 1e-9  # [m] by which two sizes that are one may differ
-FLOOR_ROUNDING = 1e-5  # [m] of floors in files, which are float32
+SIZE_TOLERANCE = 1e-9  # [m]: sizes that differ by less are equal
+FLOOR_ROUNDING = 1e-5  # [m]: rounding error of floor heights, which files hold as float32
 
 
 class BlockArguments(TypedDict):
@@ -58,8 +58,9 @@ class AddedObstacle:
     `SceneGrid2D.block` makes it.
 
     Attributes:
-        cells: flat ids of the cells where an agent can't stand because of the obstacle, by level,
-            each ascending, int64; including cells that were not free before.
+        cells: for each level, the ids (row * width + column) of the cells where an agent can't
+            stand because of the obstacle, ascending, int64. Cells that were not free before are
+            included.
         arguments: the arguments of the call of `grid.block` that made the obstacle.
         copies: the same obstacle on grids for agents of other sizes.
 
@@ -87,8 +88,8 @@ class AddedObstacle:
         for level, state, level_layers in self._blocked_levels:
             _change_counts(level, state, level_layers, is_added=False)
         self._blocked_levels.clear()
-        for copied in self.copies:
-            copied.free()
+        for fitted_copy in self.copies:
+            fitted_copy.free()
         if self in self._grid.obstacles:
             self._grid.obstacles.remove(self)
 
@@ -117,7 +118,14 @@ def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
 def _change_counts(
     level: SceneGrid2D, state: ObstacleState, layers: Layers, *, is_added: bool
 ) -> None:
-    """Add an obstacle to a level's state or remove it, and update the level's arrays."""
+    """Add an obstacle to a level's state or remove it, and update the level's arrays.
+
+    Args:
+        level: the level, whose arrays are written.
+        state: the level's counts of obstacles, written.
+        layers: the ids of the obstacle's cells in each layer.
+        is_added: whether to add the obstacle, else to remove it.
+    """
     counts = state.count.reshape(len(layers), -1)
     for layer_counts, ids in zip(counts, layers, strict=True):
         if is_added:
@@ -127,9 +135,9 @@ def _change_counts(
     _write_cells(
         level.weights, state.weights, np.inf, counts[BLOCKED], layers[BLOCKED], is_added=is_added
     )
-    for name, clean in state.occupied.items():
+    for name, layer in state.occupied.items():
         _write_cells(
-            level.attributes[name], clean, 1.0, counts[OCCUPIED], layers[OCCUPIED],
+            level.attributes[name], layer, 1.0, counts[OCCUPIED], layers[OCCUPIED],
             is_added=is_added,
         )  # fmt: skip
     # one window for all layers
@@ -142,7 +150,7 @@ def _change_counts(
 
 def _write_cells(
     array: NDArray[np.generic],
-    clean: NDArray[np.generic],
+    array_without_obstacles: NDArray[np.generic],
     blocked_value: float,
     counts: NDArray[np.uint16],
     ids: Int,
@@ -153,34 +161,38 @@ def _write_cells(
 
     Args:
         array: weights or an attribute of a level, written.
-        clean: the same without obstacles; the values of cells that get blocked are stored here.
+        array_without_obstacles: the same array without obstacles. Receives the values of cells that
+            get blocked.
         blocked_value: the value of blocked cells.
         counts: the number of obstacles on each cell, after the change.
-        ids: the obstacle's cells.
+        ids: ids of the obstacle's cells.
         is_added: whether the obstacle was added, else removed.
     """
     values = array.reshape(-1)
-    clean_values = clean.reshape(-1)
+    values_without_obstacles = array_without_obstacles.reshape(-1)
     if is_added:
-        # the first obstacle on a cell reads its value again: the arrays are writable
+        # the first obstacle on a cell stores its present value: users may have written the array
         newly_blocked = ids[counts[ids] == 1]
-        clean_values[newly_blocked] = values[newly_blocked]
+        values_without_obstacles[newly_blocked] = values[newly_blocked]
         values[newly_blocked] = blocked_value
     else:
         freed = ids[counts[ids] == 0]
-        values[freed] = clean_values[freed]
+        values[freed] = values_without_obstacles[freed]
 
 
-def _update_clearance(level: SceneGrid2D, window: Window, farthest: float) -> None:
-    """Compute a level's layer ``clearance`` again near a window that changed.
+def _update_clearance(level: SceneGrid2D, window: Window, largest_clearance: float) -> None:
+    """Compute a level's layer ``clearance`` again in and near a window whose cells have changed.
 
-    `farthest` is the largest clearance without obstacles, in cells.
+    Args:
+        level: the level, whose layer is written.
+        window: the cells that have changed.
+        largest_clearance: the largest clearance on the level without obstacles, in cells.
     """
-    # No clearance exceeds that without obstacles, so cells farther from the window keep theirs; the
-    # nearest blocked cell of one at the rim of `inner` may be a whole reach further out.
-    reach = math.ceil(farthest) + 2
-    inner = _pad_window(window, reach, level)
-    outer = _pad_window(window, 2 * reach, level)
+    # Obstacles only reduce clearances. So only cells within the largest clearance of the window,
+    # in `inner`, can change. Their nearest blocked cells lie as far again outside, in `outer`.
+    num_cells = math.ceil(largest_clearance) + 2
+    inner = _pad_window(window, num_cells, level)
+    outer = _pad_window(window, 2 * num_cells, level)
     row0, row1, col0, col1 = inner
     rows = slice(row0 - outer[0], row1 - outer[0])
     cols = slice(col0 - outer[2], col1 - outer[2])
@@ -189,18 +201,21 @@ def _update_clearance(level: SceneGrid2D, window: Window, farthest: float) -> No
     ]
 
 
-def _pad_window(window: Window, pad: int, level: SceneGrid2D) -> Window:
-    """Extend a window by some cells on each side, within the level."""
+def _pad_window(window: Window, num_cells: int, level: SceneGrid2D) -> Window:
+    """Extend a window by a number of cells on each side, but not beyond the level."""
     return (
-        max(window[0] - pad, 0),
-        min(window[1] + pad, level.height),
-        max(window[2] - pad, 0),
-        min(window[3] + pad, level.width),
+        max(window[0] - num_cells, 0),
+        min(window[1] + num_cells, level.height),
+        max(window[2] - num_cells, 0),
+        min(window[3] + num_cells, level.width),
     )
 
 
 def _largest_clearance(level: SceneGrid2D) -> float | None:
-    """Compute the largest clearance of a level, in cells; None without that layer."""
+    """Compute the largest clearance of a level, in cells.
+
+    Returns None if the level has no layer ``clearance``, or one that holds something else.
+    """
     stored = level.attributes.get("clearance")
     if stored is None:
         return None
@@ -216,7 +231,7 @@ def _largest_clearance(level: SceneGrid2D) -> float | None:
 
 @dataclass(frozen=True)
 class _UprightShape:
-    """An upright obstacle: from above, a rectangle dilated by a radius.
+    """An obstacle with vertical sides. From above, it is a rectangle dilated by a radius.
 
     Attributes:
         low: lower corner of the rectangle, world x, y [m], shape (2,).
@@ -232,10 +247,19 @@ class _UprightShape:
     bottom: float
     top: float
 
-    def distance(self, x: Float, y: Float, half: float) -> Float:
-        """Compute distances [m] from the rectangle to squares of half edge `half` round points."""
-        dx = np.maximum(np.maximum(self.low[0] - x, x - self.high[0]) - half, 0.0)
-        dy = np.maximum(np.maximum(self.low[1] - y, y - self.high[1]) - half, 0.0)
+    def distance(self, x: Float, y: Float, half_edge: float) -> Float:
+        """Compute the distances on the map [m] from the rectangle to squares.
+
+        Args:
+            x: world x of the squares' centres [m].
+            y: world y of the squares' centres [m].
+            half_edge: half of a square's edge [m]; 0 for distances to the centres.
+
+        Returns:
+            0 where a square overlaps the rectangle; of the shape that `x` and `y` broadcast to.
+        """
+        dx = np.maximum(np.maximum(self.low[0] - x, x - self.high[0]) - half_edge, 0.0)
+        dy = np.maximum(np.maximum(self.low[1] - y, y - self.high[1]) - half_edge, 0.0)
         return np.asarray(np.hypot(dx, dy))
 
 
@@ -252,7 +276,7 @@ def block(
     """Block cells of a grid for an obstacle, until it is freed: `SceneGrid2D.block`.
 
     Args:
-        grid: the grid, whose arrays change; grids in its `fitted_grids` get the same obstacle.
+        grid: the grid, whose arrays are written; grids in its `fitted_grids` get the same obstacle.
         cells: level, row and column, of one cell or as arrays; without the other shapes.
         disc: centre, x, y, z or x, y, and radius [m].
         box: lower and upper corner, x, y, z or x, y [m].
@@ -278,7 +302,7 @@ def block(
 
 
 def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
-    """Find the cells of each layer of an obstacle, by level."""
+    """For each level, find the cells of each layer of an obstacle; `Layers` holds their ids."""
     cells = arguments["cells"]
     disc = arguments["disc"]
     box = arguments["box"]
@@ -307,8 +331,8 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
             layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
             continue
         size = level_grid.lattice.cell_size
-        reach = shape.radius + max(margins.anywhere, size)
-        window = level_grid.lattice.window(np.array([shape.low, shape.high]), reach)
+        search_distance = shape.radius + max(margins.anywhere, size)
+        window = level_grid.lattice.window(np.array([shape.low, shape.high]), search_distance)
         if window is None:
             layers.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
             continue
@@ -318,14 +342,14 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
         floor = level_grid.floor_of(rows, cols)
         floor = np.where(np.isnan(floor), level_grid.ground, floor)
         is_at_height = (shape.bottom < floor + grid.agent_height) & (shape.top > floor + step)
-        to_square = shape.distance(x, y, size / 2)
-        to_center = shape.distance(x, y, 0.0)
-        # a disc is open: it may touch a square. A box is closed, so that a flat one blocks cells.
-        touches = to_square < shape.radius if shape.radius > 0 else to_square <= 0
+        distance_to_square = shape.distance(x, y, size / 2)
+        distance_to_center = shape.distance(x, y, 0.0)
+        # A disc blocks no square that it only touches. A box does, so that a flat box blocks cells.
+        touches = distance_to_square < shape.radius if shape.radius > 0 else distance_to_square <= 0
         overlaps = is_at_height & touches
-        masks = [overlaps | (is_at_height & (to_center < shape.radius))]
+        masks = [overlaps | (is_at_height & (distance_to_center < shape.radius))]
         for distance in margins:
-            masks.append(overlaps | (is_at_height & (to_center < shape.radius + distance)))
+            masks.append(overlaps | (is_at_height & (distance_to_center < shape.radius + distance)))
         row_starts = np.arange(rows.start, rows.stop)[:, None] * level_grid.width
         ids: Int = row_starts + np.arange(cols.start, cols.stop)
         layers.append([ids[mask] for mask in masks])
@@ -403,11 +427,11 @@ def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
 
 
 def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
-    """Make the grid for an agent's size: inflated to its radius, with steps as low as it takes.
+    """Make the grid for an agent's size: inflated to its radius, without steps too high for it.
 
-    Obstacles that are added to the original grid later block the new grid, too. Whether an agent
-    can take a step is decided by the floors' heights alone: the agent can't use a ramp that rises
-    by more than its step within one cell.
+    Obstacles that are added to the original grid later block the new grid, too. Only the heights of
+    floors decide whether an agent can take a step. So it can't use a ramp that rises by more than
+    its step within one cell.
 
     Args:
         grid: the original grid.
@@ -424,25 +448,24 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
         return grid
     grid_name = f"the grid of {grid.scene_id or 'scene'!r}"
     agent_name = f" (agent {agent.name!r})" if agent.name else ""
-    for things, key, size, limit in (
+    for noun, key, size, limit in (
         ("agents", "height", agent.height, grid.agent_height),
         ("steps", "traversable_floor_height", agent.step, grid.max_step),
     ):
         if size is not None and size > limit + SIZE_TOLERANCE:
             hint = f"bake it with agent.{key}={size:g}"
             raise QueryError(
-                f"{grid_name} is for {things} up to {limit:g} m, got {size:g} m{agent_name}: "
-                f"{hint}",
+                f"{grid_name} is for {noun} up to {limit:g} m, got {size:g} m{agent_name}: {hint}",
                 key="agent",
                 value=size,
-                expected=f"{things} up to {limit:g} m",
+                expected=f"{noun} up to {limit:g} m",
                 hint=hint,
             )
-    clean: NavGrid = grid.without_obstacles()
-    fitted = clean
+    grid_without_obstacles: NavGrid = grid.without_obstacles()
+    fitted = grid_without_obstacles
     radius = agent.radius
     if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
-        fitted = _lower_steps(clean, agent.step)
+        fitted = _limit_steps(grid_without_obstacles, agent.step)
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SIZE_TOLERANCE):
         check_radius(radius)
         if radius < grid.inflated_radius:
@@ -455,7 +478,7 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
                 hint=hint,
             )
         fitted = fitted.inflate(radius, ledges=ledges_setting(grid))
-    if fitted is clean:
+    if fitted is grid_without_obstacles:
         return grid
     grid.fitted_grids = grid.fitted_grids or WeakSet()
     grid.fitted_grids.add(fitted)
@@ -464,8 +487,14 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     return fitted
 
 
-def _lower_steps(grid: NavGrid, max_step: float) -> NavGrid:
-    """Make a grid without obstacles for an agent that takes steps up to `max_step` [m] only."""
+def _limit_steps(grid: NavGrid, max_step: float) -> NavGrid:
+    """Copy a grid without obstacles, but limit the steps between its floors.
+
+    Args:
+        grid: the grid, which stays as it is.
+        max_step: the highest step of the new grid [m]; links between cells that rise by more are
+            left out.
+    """
     floor = np.concatenate([level.floor.ravel() for level in grid.levels])
     start = np.cumsum([0] + [level.width * level.height for level in grid.levels])
     ends = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
@@ -474,6 +503,6 @@ def _lower_steps(grid: NavGrid, max_step: float) -> NavGrid:
     if not is_low.all():
         links = [*grid.step_array[is_low].tolist(), *(link.to_json() for link in grid.links)]
         metadata["navbake"] = {**grid.navbake, "links": links}
-    lowered = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
-    renew_islands(lowered)
-    return lowered
+    limited_grid = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
+    renew_islands(limited_grid)
+    return limited_grid

@@ -1,11 +1,12 @@
-"""Random places and poses, where many agents start, and the lattice that steps lead to.
+"""Draws random places, poses and crowds of agents, and lists positions that steps reach.
 
-The functions answer the methods of `navbake.runtime.path_finder.PathFinder` of the same names.
-`search` is up to date with the grid.
+Each public function does the work of the method of `navbake.runtime.path_finder.PathFinder` of the
+same name. `search` is up to date with the grid.
 
-Many agents start at a distance by Poisson-disc sampling, by dart throwing (Cook 1986), on the cells
-that are still free of the agents before. A crowd that jams is drawn again, and at last packed row
-by row.
+A crowd is drawn by Poisson-disc sampling with dart throwing (Cook 1986): the agents one after the
+other, each on a random cell that is far enough from all agents before. If an agent finds no such
+cell, the whole crowd is drawn again, up to `MAX_CROWDS` times. At last, agents are packed row by
+row.
 """
 
 import math
@@ -26,14 +27,14 @@ from navbake.runtime.surroundings import find_free
 from navbake.types import Bool, Float, Int
 
 EDGE_SHARE = 1e-6  # share of a cell: how far from its edges a point stays
-STRATA = ("area", "room", "island")
-LATTICE_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+STRATA = ("area", "room", "island")  # allowed values of `stratify`
+LATTICE_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])  # along x and y
 ARRIVAL_TOLERANCE = 1e-4  # share of a cell by which a step may miss its end
 RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
-MAX_CROWDS = 8  # random crowds before one is packed
-NUM_DARTS = 32  # cells drawn at once
-NUM_SHIFTS = 3  # of the honeycomb, along each axis
-HEXAGON_SLACK = 1e-6  # share by which hexagons are smaller than the distance of agents
+MAX_CROWDS = 8  # how often a random crowd is tried before agents are packed
+NUM_DARTS = 32  # how many random cells are drawn at once
+NUM_SHIFTS = 3  # how many shifts of the honeycomb are tried along each axis
+HEXAGON_SLACK = 1e-6  # share by which hexagons are narrower than the least distance of agents
 FIT_HINT = "expected fewer agents, or a smaller min_distance or clearance"
 
 
@@ -45,10 +46,10 @@ class Pose(NamedTuple):
 
 
 class Spawns(NamedTuple):
-    """Start poses of many agents; as `Pose`, of shapes (n, 3) and (n,)."""
+    """Start poses of n agents."""
 
-    positions: Float
-    headings: Float
+    positions: Float  #: World x, y and floor z [m], shape (n, 3), float64.
+    headings: Float  #: 0 along x, counted towards y, -pi to pi [rad], shape (n,).
 
 
 class SpawnRules(NamedTuple):
@@ -58,9 +59,12 @@ class SpawnRules(NamedTuple):
         rooms: ids or names of the rooms; None for anywhere.
         level: number of the level; None for any.
         island: number of the island; None for any.
-        reachable_from: a free position that paths have to lead from; None for none.
-        clearance: radius of a disc round each agent that overlaps no obstacle [m]; None for none.
-        min_distance: between the centres of any two agents [m]; None for twice the radius.
+        reachable_from: a free position, world x, y, z [m]: agents start only where a path from it
+            leads. None for no such condition.
+        clearance: radius of a disc round each agent that overlaps no obstacle [m]; None for no
+            such condition.
+        min_distance: least distance between the centres of any two agents [m]; None for twice the
+            radius.
         facing: a position or a heading [rad]; None for random headings.
         stratify: ``area``, ``room``, ``island`` or None.
     """
@@ -76,11 +80,11 @@ class SpawnRules(NamedTuple):
 
 
 class Spacing(NamedTuple):
-    """The distances below which two agents clash: both must be less than these.
+    """How far apart agents must be. Two agents clash if they are too near both ways.
 
     Attributes:
-        distance: between their centres, on the map [m].
-        height: between their floors [m].
+        distance: they are too near on the map if their centres are at most this far apart [m].
+        height: they are too near in height if their floors differ by less than this [m].
     """
 
     distance: float
@@ -106,7 +110,7 @@ def random_point(
     The arguments after `search` are those of `PathFinder.random_point`, which describes them.
     """
     islands = search.allowed_islands(island, reachable_from)
-    cells = np.flatnonzero(search.allowed(level=level, room=room, islands=islands))
+    cells = np.flatnonzero(search.mark_allowed(level=level, room=room, islands=islands))
     island_text = ", ".join(map(str, islands or ()))
     limits: dict[str, object] = {"level": level, "room": room, "island": island_text or None}
     return _draw_places(search, cells, rng, count, anywhere, limits)
@@ -129,10 +133,10 @@ def random_point_near(
 
     The arguments after `search` are those of `PathFinder.random_point_near`, which describes them.
     """
-    cells = _cells_near(search, position, min_distance, max_distance, straight, level)
+    cells = _find_cells_near(search, position, min_distance, max_distance, straight, level)
     if room is not None:
         cells = cells[search.rooms.number[cells] == search.rooms.find(room)]
-    limits = {"room": room, **_distance_limits(min_distance, max_distance)}
+    limits = {"room": room, **_describe_distances(min_distance, max_distance)}
     return _draw_places(search, cells, rng, count, anywhere, limits)
 
 
@@ -143,9 +147,7 @@ def any_free_in_annulus(
     max_distance: float,
     level: int | None,
 ) -> bool:
-    """Return whether the centre of any free cell lies in an annulus round a position.
-
-    Only cells on the position's level count.
+    """Return whether any free cell on a position's level has its centre in an annulus round it.
 
     Args:
         search: of the grid.
@@ -154,7 +156,7 @@ def any_free_in_annulus(
         max_distance: outer radius [m].
         level: the position's level; None finds it by z.
     """
-    cells = _cells_near(search, position, min_distance, max_distance, True, level)
+    cells = _find_cells_near(search, position, min_distance, max_distance, True, level)
     return len(cells) > 0
 
 
@@ -175,13 +177,13 @@ def random_pose(
     """
     rng = as_generator(rng)
     if target is None:
-        cells = np.flatnonzero(search.allowed(level=level))
+        cells = np.flatnonzero(search.mark_allowed(level=level))
         place = _draw_places(search, cells, rng, None, False, {"level": level})
         return Pose(place, float(rng.uniform(-math.pi, math.pi)))
-    cells = _cells_near(search, target, min_distance, max_distance, True, level)
+    cells = _find_cells_near(search, target, min_distance, max_distance, True, level)
     flat = search.flat
     number = search.rooms.number
-    p, target_cell = flat.locate(target, level)
+    target_position, target_cell = flat.locate(target, level)
     if same_room:
         target_room = number[target_cell]
         cells = cells[(number[cells] == target_room) & (target_room > 0)]
@@ -189,11 +191,12 @@ def random_pose(
         # the first in a random order that sees the target: uniform among all that do
         cells = rng.permutation(cells)
         points = np.ascontiguousarray(flat.positions(cells)[:, :2])
-        first = search.first_in_sight(target_cell, p, cells, points, number)
+        first = search.first_in_sight(target_cell, target_position, cells, points, number)
         cells = cells[first : first + 1] if first >= 0 else cells[:0]
-    limits = {**_distance_limits(min_distance, max_distance), "in sight": in_sight}
+    limits = {**_describe_distances(min_distance, max_distance), "in sight": in_sight}
     place = _draw_places(search, cells, rng, None, False, limits)
-    return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
+    offset = target_position[:2] - place[:2]
+    return Pose(place, math.atan2(offset[1], offset[0]))
 
 
 def reachable_positions(
@@ -215,9 +218,9 @@ def reachable_positions(
         raise QueryError(
             f"expected a spacing of a cell's {largest_cell:g} m or more, got {spacing!r}"
         )
-    p, start_cell = flat.free_cell_at(start, level)
-    first_place = np.append(p[:2], flat.positions(start_cell)[2])
-    # of the positions that the last round of steps reached
+    start_position, start_cell = flat.free_cell_at(start, level)
+    first_place = np.append(start_position[:2], flat.positions(start_cell)[2])
+    # `places` and `lattice_points` are those that the last round of steps reached
     places = first_place[None]
     lattice_points = np.zeros((1, 2), dtype=np.int64)
     seen = {(int(flat.level_of(start_cell)), 0, 0)}
@@ -260,7 +263,19 @@ def _draw_places(
     anywhere: bool,
     limits: dict[str, object],
 ) -> Float:
-    """Draw places in some cells; `limits` are named in the error if there are no cells."""
+    """Draw places in some cells.
+
+    Args:
+        search: of the grid.
+        cells: flat ids of free cells.
+        rng: the generator; None for a new one.
+        count: how many places; None for one, of shape (3,).
+        anywhere: whether places are anywhere in the cells, else at their centres.
+        limits: name -> value: how the cells were selected, for the error if there are none.
+
+    Returns:
+        World x, y and floor z [m], shape (3,) or (count, 3).
+    """
     rng = as_generator(rng)
     if count is not None and (not isinstance(count, int | np.integer) or count < 0):
         expected = "a count >= 0"
@@ -282,7 +297,7 @@ def _draw_places(
     return positions.reshape(3) if count is None else positions
 
 
-def _cells_near(
+def _find_cells_near(
     search: Search,
     position: ArrayLike,
     min_distance: float,
@@ -290,27 +305,40 @@ def _cells_near(
     straight: bool,
     level: int | None,
 ) -> Int:
-    """List the free cells within distances of a position, straight or by the shortest path."""
+    """List the free cells whose centres are at a distance from a position within given limits.
+
+    Args:
+        search: of the grid.
+        position: world x, y, z [m]; free, unless `straight`.
+        min_distance: the smallest distance [m].
+        max_distance: the largest distance [m].
+        straight: whether distances are straight lines on the position's level, else lengths of
+            shortest paths from the position.
+        level: the position's level; None finds it by z.
+
+    Returns:
+        Flat ids, ascending.
+    """
     is_number = isinstance(min_distance, RealNumber) and isinstance(max_distance, RealNumber)
     if not (is_number and 0 <= min_distance <= max_distance):
         expected = "0 <= min_distance <= max_distance [m]"
         raise QueryError(f"expected {expected}, got {min_distance} and {max_distance}")
     flat = search.flat
-    p, home_cell = flat.locate(position, level)
-    if home_cell < 0:
-        where = f"in no cell of {search.grid.scene_id!r}"
-        raise QueryError(f"{format_position(p)} is {where}: nothing is near")
+    center, position_cell = flat.locate(position, level)
+    if position_cell < 0:
+        place_text = f"in no cell of {search.grid.scene_id!r}"
+        raise QueryError(f"{format_position(center)} is {place_text}: nothing is near")
     if straight:
-        home_level = int(flat.level_of(home_cell))
-        return cells_in_annulus(flat, home_level, p, min_distance, max_distance, flat.free)
-    flat.free_cell_at(p, level)
-    field = search.field(np.array([home_cell]), by="length", backwards=False)
-    is_near = (field >= min_distance) & (field <= max_distance + DISTANCE_SLACK)
-    return np.flatnonzero(is_near & np.isfinite(field))  # inf <= inf where no path leads
+        position_level = int(flat.level_of(position_cell))
+        return cells_in_annulus(flat, position_level, center, min_distance, max_distance, flat.free)
+    flat.free_cell_at(center, level)  # raises if the position isn't free
+    lengths = search.lengths_from(np.array([position_cell]))
+    is_near = (lengths >= min_distance) & (lengths <= max_distance + DISTANCE_SLACK)
+    return np.flatnonzero(is_near & np.isfinite(lengths))  # inf <= inf where no path leads
 
 
-def _distance_limits(min_distance: float, max_distance: float) -> dict[str, object]:
-    """Describe a range of distances for the error of `_draw_places`."""
+def _describe_distances(min_distance: float, max_distance: float) -> dict[str, object]:
+    """Return the entry for the `limits` of `_draw_places` that names a range of distances."""
     return {"distance [m]": f"{min_distance:g} to {max_distance:g}"}
 
 
@@ -373,14 +401,14 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
         radius = max(radius, agent_clearance or 0.0)
 
     room_ids = [search.rooms.id_of(number) for number in room_numbers]
-    where = f"in {', '.join(map(repr, room_ids or [grid.scene_id]))}"
-    where += f" on level {level}" if level is not None else ""
+    place_text = f"in {', '.join(map(repr, room_ids or [grid.scene_id]))}"
+    place_text += f" on level {level}" if level is not None else ""
     if islands is not None:
         plural = "s" if len(islands) > 1 else ""
-        where += f" on island{plural} {', '.join(map(str, islands))}"
+        place_text += f" on island{plural} {', '.join(map(str, islands))}"
 
     def find_cells() -> Int:
-        allowed = search.allowed(level=level, islands=islands)
+        allowed = search.mark_allowed(level=level, islands=islands)
         if room_numbers:
             allowed = allowed & np.isin(search.rooms.number, room_numbers)
         if agent_clearance is not None:
@@ -391,7 +419,7 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
     cells = search.cached("spawns", key, find_cells)
     if not len(cells):
         clearance_text = "" if agent_clearance is None else f" with {agent_clearance:g} m round"
-        raise QueryError(f"no free cell{clearance_text} {where}")
+        raise QueryError(f"no free cell{clearance_text} {place_text}")
     parts = _split_cells(search, cells, stratify, int(n), rng)
     # centres up to this distance apart clash, with slack for rounding
     distance = max(2.0 * radius, min_distance - 2.0 * DISTANCE_SLACK, 0.0)
@@ -406,7 +434,7 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
         Spacing(distance, grid.agent_height),
         rng,
         agents_text=f"{'1 agent' if n == 1 else f'{n} agents'} {size_text}",
-        where=where,
+        place_text=place_text,
     )
     positions = search.flat.positions(agent_cells)
     return Spawns(positions, _draw_headings(search, positions, rules.facing, rng))
@@ -415,7 +443,19 @@ def spawn(search: Search, rng: Generator | None, n: int, rules: SpawnRules) -> S
 def _split_cells(
     search: Search, cells: Int, stratify: str | None, n: int, rng: Generator
 ) -> list[Int]:
-    """Split cells, ordered along Hilbert's curve, into the parts that agents are shared out to."""
+    """Split cells into parts, among which the agents are divided evenly.
+
+    Args:
+        search: of the grid.
+        cells: flat ids, in the order of Hilbert's curve.
+        stratify: ``area`` for n parts of equal area, ``room`` or ``island`` for a part for each of
+            them; None for one part.
+        n: number of agents.
+        rng: the generator.
+
+    Returns:
+        The flat ids of each part; without cells of no room for ``room``.
+    """
     if stratify is None:
         return [cells]
     if stratify == "area":
@@ -434,7 +474,11 @@ def _split_cells(
 def _draw_headings(
     search: Search, positions: Float, facing: ArrayLike | None, rng: Generator
 ) -> Float:
-    """Compute headings towards a position, or one for all; or draw them if `facing` is None."""
+    """Compute the headings of agents [rad], shape (n,).
+
+    They face `facing` if it is a position, are equal to it if it is a number, and random if it is
+    None.
+    """
     n = len(positions)
     if facing is None:
         return rng.uniform(-math.pi, math.pi, size=n)
@@ -442,7 +486,7 @@ def _draw_headings(
         if not math.isfinite(facing):
             raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
         return np.full(n, math.remainder(facing, 2.0 * math.pi))
-    target = search.flat.check_one(facing, 0, "position or heading as facing")
+    target = search.flat.check_position(facing, 0, "position or heading as facing")
     directions = target[:2] - positions[:, :2]
     return np.arctan2(directions[:, 1], directions[:, 0])
 
@@ -455,7 +499,7 @@ def place_crowd(
     rng: Generator,
     *,
     agents_text: str,
-    where: str,
+    place_text: str,
 ) -> Int:
     """Draw a cell for each of n agents, so that no two agents clash.
 
@@ -464,10 +508,10 @@ def place_crowd(
         parts: flat ids of the cells of each part. Each part gets n / len(parts) agents, rounded.
             Agents that don't fit into a part go to other parts.
         n: how many agents.
-        spacing: the distances below which two agents clash.
+        spacing: how far apart agents must be.
         rng: the generator.
-        agents_text: names the agents in errors.
-        where: names the cells in errors.
+        agents_text: the words for the agents in errors.
+        place_text: the words for the cells in errors, such as ``in 'kitchen'``.
 
     Returns:
         Flat ids in random order, shape (n,).
@@ -489,12 +533,16 @@ def place_crowd(
         if attempt == 0:
             upper_bound = bound_num_agents(flat, np.concatenate(parts), spacing)
             if upper_bound < n:
-                raise QueryError(f"{agents_text}: at most {upper_bound} fit {where}; {FIT_HINT}")
+                raise QueryError(
+                    f"{agents_text}: at most {upper_bound} fit {place_text}; {FIT_HINT}"
+                )
     agent_cells = _pack_crowd(flat, np.concatenate(parts), spacing, n, rng)
     if len(agent_cells) == n:
         return rng.permutation(agent_cells)
     num_placed = max(num_placed, len(agent_cells))
-    limits = f"places for {num_placed} were found {where}, and more than {upper_bound} never fit"
+    limits = (
+        f"places for {num_placed} were found {place_text}, and more than {upper_bound} never fit"
+    )
     raise QueryError(f"{agents_text}: {limits}; {FIT_HINT}")
 
 
@@ -507,7 +555,7 @@ def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
     Args:
         flat: the grid.
         cells: flat ids.
-        spacing: the distances below which two agents clash.
+        spacing: how far apart agents must be.
 
     Returns:
         The smallest bound of all honeycombs.
@@ -515,12 +563,13 @@ def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
     width = spacing.distance * (1.0 - HEXAGON_SLACK)
     if width <= 0.0 or not len(cells):
         return len(cells)
-    p = flat.positions(cells)
-    p -= p.min(axis=0)
+    positions = flat.positions(cells)
+    positions -= positions.min(axis=0)
     height = spacing.height
-    layer = np.floor(p[:, 2] / height) if height > 0 else np.zeros(len(cells))
+    layer = np.floor(positions[:, 2] / height) if height > 0 else np.zeros(len(cells))
     bound = len(cells)
-    for x, y in ((p[:, 0], p[:, 1]), (p[:, 1], p[:, 0])):
+    axes = (positions[:, 0], positions[:, 1])
+    for x, y in (axes, axes[::-1]):
         for shift in np.ndindex(NUM_SHIFTS, NUM_SHIFTS):
             offset = np.array(shift) * width / NUM_SHIFTS
             num_hexagons = _count_hexagons(x + offset[0], y + offset[1], layer, width)
@@ -529,12 +578,16 @@ def bound_num_agents(flat: FlatGrid, cells: Int, spacing: Spacing) -> int:
 
 
 def _count_hexagons(x: Float, y: Float, layer: Float, width: float) -> int:
-    """Count the hexagons of a honeycomb that points are in; each layer has its own honeycomb.
+    """Count the hexagons of a honeycomb that contain points; each layer has its own honeycomb.
 
-    The corners of a hexagon are half of `width` from its middle.
+    Args:
+        x: x of the points [m], shape (n,).
+        y: y of the points [m], shape (n,).
+        layer: number of the layer that each point is in, shape (n,).
+        width: distance between opposite corners of a hexagon [m].
     """
-    # axial coordinates of the hexagons, rounded so that q + r + s is 0 again: the one with the
-    # largest error gives way
+    # Axial coordinates q, r and s = -q - r of the hexagons, rounded. So that they add up to 0
+    # again, the one with the largest rounding error is corrected.
     u = x / (width / 2)
     v = y / (width / 2)
     exact = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
@@ -548,7 +601,7 @@ def _count_hexagons(x: Float, y: Float, layer: Float, width: float) -> int:
 
 
 def _mark_taken(flat: FlatGrid, spacing: Spacing, is_taken: Bool, cell: int) -> None:
-    """Mark the cells that are too near to an agent's cell as taken."""
+    """Mark the cells that are too near to an agent's cell for another agent, in `is_taken`."""
     center = flat.positions(cell)
     for level in range(flat.num_levels):
         near = cells_in_annulus(flat, level, center, 0.0, spacing.distance, flat.free)
@@ -562,7 +615,18 @@ def _mark_taken(flat: FlatGrid, spacing: Spacing, is_taken: Bool, cell: int) -> 
 def _draw_crowd(
     flat: FlatGrid, parts: list[Int], spacing: Spacing, part_of_agent: Int, rng: Generator
 ) -> Int:
-    """Draw a cell for each agent from its part, else from another; stops early if none remains."""
+    """Draw a cell for each agent from its part, or from another part if its own is full.
+
+    Args:
+        flat: the grid.
+        parts: flat ids of the cells of each part.
+        spacing: how far apart agents must be.
+        part_of_agent: index of each agent's part, shape (n,).
+        rng: the generator.
+
+    Returns:
+        The agents' flat ids; fewer than n if no part has room for another agent.
+    """
     remaining = list(parts)
     agent_cells = np.empty(len(part_of_agent), dtype=np.int64)
     is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
@@ -572,8 +636,8 @@ def _draw_crowd(
         darts = cells[draw_cell_indices(flat, cells, rng, NUM_DARTS)] if len(cells) else cells
         return darts[~is_taken[darts]]
 
-    for agent, own_part in enumerate(part_of_agent.tolist()):
-        for part in (own_part, *rng.permutation(len(parts)).tolist()):
+    for agent, assigned_part in enumerate(part_of_agent.tolist()):
+        for part in (assigned_part, *rng.permutation(len(parts)).tolist()):
             free_darts = throw_darts(remaining[part])
             while not len(free_darts) and len(remaining[part]):
                 remaining[part] = remaining[part][~is_taken[remaining[part]]]
@@ -588,13 +652,16 @@ def _draw_crowd(
 
 
 def _pack_crowd(flat: FlatGrid, cells: Int, spacing: Spacing, n: int, rng: Generator) -> Int:
-    """Place up to n agents row by row from a random side, each in the first cell that is free."""
+    """Place up to n agents row by row, each in the first cell that no other agent is too near to.
+
+    Rows run along x or y, from a random side. Returns the agents' flat ids.
+    """
     axis = rng.integers(2)
     signs = rng.choice([-1.0, 1.0], size=2)
-    p = flat.positions(cells)[:, :2] * signs
+    flipped_xy = flat.positions(cells)[:, :2] * signs
     is_taken = np.zeros(flat.num_cells, dtype=np.bool_)
     agent_cells: list[int] = []
-    for cell in cells[np.lexsort((p[:, axis], p[:, 1 - axis]))].tolist():
+    for cell in cells[np.lexsort((flipped_xy[:, axis], flipped_xy[:, 1 - axis]))].tolist():
         if len(agent_cells) < n and not is_taken[cell]:
             agent_cells.append(cell)
             _mark_taken(flat, spacing, is_taken, cell)
@@ -616,10 +683,10 @@ def draw_cell_indices(flat: FlatGrid, cells: Int, rng: Generator, count: int) ->
     sizes = flat.layout.cell_size
     if len(set(sizes)) == 1:
         return rng.integers(len(cells), size=count)
-    # cells of different areas: search a random number in the cumulative area
-    edges = np.cumsum(sizes[flat.level_of(cells)] ** 2)
-    areas = rng.uniform(0.0, edges[-1], size=count)
-    indices = np.searchsorted(edges, areas, side="right")
+    # cells of different areas: find the cells in which random values of the cumulative area lie
+    cumulative_areas = np.cumsum(sizes[flat.level_of(cells)] ** 2)
+    drawn_areas = rng.uniform(0.0, cumulative_areas[-1], size=count)
+    indices = np.searchsorted(cumulative_areas, drawn_areas, side="right")
     return np.minimum(indices, len(cells) - 1)
 
 
@@ -632,8 +699,8 @@ def split_by_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]
         flat: the grid.
         cells: flat ids, sorted by `sort_along_hilbert_curve`.
         n: number of parts.
-        start: where the first part begins, as a fraction of the total area of the cells in their
-            order, 0 to 1. The cells before it belong to the last parts.
+        start: where the first part begins, as a fraction of the cells' total area, 0 to 1, summed
+            in their order. The cells before it belong to the last parts.
 
     Returns:
         The flat ids of each part, n arrays in order.
@@ -661,18 +728,18 @@ def sort_along_hilbert_curve(flat: FlatGrid, cells: Int) -> Int:
     y = row
     index = np.zeros_like(row)  # of each cell along the curve
     longest = int(max(row.max(initial=0), col.max(initial=0)))
-    side = 1 << max(longest.bit_length() - 1, 0)
-    while side:
-        is_right = (x & side > 0).astype(np.int64)
-        is_lower = (y & side > 0).astype(np.int64)
-        index += side * side * ((3 * is_right) ^ is_lower)
+    quarter_edge = 1 << max(longest.bit_length() - 1, 0)
+    while quarter_edge:
+        is_right = (x & quarter_edge > 0).astype(np.int64)
+        is_lower = (y & quarter_edge > 0).astype(np.int64)
+        index += quarter_edge * quarter_edge * ((3 * is_right) ^ is_lower)
         # each quarter holds the curve of half the size, turned or mirrored to fit
         is_mirrored = (is_lower == 0) & (is_right == 1)
-        x = np.where(is_mirrored, side - 1 - x, x)
-        y = np.where(is_mirrored, side - 1 - y, y)
+        x = np.where(is_mirrored, quarter_edge - 1 - x, x)
+        y = np.where(is_mirrored, quarter_edge - 1 - y, y)
         turned_x = np.where(is_lower == 0, y, x)
         turned_y = np.where(is_lower == 0, x, y)
-        x = turned_x & (side - 1)
-        y = turned_y & (side - 1)
-        side >>= 1
+        x = turned_x & (quarter_edge - 1)
+        y = turned_y & (quarter_edge - 1)
+        quarter_edge >>= 1
     return cells[np.lexsort((index, level))]

@@ -1,6 +1,6 @@
 """The flat view of a grid for kernels: cells, rooms, doors and islands by flat id.
 
-Of the run time, this module imports the arrays and kernels only.
+Of `navbake.runtime`, this module imports only arrays and kernels.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
 place_kernels = lazy("navbake.runtime.place_kernels")
 
-STAIRS_RISE = 0.05  # [m]: steps between levels that rise by more are called stairs, else a ramp
+STAIRS_RISE = 0.05  # [m]: if a step between levels rises by more, it is called stairs, else a ramp
 RealNumber = int | float | np.integer | np.floating
 """The types of numbers that arguments may have."""
 
@@ -50,12 +50,13 @@ class FlatGrid:
         floors: heights of the cells' floors [m], and `max_step`.
         free: where the agent can stand, by flat id, shape (n,).
         weight: the cost of each cell, by flat id, inf where it isn't free.
-        area_factor: what areas multiply weights by, inf where they bar the agent; by flat id, or
-            one number for all cells.
+        area_factor: the factor by which the area of a cell multiplies its weight, inf where the
+            area bars the agent; by flat id, or one number for all cells.
         pace: the seconds that the agent takes for a metre [s/m]; by flat id, or one number for all
             cells.
-        slopes: to which neighbours on the same level one of `steps` leads, by flat id: bits EAST
-            and SOUTH of `navbake.runtime.grid_arrays`, uint8; empty where none does.
+        slopes: by flat id, whether one of `steps` joins the cell to its neighbour in the next
+            column (bit EAST of `navbake.runtime.grid_arrays`) or in the next row (bit SOUTH),
+            uint8; empty if there is no such step.
     """
 
     layout: Layout
@@ -83,7 +84,7 @@ class FlatGrid:
         return slice(int(self.layout.start[level]), int(self.layout.start[level + 1]))
 
     def level_of(self, cells: Int | int) -> Int:
-        """Return the level numbers of cells, given by flat id; the shape is that of `cells`."""
+        """Return the number of each cell's level, in the shape of `cells`, which are flat ids."""
         return np.searchsorted(self.layout.start, cells, side="right") - 1
 
     def split(self, cells: Int | int) -> Cells:
@@ -103,7 +104,7 @@ class FlatGrid:
         return Cell(int(level), int(row), int(col))
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
-        """Find the cells of positions, as `navbake.navgrid.cells.cells_at` but faster.
+        """Find the cells of positions, like `navbake.navgrid.cells.cells_at` but faster.
 
         Args:
             positions: world x, y, z [m], shape (..., 3); x, y are enough with a level, or on a grid
@@ -116,20 +117,20 @@ class FlatGrid:
         Raises:
             QueryError: a position is not valid, or there is no such level.
         """
-        p = check_positions(positions, self.num_levels, level)
-        kernel_level, points = to_kernel_positions(p, level)
+        checked_position = check_positions(positions, self.num_levels, level)
+        kernel_level, points = to_kernel_positions(checked_position, level)
         cells: Int = place_kernels.locate(self.layout, self.floors, kernel_level, points)
-        return cells.reshape(p.shape[:-1])
+        return cells.reshape(checked_position.shape[:-1])
 
     def locate(
-        self, position: ArrayLike, level: int | None = None, what: str = "position"
+        self, position: ArrayLike, level: int | None = None, position_name: str = "position"
     ) -> tuple[Float, int]:
         """Check one position, and find its cell.
 
         Args:
             position: world x, y, z [m]; x, y are enough with a level, or on a grid of one level.
             level: its level; None finds the level by z.
-            what: the position's name in errors.
+            position_name: the position's name in errors.
 
         Returns:
             The position as float64, shape (2,) or (3,); and the flat id of its cell, -1 for none.
@@ -137,20 +138,20 @@ class FlatGrid:
         Raises:
             QueryError: the position is not valid, or there is no such level.
         """
-        p = self.check_one(position, level, what)
-        kernel_level, points = to_kernel_positions(p, level)
+        checked_position = self.check_position(position, level, position_name)
+        kernel_level, points = to_kernel_positions(checked_position, level)
         cells = place_kernels.locate(self.layout, self.floors, kernel_level, points)
-        return p, int(cells[0])
+        return checked_position, int(cells[0])
 
-    def check_one(
-        self, position: ArrayLike, level: int | None = None, what: str = "position"
+    def check_position(
+        self, position: ArrayLike, level: int | None = None, position_name: str = "position"
     ) -> Float:
-        """Check one position.
+        """Check one position, and convert it to an array.
 
         Args:
             position: world x, y, z [m]; x, y are enough with a level, or on a grid of one level.
-            level: its level; None if it has a z.
-            what: the position's name in errors.
+            level: its level; None if the position has a z.
+            position_name: the position's name in errors.
 
         Returns:
             The position as float64, shape (2,) or (3,).
@@ -158,16 +159,16 @@ class FlatGrid:
         Raises:
             QueryError: the position is not valid, or there is no such level.
         """
-        p = check_positions(position, self.num_levels, level)
-        if p.ndim != 1:
-            expected = f"one {what}"
+        checked_position = check_positions(position, self.num_levels, level)
+        if checked_position.ndim != 1:
+            expected = f"one {position_name}"
             raise QueryError(
-                f"expected {expected}, got an array of shape {p.shape}",
-                key=what,
+                f"expected {expected}, got an array of shape {checked_position.shape}",
+                key=position_name,
                 value=position,
                 expected=expected,
             )
-        return p
+        return checked_position
 
     def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
         """Check one position, and find its cell, which must be free.
@@ -182,22 +183,26 @@ class FlatGrid:
         Raises:
             QueryError: the cell isn't free, the position is not valid, or there is no such level.
         """
-        p, cell = self.locate(position, level)
+        checked_position, cell = self.locate(position, level)
         if cell < 0 or not self.free[cell]:
             hint = "snap it to the nearest place first"
             raise QueryError(
-                f"no agent can stand at {format_position(p)}: {hint}",
+                f"no agent can stand at {format_position(checked_position)}: {hint}",
                 key="position",
-                value=tuple(p.tolist()),
+                value=tuple(checked_position.tolist()),
                 hint=hint,
             )
-        return p, cell
+        return checked_position, cell
 
     def positions(self, cells: Int | int) -> Float:
-        """Compute the centres of cells, by flat ids of shape (...).
+        """Compute the centres of cells.
 
-        Returns world x, y and floor z [m], shape (..., 3); z is the level's ground where a cell has
-        no floor.
+        Args:
+            cells: flat ids, shape (...).
+
+        Returns:
+            World x, y and floor z [m], shape (..., 3); z is the level's ground where a cell has no
+            floor.
         """
         level, row, col = self.split(cells)
         size = self.layout.cell_size[level]
@@ -208,9 +213,10 @@ class FlatGrid:
         return np.stack([x, y, z], axis=-1)
 
     def step_ends(self) -> tuple[Int, Int]:
-        """List the flat ids that steps lead from, and those that they lead to, each of shape (n,).
+        """List both ends of each of `steps`, in both directions.
 
-        Each of `steps` is listed in both directions.
+        Returns:
+            The flat ids that the steps lead from, shape (n,); and those that they lead to, (n,).
         """
         sources = np.repeat(self.steps.cell, np.diff(self.steps.start))
         return sources, self.steps.target
@@ -234,7 +240,8 @@ class FlatGrid:
     ) -> tuple[Float, Float]:
         """Compute lower bounds of the costs of routes between the stops of links.
 
-        On the floor these are octile distances times the smallest weight.
+        On the floor, the bound is the octile distance times the smallest weight. Over links, it is
+        their cost.
 
         Args:
             radius: of the agent [m].
@@ -243,7 +250,7 @@ class FlatGrid:
 
         Returns:
             x, y of the k stops [m], shape (k, 2); and the bound from stop i to stop j, shape
-            (k, k). k is 0 if no link costs less than the way over the floor.
+            (k, k). k is 0 if no link costs less than the bound over the floor.
         """
         is_passable = self.arcs.fits_radius(radius)
         cells, ends = np.unique(self.arcs.ends[is_passable], return_inverse=True)
@@ -259,13 +266,13 @@ class FlatGrid:
             return stops, costs
         return stops[:0], costs
 
-    def links(self, radius: float, *, by_time: bool = False, backwards: bool = False) -> Links:
+    def links(self, radius: float, *, by_time: bool = False, are_reversed: bool = False) -> Links:
         """List the steps, and the passages that an agent of a radius fits through.
 
         Args:
             radius: of the agent [m].
             by_time: whether the cost of passages is in seconds; if False, in metres.
-            backwards: whether the links are reversed, so that each leads from its end to its start.
+            are_reversed: whether each link leads from its end to its start.
         """
         is_passable = self.arcs.fits_radius(radius)
         if not is_passable.any():
@@ -276,7 +283,7 @@ class FlatGrid:
         step_lengths = self.steps.length
         length = np.append(step_lengths, np.zeros(len(passage_costs)))
         cost = np.append(np.zeros(len(step_lengths)), passage_costs)
-        return make_links(ends[:, ::-1] if backwards else ends, length, cost, self.num_cells)
+        return make_links(ends[:, ::-1] if are_reversed else ends, length, cost, self.num_cells)
 
 
 def octile_length(vectors: Float) -> Float:
@@ -297,6 +304,9 @@ def make_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
         length: of each step [m], 0 of a passage, shape (n,).
         cost: of each passage, 0 of a step, shape (n,).
         num_cells: number of cells of the grid.
+
+    Returns:
+        The links, as kernels take them.
     """
     order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable: steps before passages
     source, target = ends[order].T
@@ -362,10 +372,13 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
 
     Args:
         grid: a grid of one or several levels.
-        agent: whose rights and speed count; None for an agent that open links and areas allow,
-            at 1 m/s.
-        penalty: if given, the agent may use all links and areas: passages that aren't allowed cost
-            so much more [m], and cells of areas that bar it have this as their areas' factor.
+        agent: the agent whose rights and speed count. None for an agent at 1 m/s that may use all
+            open links, and all areas but those of infinite cost.
+        penalty: if given, the agent may use all links and areas, but at a high cost: passages that
+            it may not use cost this much more [m], and areas that bar it multiply weights by it.
+
+    Returns:
+        The flat grid.
     """
     compiled.ensure_compiled("runtime.")
     levels = grid.levels
@@ -425,7 +438,13 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
 
 
 def _mark_slopes(step_array: Int, ends: Int, layout: Layout) -> NDArray[np.uint8]:
-    """Make the `slopes` of a flat grid, of its steps, shape (n, 4), and their ends by flat id."""
+    """Make `FlatGrid.slopes`.
+
+    Args:
+        step_array: level, cell, level, cell of each step, shape (n, 4).
+        ends: the flat ids of these cells, shape (n, 2).
+        layout: where the cells lie.
+    """
     if not (step_array[:, 0] == step_array[:, 2]).any():
         return np.zeros(0, dtype=np.uint8)
     slopes = np.zeros(layout.start[-1], dtype=np.uint8)
@@ -517,14 +536,14 @@ def map_rooms(grid: NavGrid) -> RoomMap:
 
 
 DoorMap = dict[int, list[str]]
-"""The ids of the doors of each cell that is in one, by flat id."""
+"""For each cell in a door, by flat id: the ids of its doors."""
 
 
 def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
-    """Find the cells of each door.
+    """Find the doors that each cell is in.
 
-    These are the cells that the door blocks when closed or in its current state, and the cells
-    whose user data name the door.
+    A cell is in a door if the door blocks it when closed or in its current state. In a file of
+    another program without a table of doors, the user data of cells name their doors.
     """
     doors_by_cell: DoorMap = {}
     start = flat.layout.start.tolist()
@@ -546,11 +565,15 @@ def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
 
 
 def find_leaf_cells(door: Door, flat: FlatGrid) -> Int:
-    """List the flat ids of the cells that a door's leaf takes when closed.
+    """List the cells that a door's leaf covers when closed.
 
     Args:
         door: a door of the grid.
         flat: the grid.
+
+    Returns:
+        Flat ids. If the file doesn't tell which cells the leaf itself covers, all cells that the
+        closed door blocks.
     """
     cells_in = door.solid_in if door.solid else door.cells_in
     cells_by_level = cells_in("closed", flat.num_levels)
@@ -558,7 +581,7 @@ def find_leaf_cells(door: Door, flat: FlatGrid) -> Int:
     return np.concatenate([start + ids for start, ids in zip(starts, cells_by_level, strict=True)])
 
 
-def doors_along(doors: DoorMap, cells: Int) -> list[str]:
+def list_doors_along(doors: DoorMap, cells: Int) -> list[str]:
     """List the ids of the doors along a route, in order.
 
     A door that the route enters twice is listed twice.
@@ -567,13 +590,13 @@ def doors_along(doors: DoorMap, cells: Int) -> list[str]:
         doors: the doors by flat id.
         cells: the route's flat ids.
     """
-    passed: list[str] = []
+    door_ids: list[str] = []
     current: Iterable[str] = ()
     for cell in cells.tolist():
         cell_doors = doors.get(cell, ())
-        passed += [name for name in cell_doors if name not in current]
+        door_ids += [name for name in cell_doors if name not in current]
         current = cell_doors
-    return passed
+    return door_ids
 
 
 class LevelStairs(NamedTuple):
@@ -583,7 +606,8 @@ class LevelStairs(NamedTuple):
         lower_level: number of the lower level.
         upper_level: number of the upper level.
         kind: ``stairs`` or ``ramp``.
-        steps: the flat ids of the cells of each step, the lower level's first, shape (n, 2).
+        steps: for each step, the flat ids of its cells on the lower and the upper level, shape
+            (n, 2).
     """
 
     lower_level: int
@@ -621,7 +645,7 @@ class IslandMap:
 
     number: Int32  #: Of each cell, by flat id, shape (n,); 0 where it isn't free.
     areas: Float  #: Of each island [m²], shape (count + 1,); 0 for number 0.
-    #: Pairs of islands of which links lead from the first to the second only, shape (k, 2).
+    #: Pairs of islands, shape (k, 2): links lead from the first to the second, none lead back.
     one_way_links: Int
 
     @property
@@ -650,19 +674,19 @@ class IslandMap:
         reached = np.array([island])
         while True:
             is_from_reached = np.isin(self.one_way_links[:, 0], reached)
-            onward = np.unique(self.one_way_links[is_from_reached, 1])
-            onward = onward[~np.isin(onward, reached)]
-            if not len(onward):
+            next_islands = np.unique(self.one_way_links[is_from_reached, 1])
+            next_islands = next_islands[~np.isin(next_islands, reached)]
+            if not len(next_islands):
                 return island, *np.sort(reached[1:]).tolist()
-            reached = np.append(reached, onward)
+            reached = np.append(reached, next_islands)
 
 
 def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None = None) -> IslandMap:
-    """Number the islands of a flat grid, as `navbake.navgrid.islands.find_islands`.
+    """Number the islands of a flat grid, like `navbake.navgrid.islands.find_islands`.
 
     Args:
         flat: the grid.
-        radius: of the agent [m]; it uses the links that are wide enough.
+        radius: of the agent [m]; links that are too narrow for it don't count.
         moves: by flat id, see `navbake.runtime.grid_arrays.Graph`; if given, cells that a diagonal
             move joins are connected, too.
     """
@@ -671,9 +695,9 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
     steps = [np.stack(flat.step_ends(), axis=1)]
     passages = flat.arcs.ends[flat.arcs.fits_radius(radius)]
     if moves is not None:
-        for bit, across in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
+        for bit, col_step in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)
-            diagonal_cells = cells + layout.width[flat.level_of(cells)] + across
+            diagonal_cells = cells + layout.width[flat.level_of(cells)] + col_step
             steps.append(np.stack([cells, diagonal_cells], axis=1))
     number = label_islands(
         start=layout.start,
@@ -684,7 +708,7 @@ def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None =
         steps=np.concatenate(steps),
         arcs=passages,
     )
-    # cells count by the area of their level's, which is the same on all levels but in few files
+    # in a few files, levels have cells of different sizes
     areas = np.zeros(int(number.max(initial=0)) + 1)
     for level, size in enumerate(layout.cell_size):
         cells_by_island = np.bincount(number[flat.cells_of(level)], minlength=len(areas))

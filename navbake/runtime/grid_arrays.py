@@ -1,12 +1,12 @@
-"""The arrays that the kernels of the run time take, and how a cell is found in them.
+"""The arrays that the kernels of `navbake.runtime` take, and functions that look up cells in them.
 
 The cells of all levels stand in one row: the flat id of a cell is ``start[level] + row *
 width[level] + col``. "By cell" means: one entry for each flat id.
 
-Looking an array up in a tuple costs more than a step of a search. So kernels with a hot loop take
-the arrays out of their tuples first.
+To take an array out of a tuple costs more time than a step of a search. So kernels with a hot loop
+take the arrays out of their tuples before the loop.
 
-Imports nothing of the run time, so that each of its modules may import this one.
+This module imports nothing of `navbake.runtime`, so that each module there may import it.
 """
 
 import math
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from navbake.compiled import subkernel
 from navbake.types import Bool, Float, Int, Int32
 
-# share of a cell: how far inside of the cell's edges a point is put, so that it is found in the
-# cell again after rounding
+# share of a cell: how far inside the cell's edges a point is put, so that it stays inside after
+# rounding
 EDGE_MARGIN = 1e-6
 DIAGONAL = math.sqrt(2.0)  # length of a diagonal step, in cells
-# Directions: east, north, west, south, then north-east, north-west, south-west, south-east. North
-# is row - 1. Bit d of a cell's moves is set where a step leads in direction d.
+# Directions 0 to 7: east, north, west, south, then north-east, north-west, south-west, south-east.
+# North is row - 1. Bit d of a cell's moves is set if a step leads in direction d.
 EAST = 1
 NORTH = 2
 WEST = 4
@@ -78,11 +78,11 @@ class Links(NamedTuple):
 
 
 class FloorHeights(NamedTuple):
-    """The heights of floors, world z [m]. Any step to or from a cell without floor is flat.
+    """The heights of floors, world z [m]. A cell without a floor is level with its neighbours.
 
     Attributes:
         z: by cell, NaN for no floor; the ground on a level whose file has no heights.
-        ground: by level, the floor of free cells that have none of their own.
+        ground: by level, the floor of free cells without a floor of their own.
         max_step: largest step between neighbours [m], see `navbake.navgrid.islands.step_limit`.
     """
 
@@ -92,18 +92,19 @@ class FloorHeights(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """The steps of an agent and what they cost: the length [m] times the target's weight.
+    """The steps that an agent can take. A step costs its length [m] times its target's weight.
 
-    If paths are planned by time, a weight is in seconds for each metre [s/m].
+    If paths are planned by time, weights are seconds for each metre [s/m].
 
     Attributes:
         layout: where the cells lie.
         links: the links that the agent may use.
         moves: by cell, a bit for each direction that a step leads in, uint8.
         weight: by cell, inf where it isn't free.
-        same_weight: the weight of all free cells, 0 where they differ.
+        uniform_weight: the weight of all free cells; 0 if their weights differ.
         least_weight: the smallest weight of a free cell, >= 0.
-        bucket: width of a bucket of the queue, a cost; see `navbake.runtime.search_kernels`.
+        bucket_width: the range of costs in a bucket of the queue, see
+            `navbake.runtime.search_kernels`.
         num_buckets: number of buckets, a power of two.
         link_saving: the most by which links can make a route to the goals cheaper than the search's
             estimate, a cost, >= 0.
@@ -113,9 +114,9 @@ class Graph(NamedTuple):
     links: Links
     moves: NDArray[np.uint8]
     weight: Float
-    same_weight: float
+    uniform_weight: float
     least_weight: float
-    bucket: float
+    bucket_width: float
     num_buckets: int
     link_saving: float = 0.0
 
@@ -125,18 +126,19 @@ class OffCenter(NamedTuple):
 
     Attributes:
         anywhere: by cell, whether the agent fits at every point of the cell.
-        sweepable: by cell, whether a sweep of the agent's disc can decide if the agent fits: where
-            `anywhere` is true, or where only solid squares of the cell's own level are near.
-        solid_before: entry i is the number of solid cells of flat ids below i, shape (n + 1,).
+        sweepable: by cell, whether sweeping the agent's disc over solid squares can decide if the
+            agent fits: if `anywhere` is true, or only solid squares of the cell's own level are
+            near.
+        solid_before: entry i is the number of solid cells with flat ids below i, shape (n + 1,).
         radius: of the agent [m]; 0 if only free cells count.
-        is_closed: whether the area beyond a level's cells is solid.
+        is_solid_outside: whether the area beyond a level's cells is solid.
     """
 
     anywhere: Bool
     sweepable: Bool
     solid_before: Int32
     radius: float
-    is_closed: bool
+    is_solid_outside: bool
 
 
 class Visits(NamedTuple):
@@ -147,7 +149,8 @@ class Visits(NamedTuple):
     Attributes:
         mark: by cell, bits that `navbake.runtime.search_kernels` explains.
         cost: by cell, the cost to reach it; valid where `mark` has the number of this search.
-        link_from: by index in ``links.cell``, the flat id that the link to the cell leads from.
+        link_from: for each of ``links.cell`` that was reached over a link, the flat id that the
+            link leads from.
         entry_cell: flat id of each entry of the queue.
         entry_next: the next entry of the same bucket, -1 for none.
     """
@@ -164,8 +167,11 @@ def level_of(start, cell):
     """Find the level of a cell.
 
     Args:
-        start: that of `Layout`.
+        start: `Layout.start`.
         cell: flat id.
+
+    Returns:
+        The level's number.
     """
     level = 0
     while cell >= start[level + 1]:  # levels are few, so that no search is faster
@@ -246,13 +252,14 @@ def clamp_to_cell(layout, cell, x, y):
 def to_cell_units(layout, level, x, y):
     """Convert a point to units of a level's cells.
 
-    Returns u in columns and v in rows, both from the outer corner of cell (0, 0).
-
     Args:
         layout: `Layout`.
         level: number of the level.
         x: world x of the point [m].
         y: world y of the point [m].
+
+    Returns:
+        u in columns and v in rows, both from the outer corner of cell (0, 0).
     """
     size = layout.cell_size[level]
     u = (x - layout.x_min[level]) / size

@@ -3,11 +3,12 @@
 `navbake.runtime.surroundings` has the rule for blocked cells. A footprint must not overlap an
 occupied cell's square (touching is allowed) and needs a floor under its origin only.
 
-In an inflated grid, free means that an agent fits at a cell's centre. Diagonal steps therefore need
-cells that are free for a larger radius, whose discs at both ends cover the way. Lines off the
-centres need cells in which the agent fits anywhere; or cells with only squares of their own level
-nearby, where a sweep of the disc decides. Beside a step of the floor, which is known to half a cell
-only, steps go from centre to centre.
+In an inflated grid, free means that an agent fits at a cell's centre. A diagonal step therefore
+needs more: both of its cells must be free for a larger radius, so that their two discs cover the
+disc on its way. A line off the centres needs cells in which the agent fits anywhere. Or it needs
+cells with occupied squares of only their own level nearby; there, a sweep of the disc decides.
+Beside a step in the floor, whose place is known only to half a cell, moves lead from centre to
+centre.
 
 Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
 floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
@@ -36,12 +37,12 @@ AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 INFLATION_MODES = ("exact", "minos")
 CLEARANCE_COSTS = ("step", "nav2")
 LEDGE_RULES = ("avoid", "ignore")
-STEP_COST = 10.0  # weight of cells within the clearance, for costs ``step``
+STEP_COST = 10.0  # least weight of cells within the clearance, with costs=``step``
 LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
 INSCRIBED_COST = 253  # nav2's cost of cells within the inscribed radius
 OCCUPIED_COST = 254  # nav2's cost of occupied cells
 NAV2_SCALING = 10.0  # [1/m], nav2's default in code
-STEEP_RISE = 1.001  # in cells: neighbours that differ by more are a step, not a slope
+STEEP_RISE = 1.001  # in cells: if the floors of neighbours differ by more, it is no slope
 MAX_HEADINGS = 720
 MAX_FOOTPRINT_REACH = 1000  # [cells] from a footprint's origin
 DISTANCE_SLACK = 1e-9  # share of a cell by which distances may be rounded
@@ -91,14 +92,14 @@ def inflate(
 ) -> AnyGrid:
     """Inflate a grid for an agent of another radius: `SceneGrid2D.inflate`.
 
-    `navbake.runtime.surroundings` has the rule of mode ``exact``. A layer ``solid`` frees cells
-    that only the baked disc blocked.
+    `navbake.runtime.surroundings` has the rule of mode ``exact``. If the grid has a layer
+    ``solid``, cells that only the baked disc blocked may become free.
 
     Args:
         grid: the grid, which stays as it is.
         radius: of the agent [m], 0 to 10,000.
-        clearance: distance beyond the radius in which cells cost more [m]; None is 0 for costs
-            ``step``, and the distance where the cost falls to 1 for ``nav2``.
+        clearance: distance beyond the radius in which cells cost more [m]. None means 0 with
+            costs=``step``; with ``nav2``, the distance at which the cost has fallen to 1.
         mode: ``exact``, or ``minos`` for the weights of the original client's ``refine``.
         costs: ``step`` or ``nav2``.
         scaling: of ``nav2`` [1/m], > 0.
@@ -112,9 +113,7 @@ def inflate(
     """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
-        distance_of_cost_1 = (
-            math.log(LETHAL_COST) / scaling
-        )  # distance at which nav2's costs fall to 1
+        distance_of_cost_1 = math.log(LETHAL_COST) / scaling  # where nav2's costs fall to 1
         clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
     weights = []
     for number, level in enumerate(grid.levels):
@@ -157,37 +156,43 @@ def inflate(
         }
         if not level.uses_cell_floors:  # the file's values are not the floor
             attributes["floorHeight"] = baked_layers["floorHeight"].copy()
-        metadata = _list_inflation(level.metadata, entry)
+        metadata = _add_inflation_entry(level.metadata, entry)
         levels.append(
             level.with_layers(weights=level_weights, attributes=attributes, metadata=metadata)
         )
-    inflated = grid.with_levels(levels, _list_inflation(grid.metadata, entry))
+    inflated = grid.with_levels(levels, _add_inflation_entry(grid.metadata, entry))
     if grid.navbake:  # in files of other programs these names may mean anything
         names = {name for level in levels for name in level.attributes}
         add_layers(inflated, names & {"island", "clearance"})
     return inflated
 
 
-def _list_inflation(metadata: Json, entry: Json) -> Json:
-    """Return metadata whose list of inflations has one more entry."""
+def _add_inflation_entry(metadata: Json, entry: Json) -> Json:
+    """Return a copy of metadata, with one more entry in the list of inflations."""
     inflations = metadata.get("inflation")
     earlier = inflations if isinstance(inflations, list) else []
     return {**metadata, "inflation": [*earlier, entry]}
 
 
 def _refine_weights(level: SceneGrid2D, radius: float, outer_radius: float) -> Float:
-    """Compute the weights of the original client's ``refine``, by radii in cells.
+    """Compute the weights of the original client's ``refine``.
 
-    The client divides the sum of radius and clearance; its window lacks its far row and column.
+    Args:
+        level: a grid of one level.
+        radius: of the agent, in cells.
+        outer_radius: radius plus clearance, in cells.
+
+    Returns:
+        Weights, inf in blocked cells, shape (height, width).
     """
     occupied = level.occupancy != 0
-    reach = min(math.ceil(outer_radius - 0.5), max(level.shape) + 1)
-    if reach <= 0:
+    window_radius = min(math.ceil(outer_radius - 0.5), max(level.shape) + 1)
+    if window_radius <= 0:
         return np.where(occupied, np.inf, 1.0)
-    steps = np.arange(-reach, reach)
-    squares = steps[:, None] ** 2 + steps**2
-    inner = _to_runs(np.argwhere(squares < radius * radius) - reach)
-    outer = _to_runs(np.argwhere(squares < outer_radius * outer_radius) - reach)
+    steps = np.arange(-window_radius, window_radius)  # without the last one, as in the client
+    squared_distances = steps[:, None] ** 2 + steps**2
+    inner = _find_runs(np.argwhere(squared_distances < radius * radius) - window_radius)
+    outer = _find_runs(np.argwhere(squared_distances < outer_radius * outer_radius) - window_radius)
     num_occupied = count_runs(occupied, inner)
     num_cells = count_runs(np.ones_like(occupied), inner)
     num_with_floor = count_runs(~np.isnan(level.floor_height), inner)
@@ -217,9 +222,9 @@ def nav2_costs(
     if not solid.any():
         return np.zeros(level.shape, dtype=np.uint8)
     # squared distances in cells are whole numbers: tabulate their costs
-    squares = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
+    squared_distances = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
     farthest = math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1
-    last_square = min(int(squares.max()), farthest)
+    last_square = min(int(squared_distances.max()), farthest)
     distance = np.sqrt(np.arange(last_square + 1)) * cell
     slack = DISTANCE_SLACK * cell
     decay = np.exp(-scaling * np.maximum(distance - radius, 0))
@@ -227,7 +232,7 @@ def nav2_costs(
     cost = np.where(distance <= radius + slack, INSCRIBED_COST, cost)
     cost[distance > inflation_radius + slack] = 0
     cost[0] = OCCUPIED_COST
-    costs: NDArray[np.uint8] = cost.astype(np.uint8).take(squares, mode="clip")
+    costs: NDArray[np.uint8] = cost.astype(np.uint8).take(squared_distances, mode="clip")
     return costs
 
 
@@ -353,7 +358,7 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     """Find the cells of an inflated grid where an agent fits off their centres.
 
     Returns:
-        The masks; None if the grid isn't inflated, or is inflated for a radius of 0.
+        The masks; None if the grid isn't inflated, or was inflated to a radius of 0.
     """
     radius = grid.inflated_radius
     if radius == 0.0:
@@ -363,7 +368,7 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
     anywhere = []
     sweepable = []
     for number, level in enumerate(grid.levels):
-        # not beside a neighbour whose floor is a step higher or lower, not a slope
+        # False beside a neighbour whose floor is too much higher or lower for a slope
         floor = level.floor_height.astype(np.float64)
         has_no_step = np.ones(level.shape, dtype=np.bool_)
         columns = (np.s_[:, :-1], np.s_[:, 1:])
@@ -377,7 +382,7 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
         anywhere_radius = _anywhere_radius(radius, cell)
         is_blocked = find_blocked(grid, number, anywhere_radius, ledges)
         is_blocked_by_floors = find_blocked(
-            grid, number, anywhere_radius, ledges, by_own_level=False
+            grid, number, anywhere_radius, ledges, counts_own_occupied=False
         )
         is_blocked_diagonally = find_blocked(grid, number, _diagonal_radius(radius, cell), ledges)
         diagonal.append((has_no_step & ~is_blocked_diagonally).ravel())
@@ -391,14 +396,14 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
 
 
 def _diagonal_radius(radius: float, cell_size: float) -> float:
-    """Compute the radius [m] at a cell's centre that frees a diagonal step from there."""
+    """Compute the radius [m] for which both cells of a diagonal step must be free."""
     # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
     # line is the farthest from them: sqrt(r² + (s / sqrt 2)²).
     return math.sqrt(radius**2 + cell_size**2 / 2)
 
 
 def _anywhere_radius(radius: float, cell_size: float) -> float:
-    """Compute the radius [m] at a cell's centre that frees any position in the cell."""
+    """Compute the radius [m] for which a cell must be free, so that agents fit anywhere in it."""
     # a corner of the cell is s / sqrt 2 from its centre
     return radius + cell_size / math.sqrt(2)
 
@@ -417,7 +422,7 @@ def inflate_footprint(
             y to the left, its centre at the origin. No two sides cross.
         num_headings: number of headings; heading k is ``2 π k / num_headings`` [rad],
             counter-clockwise from the world's x.
-        ledges: as of `inflate`.
+        ledges: see `inflate`.
 
     Returns:
         For each level, shape (num_headings, height, width), bool: whether the cell is free
@@ -434,22 +439,30 @@ def inflate_footprint(
     masks = []
     for number, level in enumerate(grid.levels):
         cell = level.lattice.cell_size
-        reach = math.ceil(radius / cell) + 1
-        if reach > MAX_FOOTPRINT_REACH:
+        window_radius = math.ceil(radius / cell) + 1
+        if window_radius > MAX_FOOTPRINT_REACH:
             limit = f"within {MAX_FOOTPRINT_REACH} cells"
-            raise QueryError(f"expected a polygon {limit}, got one of {reach}")
-        stack, inside = surroundings.stack_levels(grid, number, reach)
+            raise QueryError(f"expected a polygon {limit}, got one of {window_radius}")
+        stack, inside = surroundings.stack_levels(grid, number, window_radius)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
-        # the cells round the agent's, by which the polygon's squares are listed in their unit
-        window = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
+        # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
+        window = Lattice(
+            -window_radius - 0.5,
+            window_radius + 0.5,
+            1.0,
+            2 * window_radius + 1,
+            2 * window_radius + 1,
+        )
         x, y = outline.T / cell
         for k in range(num_headings):
             angle = 2 * math.pi * k / num_headings
             cos = math.cos(angle)
             sin = math.sin(angle)
             rotated = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
-            offsets = np.ascontiguousarray(np.argwhere(touch_cells([rotated], window)) - reach)
-            num_occupied = count_runs(stack.occupied[stack.level] != 0, _to_runs(offsets))
+            offsets = np.ascontiguousarray(
+                np.argwhere(touch_cells([rotated], window)) - window_radius
+            )
+            num_occupied = count_runs(stack.occupied[stack.level] != 0, _find_runs(offsets))
             blocked = num_occupied > 0
             surroundings.block_by_floors(grid, number, stack, radius, offsets, ledges, blocked)
             free[k] = level.free_for_point & ~blocked[inside]
@@ -495,8 +508,15 @@ def count_runs(mask: Bool, runs: Int) -> Int32:
     return count
 
 
-def _to_runs(offsets: Int) -> Int:
-    """Pack steps (row, col) into runs: row, first column, last column, shape (n, 3)."""
+def _find_runs(offsets: Int) -> Int:
+    """Join offsets of cells into runs along rows.
+
+    Args:
+        offsets: row and column of each cell, sorted, shape (m, 2).
+
+    Returns:
+        Row, first column and last column of each run, shape (n, 3).
+    """
     row, col = offsets.T
     is_first = np.ones(len(row), dtype=np.bool_)
     is_first[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)

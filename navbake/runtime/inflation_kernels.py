@@ -1,13 +1,17 @@
-"""Finds cells where an agent can't stand because of what is near. All distances in cells.
+"""Finds cells where an agent can't stand because of occupied cells, holes and floors near them.
 
-`dilate` has two passes, as the exact distance transform of Meijster, Roerdink and Hesselink (2000):
-along the columns first, then along the rows, where it unites intervals instead of parabolas.
+All distances on the map are in cells.
 
-Floors of several levels are compared cell by cell, but only where ranges of heights in patches of
-cells make a conflict possible: one step of a min-max pyramid.
+`dilate` has two passes, like the exact distance transform of Meijster, Roerdink and Hesselink
+(2000): first along the columns, then along the rows. Along rows it unites intervals, where theirs
+compares parabolas.
 
-Arrays have the shape (rows, cols), those of `LevelStack` (levels, rows, cols); `offsets` are the
-steps from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool and written.
+Floors of several levels are compared cell by cell, but only where the lowest and highest floors of
+whole patches of cells differ enough (one step of a min-max pyramid).
+
+Arrays have the shape (rows, cols); the arrays of `LevelStack` have the shape (levels, rows, cols).
+`offsets` lead from an agent's cell to each cell that its disc overlaps: rows and columns, shape
+(n, 2), int64.
 """
 
 from typing import NamedTuple
@@ -23,13 +27,14 @@ SLAB_THICKNESS = 0.3  # [m] how thick the floor of a level above may be
 
 
 class LevelStack(NamedTuple):
-    """The cells of one level and of those around it, in a window of the scene's lattice.
+    """The cells of one level and of the levels around it, in a window of the scene's lattice.
 
     Attributes:
         floor: world z of the floor [m], NaN for none, shape (levels, rows, cols), float32.
-        occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, shape as `floor`, uint8.
-        slopes: which neighbours, on any level, links join that are more than a step apart: bits
-            EAST, NORTH, WEST and SOUTH, uint8; shape as `floor`, or (0, 0, 0) where there are none.
+        occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, shape of `floor`, uint8.
+        slopes: for each cell, the directions in which a link leads to a neighbour, on any level,
+            whose floor is more than a step higher or lower: bits EAST, NORTH, WEST and SOUTH,
+            uint8. Shape of `floor`, or (0, 0, 0) if there are no such links.
         level: index in the arrays of the level that the agent is on.
         step: largest difference of neighbours' floors that an agent can step over [m].
         height: of the agent [m].
@@ -45,9 +50,9 @@ class LevelStack(NamedTuple):
 
 @kernel
 def dilate(occupied, half_width):
-    """Mark the cells that a shape covers when it is centred on any occupied cell.
+    """Mark the cells that a shape covers when it is centred on any of the occupied cells.
 
-    Exact for any shape that is symmetric and narrows with the distance from its middle.
+    The shape must be symmetric, and its rows must get no wider away from its middle.
 
     Args:
         occupied: uint8, shape (rows, cols).
@@ -89,18 +94,19 @@ def dilate(occupied, half_width):
 
 
 @kernel
-def block_near_holes(has_floor, near, offsets, squares, least_share, blocked):
-    """Block the cells that have too few cells with a floor around them.
+def block_near_holes(has_floor, is_checked, offsets, squared_lengths, least_share, blocked):
+    """Block the cells around which too few cells have a floor.
 
-    A cell is blocked if the share is too small within any distance up to the radius.
+    A cell is blocked if the share of cells with a floor is too small within any distance up to the
+    radius.
 
     Args:
         has_floor: bool, shape (rows, cols).
-        near: the cells that are checked, bool, shape (rows, cols).
+        is_checked: whether to check each cell, bool, shape (rows, cols).
         offsets: rows and columns from a cell to the cells within the radius, the nearest first,
             int64, shape (n, 2).
-        squares: squared lengths of `offsets`, shape (n,).
-        least_share: the share of the cells within a distance that must have a floor.
+        squared_lengths: of `offsets`, shape (n,).
+        least_share: at least this share of the cells within a distance must have a floor.
         blocked: bool, shape (rows, cols), written.
     """
     rows, cols = has_floor.shape
@@ -108,39 +114,42 @@ def block_near_holes(has_floor, near, offsets, squares, least_share, blocked):
         for col in range(cols):
             num_within = 0
             num_with_floor = 0
-            for k in range(offsets.shape[0] if near[row, col] else 0):
+            for k in range(offsets.shape[0] if is_checked[row, col] else 0):
                 to_row = row + offsets[k, 0]
                 to_col = col + offsets[k, 1]
                 if 0 <= to_row < rows and 0 <= to_col < cols:
                     num_within += 1
                     num_with_floor += has_floor[to_row, to_col]
-                # a ring of equally far cells completes a disc; if that fails, larger ones do
-                is_disc = k + 1 == offsets.shape[0] or squares[k + 1] > squares[k]
+                # the share counts once all cells at the same distance are included
+                is_disc = k + 1 == offsets.shape[0] or squared_lengths[k + 1] > squared_lengths[k]
                 if is_disc and num_with_floor < least_share * num_within:
                     blocked[row, col] = True
                     break
 
 
 @kernel
-def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked):
-    """Update `blocked` for the floors around each cell.
+def block_by_floors(
+    stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
+):
+    """Update which cells are blocked, by the floors and levels around each cell.
 
-    First, cells near another level's floor of about the same height are recomputed: there, an
-    occupied cell of the agent's level doesn't count where another level covers its column. So cells
-    may become free.
-    Then cells are blocked near a floor that is more than a step higher (of another level only up to
-    an agent and a slab above) or a drop, unless a slope leads there. Offsets are tried only where
-    the floors of patches make a conflict possible.
+    First, cells near another level's floor of about the same height are computed again. There, an
+    occupied cell of the agent's level doesn't count if another level has a floor over it at that
+    height. So cells may become free.
+
+    Then cells are blocked near floors that are more than a step higher, and near drops, unless a
+    slope leads there. A higher floor of another level counts only up to the height of an agent and
+    a slab. Offsets are tried only where the floors of whole patches differ enough.
 
     Args:
         stack: `LevelStack`.
-        lowest: the lowest floor of each level in the patches that offsets lead to from each patch,
-            shape (levels, patch rows, patch columns).
-        highest: the highest floor, of the same shape.
-        offsets: steps from an agent's cell to the cells that it meets, int64, shape (n, 2).
-        counts_higher: whether higher floors block.
-        counts_lower: whether drops block.
-        blocked: the level's cells, bool, shape (rows, cols), written.
+        lowest: for each level and patch, the lowest floor in the patches that offsets lead to from
+            there, shape (levels, patch rows, patch columns).
+        highest: the highest floor there, of the same shape.
+        offsets: from an agent's cell to the cells that it overlaps, int64, shape (n, 2).
+        higher_floors_block: whether floors more than a step higher block.
+        lower_floors_block: whether drops block.
+        blocked: whether each of the level's cells is blocked, bool, shape (rows, cols), written.
     """
     floor, occupied, slopes, level, step, height = stack
     levels, rows, cols = floor.shape
@@ -155,7 +164,7 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                 is_high = z - highest[k, row // PATCH_SIZE, col // PATCH_SIZE] < overlap
                 meets_level |= k != level and is_low and is_high
             if meets_level and not occupied[level, row, col]:
-                blocked[row, col] = _meets_occupied(
+                blocked[row, col] = _overlaps_occupied(
                     floor, occupied, level, row, col, offsets, overlap
                 )
     for patch_row in range(lowest.shape[1]):
@@ -171,7 +180,7 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                 col = patch_col * PATCH_SIZE + index % PATCH_SIZE
                 if row >= rows or col >= cols:
                     continue
-                # what this column is to the cells of the level round it
+                # whether this cell is too high or too low for agents in the cells round it
                 is_wall = False
                 is_low = False
                 has_floor_in_step = False
@@ -187,8 +196,8 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                     is_low |= is_below
                     # no drop for an agent of any of these heights
                     has_floor_in_step |= not (is_above or is_below or np.isnan(z))
-                is_wall &= counts_higher
-                is_low &= counts_lower and not has_floor_in_step and levels > 1
+                is_wall &= higher_floors_block
+                is_low &= lower_floors_block and not has_floor_in_step and levels > 1
                 for i in range(offsets.shape[0] if is_wall or is_low else 0):
                     agent_row = row - offsets[i, 0]
                     agent_col = col - offsets[i, 1]
@@ -206,9 +215,9 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
                         blocked[agent_row, agent_col] = _is_drop(
                             floor, slopes, step, level, agent_row, agent_col, row, col
                         )
-                # of a single level, the high cells beside drops are fewer than the low columns
+                # with a single level, fewer cells are beside drops than are drops: start there
                 may_fall = levels == 1 and floor[level, row, col] - least > step
-                for i in range(offsets.shape[0] if may_fall and counts_lower else 0):
+                for i in range(offsets.shape[0] if may_fall and lower_floors_block else 0):
                     to_row = row + offsets[i, 0]
                     to_col = col + offsets[i, 1]
                     if blocked[row, col]:
@@ -220,12 +229,13 @@ def block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower
 
 
 @subkernel
-def _meets_occupied(floor, occupied, level, row, col, offsets, overlap):
-    """Whether an agent in a cell meets an occupied cell, another level's floors included."""
-    # What counts in a column that an agent meets, by whose floors are as high as the agent's:
-    #   own level's only, or none     the own level
-    #   own and other levels'         the own level and these other levels
-    #   only other levels'            these other levels
+def _overlaps_occupied(floor, occupied, level, row, col, offsets, overlap):
+    """Whether an agent overlaps an occupied cell of its own level or of one at its height."""
+    # Which levels count at a cell that the agent overlaps depends on which have a floor there that
+    # is about as high as the agent's floor:
+    #   its own level only, or none   its own level counts
+    #   its own and other levels      its own and these other levels count
+    #   only other levels             these other levels count
     levels, rows, cols = floor.shape
     height = floor[level, row, col]
     for i in range(offsets.shape[0]):
@@ -247,10 +257,10 @@ def _meets_occupied(floor, occupied, level, row, col, offsets, overlap):
 
 @subkernel
 def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
-    """Whether a column is a drop from a cell of a level.
+    """Whether an agent that moves from a cell of a level to another row and column drops there.
 
-    It is where some level's floor lies more than a step below the cell's, no level's within a step
-    of it, and no slope leads to the highest of the floors below.
+    It does if some level has a floor there more than a step below the cell's, no level has one
+    within a step of it, and no slope leads to the highest of the lower floors.
     """
     height = floor[level, row, col]
     highest = -np.inf
@@ -272,21 +282,21 @@ def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
 
 @subkernel
 def _is_slope(floor, slopes, step, level, row, col, to_level, to_row, to_col):
-    """Whether the straight line from a cell of a level to one of another is one walk on a slope.
+    """Whether an agent can walk straight from a cell of a level to one of another on a slope.
 
-    From cell to cell along the line (Bresenham 1965), it must lead over steps and slopes, and over
-    one slope at least: steps alone make a stair, on which a larger agent meets the next riser.
+    The walk leads from cell to cell along the line (Bresenham 1965), over steps and slopes, and
+    over at least one slope. Steps alone make a stair: there, a larger agent hits the next riser.
     """
-    down = to_row - row
-    across = to_col - col
-    count = max(abs(down), abs(across))
+    row_offset = to_row - row
+    col_offset = to_col - col
+    count = max(abs(row_offset), abs(col_offset))
     num_slopes = 0
     current_row = row
     current_col = col
     for k in range(1, count + 1):
         # halves are rounded away from the start, so that turning a grid turns the lines
-        next_row = row + np.sign(down) * ((2 * abs(down) * k + count) // (2 * count))
-        next_col = col + np.sign(across) * ((2 * abs(across) * k + count) // (2 * count))
+        next_row = row + np.sign(row_offset) * ((2 * abs(row_offset) * k + count) // (2 * count))
+        next_col = col + np.sign(col_offset) * ((2 * abs(col_offset) * k + count) // (2 * count))
         reached_level = np.int64(-1)
         is_slope = -1
         # round a corner, there are two walks over edges, of which one on a slope counts
@@ -314,24 +324,26 @@ def _is_slope(floor, slopes, step, level, row, col, to_level, to_row, to_col):
 
 @subkernel
 def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
-    """Find the level on which a step or a slope leads to a neighbour, and 1 if it is a slope.
+    """Find the level that a step or a slope over an edge of a cell leads to.
 
-    The level is -1 for none, and the own one if the neighbour is the cell itself.
+    Returns:
+        The level's number, -1 for none; and 1 for a slope, else 0. If the neighbour is the cell
+        itself, its own level and 0.
     """
     if to_row == row and to_col == col:
         return level, 0
     if to_row == row:
-        onward, back = (EAST, WEST) if to_col > col else (WEST, EAST)
+        direction, opposite = (EAST, WEST) if to_col > col else (WEST, EAST)
     else:
-        onward, back = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
+        direction, opposite = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
     height = floor[level, row, col]
-    is_steep = slopes[level, row, col] & onward != 0
+    is_steep = slopes[level, row, col] & direction != 0
     levels = floor.shape[0]
     for k in range(levels):
         to_level = (level + k) % levels
         rise = abs(floor[to_level, to_row, to_col] - height)
         if rise <= step:
             return to_level, 0
-        if is_steep and rise > step and slopes[to_level, to_row, to_col] & back != 0:
+        if is_steep and rise > step and slopes[to_level, to_row, to_col] & opposite != 0:
             return to_level, 1
     return -1, 0

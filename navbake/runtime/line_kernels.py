@@ -1,7 +1,7 @@
-"""Straight lines over a level: what they touch, what a disc meets along them, what they cost.
+"""Straight lines over a level: which cells they touch, whether a disc fits, what they cost.
 
-Ends of lines are pairs u, v in the level's own units, columns and rows: cell (row, col) is the
-square from (col, row) to (col + 1, row + 1).
+The ends of lines are points (u, v) in the level's own units, u in columns and v in rows: cell
+(row, col) is the square from (col, row) to (col + 1, row + 1).
 
 `is_walkable` is a supercover line, row by row: all cells that meet the line count, also those that
 it only touches.
@@ -33,20 +33,29 @@ from navbake.runtime.grid_arrays import (
 
 TOUCH_DISTANCE = 1e-9  # share of a cell: what is this near a line is touched, for rounding
 RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
-STEEP_RISE = 1.001  # in cells: neighbours that differ by more are a step, not a slope
-COLLINEAR_DISTANCE = 1e-9  # [m] that a point of a straight line may be off it
-SAME_POINT = 1e-9  # [m] between two points that are one
-FLOOR_TOLERANCE = 1e-3  # [m] that a line may be off the height of the floor in a cell's middle
-COST_SLACK = 1e-9  # share of its cost by which rounding may make a straight line dearer
-LEAST_SHARE = 1e-12  # of a line: a shorter part in a cell is a corner that it only touches
+STEEP_RISE = 1.001  # in cells: if the floors of neighbours differ by more, it is no slope
+COLLINEAR_DISTANCE = 1e-9  # [m]: a point this near to a straight line is on it
+SAME_POINT = 1e-9  # [m]: points this near to each other are the same
+FLOOR_TOLERANCE = 1e-3  # [m]: how far a path may be above or below the floor in a cell's middle
+COST_SLACK = 1e-9  # share of a cost by which a straight line may cost more, for rounding
+LEAST_SHARE = (
+    1e-12  # share of a line: if less of it is in a cell, it only touches the cell's corner
+)
 
 
 @subkernel
 def is_walkable(start, end, layout, level, moves, is_allowed):
     """Whether all cells that a line touches are allowed, and an agent can step between them.
 
-    A line touches a cell where it meets the cell's closed square: over a corner, all four.
-    `start` and `end` are u, v; `moves` and `is_allowed` are by cell.
+    A line also touches a cell if it only meets the cell's edge or corner.
+
+    Args:
+        start: u, v of the line's start.
+        end: u, v of its end.
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        level: number of the level.
+        moves: by cell, see `navbake.runtime.grid_arrays.Graph`.
+        is_allowed: by cell, bool.
     """
     u0, v0 = start
     u1, v1 = end
@@ -97,7 +106,7 @@ def crossed_cells(start, end, layout, level):
 
     Returns:
         The flat ids of the n cells, in the line's order; and n + 1 fractions of the line's length,
-        0 to 1: cell i extends from fraction i to fraction i + 1.
+        0 to 1: the line is in cell i from fraction i to fraction i + 1.
     """
     u0, v0 = start
     u1, v1 = end
@@ -146,29 +155,35 @@ def line_cost(start, end, level, graph):
 
 
 @subkernel
-def disc_passes(start, end, layout, level, solid_before, radius, is_closed):
+def disc_passes(start, end, layout, level, solid_before, radius, is_solid_outside):
     """Return whether a disc can move along a line without overlapping a solid cell's square.
 
-    `start` and `end` are u, v; the radius is in cells. `solid_before` and `is_closed` are those of
-    `navbake.runtime.grid_arrays.OffCenter`.
+    Args:
+        start: u, v of the line's start.
+        end: u, v of its end.
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        level: number of the level.
+        solid_before: `OffCenter.solid_before` of `navbake.runtime.grid_arrays`.
+        radius: of the disc, in cells.
+        is_solid_outside: `OffCenter.is_solid_outside`.
     """
     u0, v0 = start
     u1, v1 = end
     rows = layout.height[level]
     cols = layout.width[level]
-    reach = radius * (1.0 - RADIUS_SLACK)
-    v_min = min(v0, v1) - reach
-    v_max = max(v0, v1) + reach
+    effective_radius = radius * (1.0 - RADIUS_SLACK)
+    v_min = min(v0, v1) - effective_radius
+    v_max = max(v0, v1) + effective_radius
     for row in range(math.floor(v_min), math.ceil(v_max)):
         low = max(float(row), v_min)
         high = min(row + 1.0, v_max)
         # the smallest u of the capsule is the largest one of its mirror image
-        u_min = -_largest_u(-u0, v0, -u1, v1, low, high, reach)
-        u_max = _largest_u(u0, v0, u1, v1, low, high, reach)
+        u_min = -_largest_u(-u0, v0, -u1, v1, low, high, effective_radius)
+        u_max = _largest_u(u0, v0, u1, v1, low, high, effective_radius)
         first_col = math.floor(u_min)
         end_col = math.ceil(u_max)
         is_outside = row < 0 or row >= rows
-        if is_closed and (is_outside or first_col < 0 or end_col > cols):
+        if is_solid_outside and (is_outside or first_col < 0 or end_col > cols):
             return False
         first_col = max(first_col, 0)
         end_col = min(end_col, cols)
@@ -182,24 +197,27 @@ def disc_passes(start, end, layout, level, solid_before, radius, is_closed):
 
 @subkernel
 def _largest_u(u0, v0, u1, v1, low, high, radius):
-    """Compute the largest u of a swept disc between two v that it reaches."""
-    # Towards larger v the capsule's edge first moves out, up to the middle of the disc at the
-    # line's farther end, and then back in. So the v nearest to that one has the largest u.
+    """Compute the largest u that a disc swept from (u0, v0) to (u1, v1) covers.
+
+    Only points with v from `low` to `high` count; the disc covers some at each such v.
+    """
+    # The capsule's largest u as a function of v rises up to the v of the line's end of larger u,
+    # and falls from there. So the largest u is at the v nearest to that one.
     peak = v1 if u1 > u0 else v0
-    if u0 == u1:  # all along the line it is as far
+    if u0 == u1:  # it is the same all along the line
         peak = min(max(low, min(v0, v1)), max(v0, v1))
     v = min(max(peak, low), high)
     du = u1 - u0
     dv = v1 - v0
     share = 1.0 if u1 > u0 else 0.0
     if dv != 0.0:
-        # the disc that reaches the farthest at v touches the edge where its radius is upright on
-        # the line, or else is the one at an end
-        along = -math.copysign(du, du * dv) if du != 0.0 else 0.0
-        share = (v - radius * along / math.hypot(du, dv) - v0) / dv
+        # Of all discs along the line, the one that covers the largest u at v touches the capsule's
+        # edge there: its radius is perpendicular to the line. Or else it is the disc at an end.
+        signed_du = -math.copysign(du, du * dv) if du != 0.0 else 0.0
+        share = (v - radius * signed_du / math.hypot(du, dv) - v0) / dv
         share = min(max(share, 0.0), 1.0)
-    off = v - v0 - share * dv
-    return u0 + share * du + math.sqrt(max(radius * radius - off * off, 0.0))
+    v_offset = v - v0 - share * dv
+    return u0 + share * du + math.sqrt(max(radius * radius - v_offset * v_offset, 0.0))
 
 
 @kernel
@@ -228,8 +246,8 @@ def can_pass(start, end, level, graph, off_center):
         return False
     radius = off_center.radius / layout.cell_size[level]
     solid_before = off_center.solid_before
-    is_closed = off_center.is_closed
-    return disc_passes(start_uv, end_uv, layout, level, solid_before, radius, is_closed)
+    is_solid_outside = off_center.is_solid_outside
+    return disc_passes(start_uv, end_uv, layout, level, solid_before, radius, is_solid_outside)
 
 
 @kernel
@@ -252,8 +270,8 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
 
     Returns:
         World x, y, floor z of the polyline's points [m], shape (m, 3); the level of each point,
-        shape (m,); and for each point from which a link leads to the next point, the index in
-        `route` of the cell that the link leads to, else 0, shape (m,).
+        shape (m,); and, where a link leads from a point to the next one, the index in `route` of
+        the cell that the link leads to, else 0, shape (m,).
     """
     layout = graph.layout
     num_cells = route.shape[0]
@@ -300,14 +318,24 @@ def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
 
 @subkernel
 def _pull_string(points, levels, link_to, graph, off_center):
-    """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
+    """Mark the corners of a route that remain when it is pulled straight.
 
-    A straight line never costs more than the part of the route that it replaces, and never runs
-    over a link.
+    Straight lines between the corners are free, see `can_pass`. None costs more than the part of
+    the route that it replaces, and none replaces a link.
+
+    Args:
+        points: x, y of the route's points [m], shape (n, 2).
+        levels: of the points, shape (n,).
+        link_to: not 0 where a link leads from a point to the next one, shape (n - 1,).
+        graph: `navbake.runtime.grid_arrays.Graph`.
+        off_center: `navbake.runtime.grid_arrays.OffCenter`.
+
+    Returns:
+        bool, shape (n,).
     """
     num_points = points.shape[0]
     cost = np.zeros(num_points)  # of the route up to each point
-    if graph.same_weight <= 0.0:
+    if graph.uniform_weight <= 0.0:
         for i in range(1, num_points):
             cost[i] = cost[i - 1]
             if not link_to[i - 1]:
@@ -334,7 +362,7 @@ def _pull_string(points, levels, link_to, graph, off_center):
             end = points[candidate]
             level = levels[current]
             if can_pass(start, end, level, graph, off_center) and (
-                graph.same_weight > 0.0
+                graph.uniform_weight > 0.0
                 or line_cost(start, end, level, graph)
                 <= (cost[candidate] - cost[current]) * (1.0 + COST_SLACK)
             ):
@@ -344,7 +372,7 @@ def _pull_string(points, levels, link_to, graph, off_center):
             stride *= 2
         current = reachable
         is_corner[current] = True
-    # points on the straight line between those before and after go, but for ends of links
+    # drop points on the straight line between the points before and after, but no ends of links
     before = 0
     current = -1
     for after in range(1, num_points):
@@ -368,12 +396,12 @@ def _pull_string(points, levels, link_to, graph, off_center):
 
 @subkernel
 def _lay_on_floor(points, levels, link_to, layout, floors):
-    """Lay lines between points on the floor: with points in between where its height bends.
+    """Lay the lines between points on the floor, with more points where the floor's height bends.
 
-    The line runs through the middle of its part in each cell that it crosses, at the cell's
-    floor; between two that are steeper than any slope, straight up or down at their edge, or
-    halfway over a link. Points within `FLOOR_TOLERANCE` of the line through the remaining ones are
-    dropped. Returns as `lay_route`.
+    In the middle of each cell that a line crosses, it is at the height of the cell's floor. Between
+    cells whose floors differ by more than any slope, it rises vertically: at the cells' common
+    edge, or at the middle of a link. Points within `FLOOR_TOLERANCE` of the line through the
+    remaining ones are dropped. Arguments and results are described in `lay_route`.
     """
     num_points = points.shape[0]
     line = np.empty((4 * num_points + 16, 3))
@@ -423,9 +451,10 @@ def _lay_on_floor(points, levels, link_to, layout, floors):
 
 @subkernel
 def _floor_profile(start, end, level, layout, floors):
-    """Compute the floor under a line: shares of the line and heights there, shape (n, 2).
+    """Compute the height of the floor along a line.
 
-    `start` and `end` are u, v.
+    `start` and `end` are u, v. Returns fractions of the line's length, ascending, and floor z there
+    [m], shape (n, 2).
     """
     cells, enter = crossed_cells(start, end, layout, level)
     last = cells.shape[0] - 1
@@ -457,16 +486,19 @@ def _floor_profile(start, end, level, layout, floors):
 
 @subkernel
 def _cell_at(layout, level, point):
-    """Compute the flat id of the cell of u, v."""
+    """Compute the flat id of the cell that a point (u, v) is in."""
     return layout.start[level] + math.floor(point[1]) * layout.width[level] + math.floor(point[0])
 
 
 @subkernel
 def _next_bend(profile, current):
-    """Find the last point to whose straight line all points before it are near enough.
+    """Find how far a straight line from point `current` of a profile can follow the profile.
 
-    Its slope from `current` is in the ranges of slopes that each of these allows (cone
-    intersection, Sklansky and Gonzalez 1980).
+    The line is within `FLOOR_TOLERANCE` of all points that it skips: its slope is in the range that
+    each of them allows (cone intersection, Sklansky and Gonzalez 1980).
+
+    Returns:
+        The index of the line's end in `profile`; the next point if the line can skip none.
     """
     low = -np.inf
     high = np.inf

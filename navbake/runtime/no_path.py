@@ -11,12 +11,12 @@ from navbake.known_names import list_first
 from navbake.lazy import lazy
 from navbake.navgrid.cells import place_in
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.flat_grid import STAIRS_RISE, doors_along
+from navbake.runtime.flat_grid import STAIRS_RISE, list_doors_along
 from navbake.runtime.inflation import ledges_setting
 from navbake.runtime.passage import (
     NARROW_WEIGHT,
     find_bottleneck,
-    find_closed_connections,
+    find_lost_connections,
     find_route_cells,
     find_widest,
     similar_search,
@@ -31,11 +31,12 @@ spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 # weight of a cell that a door blocks: a route of 10 km costs as much as 1 m of it
 DOOR_WEIGHT = 10_000.0
-# what a link that isn't allowed costs more [m], and the factor of areas that bar the agent
+# added to the cost of links that the agent may not use [m], and the factor by which areas that bar
+# it multiply weights
 FORBIDDEN_PENALTY = 10_000.0
-MAX_NAMES = 4  # of obstacles, listed in a sentence
-RISE_MARGIN = 3  # cells along a route before and after its obstacle, for its rise
-ALL_MOVES = 255  # of a cell all of whose neighbours are free
+MAX_NAMES = 4  # how many names of obstacles a sentence lists
+RISE_MARGIN = 3  # cells of a route before and after its blocked part that count for its rise
+ALL_MOVES = 255  # the moves of a cell from which moves lead in all directions
 
 
 def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> str | None:
@@ -48,7 +49,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         level: the level of positions; None finds each one's level by its z.
 
     Returns:
-        None if there is a path.
+        The sentence; None if there is a path.
 
     Raises:
         QueryError: an argument is not valid.
@@ -84,10 +85,13 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
 
 
 def _describe_blocked(search: Search, position: Float, cell: int) -> str:
-    """Say why a position isn't free, and where the nearest free cell is."""
+    """Say why a position isn't free, and where the nearest free cell is.
+
+    `cell` is the flat id of the position's cell, -1 for none.
+    """
     grid = search.grid
     flat = search.flat
-    area = None if cell < 0 else _barring_area(search, cell)
+    area = None if cell < 0 else _find_barring_area(search, cell)
     if cell < 0:
         boxes = np.array([level.lattice.bounds for level in grid.levels])
         x0, y0 = boxes[:, :2].min(axis=0)
@@ -122,7 +126,12 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
 
 
 def _describe_islands(search: Search, start_cell: int, goals: Int) -> tuple[str, Int | None]:
-    """Name the islands of start and goal, and find their two nearest cells on one level."""
+    """Say which islands the start and the goals are in, and how near these are to each other.
+
+    Returns:
+        The clause; and the flat ids of the two nearest cells of both islands on one level, None if
+        no level has cells of both.
+    """
     flat = search.flat
     islands = search.islands
     start_island = islands.number[start_cell]
@@ -166,7 +175,7 @@ def _cells_between(search: Search, ends: Int) -> Int:
 
 
 def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the added obstacles that lie on the route that would exist without obstacles.
+    """Say where added obstacles block the route that would exist without them.
 
     Args:
         search: of the grid, up to date.
@@ -174,14 +183,15 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
         goals: flat ids of free cells.
 
     Returns:
-        None if there are no obstacles, or no route without them.
+        The clause, such as ``the way at (1.00, 2.00, 0.00) is blocked for now``; None if there are
+        no added obstacles, or no route without them.
     """
     grid = search.grid
     flat = search.flat
-    clean = grid.without_obstacles()
-    if clean is grid:
+    grid_without_obstacles = grid.without_obstacles()
+    if grid_without_obstacles is grid:
         return None
-    route = find_route_cells(clean, search, start_cell, goals)
+    route = find_route_cells(grid_without_obstacles, search, start_cell, goals)
     if route is None:
         return None
     blocked_places = np.flatnonzero(~flat.free[route])
@@ -195,15 +205,17 @@ def explain_by_obstacles(search: Search, start_cell: int, goals: Int) -> str | N
         first_level = _name_level(grid, levels[0])
         between = f" between {first_level} and {_name_level(grid, levels[-1])}"
     where = f"{_format_point(flat.positions(route[blocked_places[0]]))}{between}"
-    closed = "".join(f" {steps}," for steps in _closed_steps(search))
-    comma = "," if closed else ""
+    steps_text = "".join(f" {steps}," for steps in _describe_blocked_steps(search))
+    comma = "," if steps_text else ""
     if is_stairs:
-        return f"the stairs at {where}{comma}{closed} are blocked for now"
-    return f"the way at {where}{comma}{closed} is blocked for now"
+        return f"the stairs at {where}{comma}{steps_text} are blocked for now"
+    return f"the way at {where}{comma}{steps_text} is blocked for now"
 
 
 def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the doors that block the route with the fewest cells blocked by doors.
+    """Name the doors in the way of the route that has to pass the fewest blocked cells.
+
+    The route is planned as if all doors and added obstacles were removed.
 
     Args:
         search: of the grid, up to date.
@@ -211,7 +223,8 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        None if no door is on it, or there is no such route.
+        The clause, such as ``door 'kitchen' (closed) is in the way``; None if no door is in the
+        way, or there is no such route.
     """
     grid = search.grid
     flat = search.flat
@@ -228,11 +241,11 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
     blocked = NO_CELLS if route is None else route[~flat.free[route]]
     # a door blocks all cells from which the agent's disc reaches it
     leaf_cells = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
-    reach = grid.radius + 1.5 * float(flat.layout.cell_size.max())
+    max_distance = grid.radius + 1.5 * float(flat.layout.cell_size.max())
     tree = spatial.cKDTree(flat.positions(leaf_cells))
-    _, nearest = tree.query(flat.positions(blocked), distance_upper_bound=reach)
+    _, nearest = tree.query(flat.positions(blocked), distance_upper_bound=max_distance)
     passed_leaf_cells = leaf_cells[nearest[nearest < len(leaf_cells)]]
-    names = list(dict.fromkeys(doors_along(search.doors, passed_leaf_cells)))
+    names = list(dict.fromkeys(list_doors_along(search.doors, passed_leaf_cells)))
     if not names:
         return None
     states = {door.id: door.state for door in grid.doors}
@@ -244,7 +257,10 @@ def explain_by_doors(search: Search, start_cell: int, goals: Int) -> str | None:
 
 
 def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the steps, links and doors that are too narrow for the agent, or else the gap.
+    """Name the stairs, links and doors that are too narrow for the agent, or else the gap.
+
+    Only those on a route of a point count that avoids the cells too narrow for the agent where it
+    can.
 
     Args:
         search: of the grid, up to date.
@@ -252,7 +268,7 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        The explanation; None if the grid isn't inflated, or no agent of a smaller radius passes.
+        The clause; None if the grid isn't inflated, or not even a point gets to a goal.
     """
     grid = search.grid
     flat = search.flat
@@ -270,14 +286,14 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
     weighted_grid = with_weights(point_grid, weights)
     route = find_route_cells(weighted_grid, search, start_cell, goals)
     route_cells = NO_CELLS if route is None else route
-    closed = [
+    lost_names = [
         connection.name
-        for connection in find_closed_connections(point_search, search)
+        for connection in find_lost_connections(point_search, search)
         if np.isin(connection.cells, route_cells).any()
     ]
-    if closed:
-        is_singular = len(closed) == 1 and not closed[0].startswith("the stairs")
-        names = f"{' and '.join(closed)} {'is' if is_singular else 'are'}"
+    if lost_names:
+        is_singular = len(lost_names) == 1 and not lost_names[0].startswith("the stairs")
+        names = f"{' and '.join(lost_names)} {'is' if is_singular else 'are'}"
         return f"{names} closed for a radius of {agent_radius:g} m, and {radius:g} m passes"
     if math.isinf(radius):
         return None
@@ -289,40 +305,49 @@ def explain_by_gap(search: Search, start_cell: int, goals: Int) -> str | None:
 
 
 def _measure_gap(search: Search, cell: int, radius: float) -> float:
-    """Measure the gap between the occupied squares round a bottleneck [m].
+    """Measure the width of the gap between the occupied squares on both sides of a bottleneck.
 
-    Twice the radius that fits there where no squares are on opposite sides of the cell.
+    Args:
+        search: on the grid without inflation.
+        cell: flat id of the bottleneck.
+        radius: the largest radius that passes there [m].
+
+    Returns:
+        The width [m]; twice the radius if no squares are on opposite sides of the cell.
     """
     level_number, row, col = search.flat.cell(cell)
     level = search.grid.levels[level_number]
     size = search.flat.layout.cell_size[level_number]
-    reach = int(4 * radius / size) + 2
-    first_row = max(row - reach, 0)
-    first_col = max(col - reach, 0)
-    window = level.solid[first_row : row + reach + 1, first_col : col + reach + 1]
+    window_radius = int(4 * radius / size) + 2
+    first_row = max(row - window_radius, 0)
+    first_col = max(col - window_radius, 0)
+    window = level.solid[first_row : row + window_radius + 1, first_col : col + window_radius + 1]
     rows, cols = np.nonzero(window)
     centers = level.lattice.positions(rows + first_row, cols + first_col)
     point = level.lattice.positions(row, col)
     low = centers - size / 2
     high = centers + size / 2
-    to_squares = np.clip(point, low, high) - point
-    distance = np.linalg.norm(to_squares, axis=1)
+    offsets_to_squares = np.clip(point, low, high) - point
+    distance = np.linalg.norm(offsets_to_squares, axis=1)
     if not len(distance):
         return 2 * radius
-    # from the square nearest to the other side, within 60 degrees of the opposite direction
+    # from the nearest square to those on the other side, within 60 degrees of opposite to it
     nearest = int(np.argmin(distance))
-    is_opposite = to_squares @ -to_squares[nearest] > 0.5 * distance * distance[nearest]
+    is_opposite = (
+        offsets_to_squares @ -offsets_to_squares[nearest] > 0.5 * distance * distance[nearest]
+    )
     if not is_opposite.any():
         return 2 * radius
-    side = point + to_squares[nearest]
-    across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)
-    return float(across[is_opposite].min())
+    near_side = point + offsets_to_squares[nearest]
+    widths = np.linalg.norm(np.clip(near_side, low, high) - near_side, axis=1)
+    return float(widths[is_opposite].min())
 
 
 def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the first link or area that the agent can't use.
+    """Say which link or area bars the agent first on the route with the fewest barred ones.
 
-    The first is that on the route that the agent would take if all of them were open to it.
+    The route may use links and areas that the agent can't use, at a high penalty each, and links of
+    any width.
 
     Args:
         search: of the grid, up to date.
@@ -330,7 +355,8 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
         goals: flat ids of free cells.
 
     Returns:
-        None if there is no such link, area or route.
+        The clause, such as ``the area 'lab' bars all agents``; None if there is no such link, area
+        or route.
     """
     grid = search.grid
     flat = search.flat
@@ -340,7 +366,7 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
     route = open_search.route(start_cell, goals)
     if route is None:
         return None
-    taken_links = dict(open_search.measure(route, flat.split(route.cells), "cost").links)
+    taken_links = dict(open_search.measure_route(route, flat.split(route.cells), "cost").links)
     for index, cell in enumerate(route.cells.tolist()):
         if index in taken_links:
             sentence = _explain_link(search, route, index, taken_links[index])
@@ -349,18 +375,22 @@ def explain_by_links_and_areas(search: Search, start_cell: int, goals: Int) -> s
         # a diagonal step also needs the two cells beside it
         has_step = index > 0 and not route.by_link[index]
         before = int(route.cells[index - 1]) if has_step else cell
-        across = flat.cell(cell).col - flat.cell(before).col
-        for needed_cell in (before + across, cell - across, cell):
-            area = _barring_area(search, needed_cell)
+        col_step = flat.cell(cell).col - flat.cell(before).col
+        for needed_cell in (before + col_step, cell - col_step, cell):
+            area = _find_barring_area(search, needed_cell)
             if area is not None:
                 return f"the {area.name} {area.verdict}"
     return None
 
 
 def _explain_link(search: Search, route: Route, index: int, name: str) -> str | None:
-    """Say why an agent can't use a link that a route takes; None if it can.
+    """Say why the agent can't use a link that a route takes; None if it can.
 
-    `index` is the place in the route of the cell that the link leads to.
+    Args:
+        search: of the agent.
+        route: the route.
+        index: index in the route of the cell that the link leads to.
+        name: of the link.
     """
     link = next(link for link in search.grid.links if link.name == name)
     reason = link.refuses(search.agent)
@@ -378,14 +408,14 @@ class BarringArea(NamedTuple):
 
     Attributes:
         name: name of the area in a sentence, such as "area 'lab'".
-        verdict: whom the area bars, such as "bars all agents".
+        verdict: says whom the area bars, such as "bars all agents".
     """
 
     name: str
     verdict: str
 
 
-def _barring_area(search: Search, cell: int) -> BarringArea | None:
+def _find_barring_area(search: Search, cell: int) -> BarringArea | None:
     """Find the area of a cell that bars the agent; None for none."""
     area_factor = search.flat.area_factor
     agent = search.agent
@@ -398,7 +428,7 @@ def _barring_area(search: Search, cell: int) -> BarringArea | None:
 
 
 def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
-    """Name the levels between which there is no step, or only blocked steps.
+    """Say between which levels all steps are blocked, or that no steps leave the start's level.
 
     Args:
         search: of the grid, up to date.
@@ -406,25 +436,27 @@ def explain_by_steps(search: Search, start_cell: int, goals: Int) -> str | None:
         goals: flat ids of free cells.
 
     Returns:
-        None if a goal is on the start's level, or steps between levels are free.
+        The clause; None if a goal is on the start's level, or a step is free between all levels
+        that steps join.
     """
     flat = search.flat
     start_level = int(flat.level_of(start_cell))
     if start_level in flat.level_of(goals):
         return None
-    closed = _closed_steps(search)
-    if closed:
-        verb = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
-        return f"{', '.join(closed)} {verb} to cells that aren't free"
+    blocked_steps = _describe_blocked_steps(search)
+    if blocked_steps:
+        is_one_step = len(blocked_steps) == 1 and blocked_steps[0].startswith("the step")
+        verb = "leads" if is_one_step else "lead"
+        return f"{', '.join(blocked_steps)} {verb} to cells that aren't free"
     if not len(flat.steps.cell):
         return f"no steps lead from {_name_level(search.grid, start_level)} to another level"
     return None
 
 
-def _closed_steps(search: Search) -> list[str]:
-    """Describe each pair of levels whose steps are all blocked."""
+def _describe_blocked_steps(search: Search) -> list[str]:
+    """Describe the steps between each pair of levels, if all steps between them are blocked."""
     flat = search.flat
-    closed = []
+    descriptions = []
     sources, targets = flat.step_ends()
     source_levels = flat.level_of(sources)
     target_levels = flat.level_of(targets)
@@ -437,8 +469,9 @@ def _closed_steps(search: Search) -> list[str]:
             num_steps = is_between.sum()
             steps = "the step" if num_steps == 1 else f"all {num_steps} steps"
             lower_name = _name_level(search.grid, lower)
-            closed.append(f"{steps} from {lower_name} to {_name_level(search.grid, upper)}")
-    return closed
+            upper_name = _name_level(search.grid, upper)
+            descriptions.append(f"{steps} from {lower_name} to {upper_name}")
+    return descriptions
 
 
 EXPLANATIONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
@@ -455,7 +488,7 @@ EXPLANATIONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
 
 
 def _name_obstacles(search: Search, cells: Int) -> str:
-    """List the names of the things that block cells, if the file has them."""
+    """List the names of what blocks some cells, in one text; empty if the file has no names."""
     grid = search.grid
     flat = search.flat
     blocked = cells[~flat.free[cells]]

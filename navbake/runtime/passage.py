@@ -1,9 +1,9 @@
-"""The widest agent that passes from one place to another, and what closes for a wider one.
+"""Finds the widest agent that gets from one place to another, and where a wider one is stopped.
 
-A larger radius never frees a cell, so a bisection is exact over the few radii at which cells
-change: a disc round a cell's centre touches a square or a centre of another cell, so that four
-times the squared radius, in cells, is a whole number; or the baked radius, up to which higher
-floors don't count.
+A larger radius never frees a cell. So a bisection over the few radii at which cells may change is
+exact. These are the radii r at which a disc round a cell's centre touches a square or the centre of
+another cell: there (2 r / cell size)² is a whole number. One more is the baked radius: up to there,
+higher floors don't block.
 """
 
 import math
@@ -27,14 +27,14 @@ from navbake.runtime.search import Search
 from navbake.runtime.surroundings import find_free
 from navbake.types import Bool, Float, Int
 
-# weight of a cell that is blocked for a larger agent: a route avoids it if it can
+# weight of a cell that is too narrow for a larger agent: a route avoids such cells if it can
 NARROW_WEIGHT = 1000.0
-LEAST_AREA = 0.5  # [m²] on both levels: what steps that stay free have to lead to
+LEAST_AREA = 0.5  # [m²] of free cells that passable stairs lead to, at least, on each of two levels
 
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """The widest agent that passes from one place to another."""
+    """The widest agent that gets from one place to another, and where it only just fits."""
 
     radius: float  #: Of the agent [m]; inf where no radius is too large.
     position: Float | None
@@ -56,12 +56,13 @@ class WidestRadius(NamedTuple):
     free_for_next: Bool
 
 
-class ClosedConnection(NamedTuple):
-    """A link, a door or steps between levels, open on one grid and closed on another.
+class LostConnection(NamedTuple):
+    """A link, a door or stairs between levels that are passable on one grid but not on another.
 
     Attributes:
-        name: its name in a sentence.
-        cells: flat ids of the steps' ends, the link's stops or the door's leaf.
+        name: the connection's name in a sentence.
+        cells: flat ids of the ends of the stairs' steps, of the link's stops, or of the cells under
+            the door's leaf.
     """
 
     name: str
@@ -74,9 +75,9 @@ class ClosedConnection(NamedTuple):
 def find_passage(
     search: Search, start: ArrayLike, goal: Goal, level: int | None, ledges: str
 ) -> Passage | None:
-    """Find the radius of the widest agent that passes, and the bottleneck.
+    """Find the radius of the widest agent that gets to a goal, and its bottleneck.
 
-    It implements `PathFinder.max_radius`.
+    This is the code of `PathFinder.max_radius`.
 
     Args:
         search: of the grid, up to date.
@@ -86,7 +87,7 @@ def find_passage(
         ledges: ``avoid`` or ``ignore``.
 
     Returns:
-        None if not even a point passes.
+        The radius and the bottleneck; None if not even a point passes.
 
     Raises:
         QueryError: start or goal is outside the grid or occupied, or the goal is an object.
@@ -134,14 +135,14 @@ def find_widest(
 
     Args:
         grid: without inflation.
-        search: whose links and areas count, on the same cells.
+        search: a search on a grid of the same cells, whose links and areas count.
         start_cell: flat id.
         goals: flat ids.
         ledges: ``avoid`` or ``ignore``.
         cut_corners: whether diagonal steps past blocked corners are allowed.
 
     Returns:
-        None if not even a point passes.
+        The radius, and the cells that are free at it; None if not even a point passes.
     """
     flat = search.flat
     is_barred = ~np.isfinite(flat.area_factor)
@@ -194,7 +195,10 @@ def find_widest(
 
 
 def _radii_that_change_cells(grid: NavGrid, search: Search, low: float, high: float) -> list[float]:
-    """List the radii in [low, high) at which cells or links may close, ascending, and `high`."""
+    """List the radii in [low, high) at which cells or links may become too narrow, and `high`.
+
+    The radii are ascending [m].
+    """
     flat = search.flat
     candidates = [np.array([grid.agent_radius]), flat.arcs.width / 2.0]
     for cell in set(flat.layout.cell_size.tolist()):
@@ -218,12 +222,12 @@ def find_bottleneck(
 
     Cells that are free for the widest agent, but not for the next larger one, are critical. The
     route avoids critical cells where it can. The bottleneck is the middle of the first run of
-    critical cells on the route. If there is none, it is the stop of a link, or a critical cell
-    beside a diagonal step.
+    critical cells on the route. If the route has none, it is the stop before the link that is just
+    as wide as the agent, or else a critical cell beside a diagonal step.
 
     Args:
         grid: without inflation.
-        search: whose agent plans, on the same cells.
+        search: a search on a grid of the same cells, whose agent plans.
         start_cell: flat id.
         goals: flat ids.
         widest: what `find_widest` returned for the same arguments.
@@ -233,17 +237,17 @@ def find_bottleneck(
         The flat id of the bottleneck.
     """
     flat = search.flat
-    is_lost = widest.free & ~widest.free_for_next
-    weights = np.where(widest.free, np.where(is_lost, NARROW_WEIGHT, 1.0), np.inf)
+    is_critical = widest.free & ~widest.free_for_next
+    weights = np.where(widest.free, np.where(is_critical, NARROW_WEIGHT, 1.0), np.inf)
     weighted_search = similar_search(
         with_weights(grid, weights), search, cut_corners=cut_corners, radius=widest.radius
     )
     route = weighted_search.route(start_cell, goals)
     assert route is not None  # the islands say that there is one
-    lost_places = np.flatnonzero(is_lost[route.cells])
-    if len(lost_places):
-        run_ends = np.flatnonzero(np.diff(lost_places) > 1) + 1
-        first_run = np.split(lost_places, run_ends)[0]
+    critical_indices = np.flatnonzero(is_critical[route.cells])
+    if len(critical_indices):
+        run_ends = np.flatnonzero(np.diff(critical_indices) > 1) + 1
+        first_run = np.split(critical_indices, run_ends)[0]
         return int(route.cells[first_run[(len(first_run) - 1) // 2]])
     for index in np.flatnonzero(route.by_link).tolist():
         ends = route.cells[index - 1 : index + 1]
@@ -256,19 +260,19 @@ def find_bottleneck(
     level, row, col = flat.split(route.cells)
     steps = np.abs(np.diff([level, row, col])).T
     diagonal_steps = np.flatnonzero((steps == (0, 1, 1)).all(axis=1))
-    across = col[diagonal_steps + 1] - col[diagonal_steps]
-    beside = np.concatenate([
-        route.cells[diagonal_steps] + across,
-        route.cells[diagonal_steps + 1] - across,
+    col_step = col[diagonal_steps + 1] - col[diagonal_steps]
+    cells_beside = np.concatenate([
+        route.cells[diagonal_steps] + col_step,
+        route.cells[diagonal_steps + 1] - col_step,
     ])  # fmt: skip
-    return int(beside[is_lost[beside]][0])
+    return int(cells_beside[is_critical[cells_beside]][0])
 
 
 # ---------------------------------------------------------------- other grids of the same cells
 
 
 def without_inflation(grid: NavGrid) -> NavGrid:
-    """Make the grid for a point agent: weights of 1 where a point can stand, inf elsewhere.
+    """Make the grid for an agent of radius 0: weights of 1 where a point can stand, inf elsewhere.
 
     Returns:
         A new grid; the grid itself if it was never inflated.
@@ -307,16 +311,16 @@ def similar_search(
     radius: float | None = None,
     penalty: float | None = None,
 ) -> Search:
-    """Make a search on a second grid with the settings of an existing search.
+    """Make a search with the settings of another one, on a grid of the same cells.
 
-    The agent is the same, but its size doesn't count.
+    The agent's rights and speed are kept; its size is ignored.
 
     Args:
-        grid: of the same cells.
+        grid: the grid of the new search; may be the grid of the other one.
         search: the search whose settings are used.
-        cut_corners: as of `Search`; that of `search` if None.
-        radius: that links have to be wide enough for [m]; that of `search` if None.
-        penalty: as of `Search`.
+        cut_corners: see `Search`; the setting of `search` if None.
+        radius: see `Search`; the radius of `search` if None.
+        penalty: see `Search`.
     """
     return Search(
         grid,
@@ -331,29 +335,32 @@ def find_route_cells(grid: NavGrid, search: Search, start_cell: int, goals: Int)
     """Find the cheapest route on a grid, with the settings of a search made for another grid.
 
     Args:
-        grid: of the same cells.
+        grid: the grid of the route, of the same cells as the grid of `search`.
         search: the search whose settings are used.
         start_cell: flat id.
         goals: flat ids.
+
+    Returns:
+        The flat ids of the route's cells; None if there is no route.
     """
     route = similar_search(grid, search).route(start_cell, goals)
     return None if route is None else route.cells
 
 
-def find_closed_connections(before: Search, after: Search) -> list[ClosedConnection]:
-    """Find the links, doors and steps between levels that are open on the first grid only.
+def find_lost_connections(before: Search, after: Search) -> list[LostConnection]:
+    """Find what an agent can pass on one grid but no longer on another: links, doors and stairs.
 
-    Steps side by side are one connection. They are closed where no free step is left, or where the
-    free ones lead to less than 0.5 m² on one of the levels, as a landing between blocked treads. A
-    door is closed where none of its leaf's cells is free, a link where it is too narrow, or where
-    fewer than two of its stops are free.
+    Stairs are steps between two levels that touch each other. They are impassable if no free step
+    is left that leads to at least 0.5 m² on each level; so a landing between blocked treads doesn't
+    count. A door is impassable if no cell under its leaf is free. A link is impassable if it is too
+    narrow for the agent, or fewer than two of its stops are free.
 
     Args:
         before: a search on the first grid.
         after: a search on the second grid, of the same cells.
     """
     flat = before.flat
-    closed: list[ClosedConnection] = []
+    lost: list[LostConnection] = []
     for stairs in find_stairs(before.grid, flat):
         levels = [stairs.lower_level, stairs.upper_level]
         if _has_open_step(before, levels, stairs.steps) and not _has_open_step(
@@ -362,29 +369,33 @@ def find_closed_connections(before: Search, after: Search) -> list[ClosedConnect
             x, y, _ = flat.positions(stairs.steps).mean(axis=(0, 1))
             between = f"between level {stairs.lower_level} and {stairs.upper_level}"
             name = f"the {stairs.kind} {between} near ({x:.2f}, {y:.2f})"
-            closed.append(ClosedConnection(name, stairs.steps.ravel()))
+            lost.append(LostConnection(name, stairs.steps.ravel()))
     for link in before.grid.links:
         cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
         was_open = before.flat.free[cells].sum() > 1 and link.fits(before.radius)
         is_open = after.flat.free[cells].sum() > 1 and link.fits(after.radius)
         if was_open and not is_open:
-            closed.append(ClosedConnection(f"the link {link.name!r} ({link.kind})", cells))
+            lost.append(LostConnection(f"the link {link.name!r} ({link.kind})", cells))
     for door in before.grid.doors:
         cells = find_leaf_cells(door, flat)
         cells = cells[flat.free[cells]]
         if len(cells) and not after.flat.free[cells].any():
-            closed.append(ClosedConnection(f"door {door.id!r}", cells))
-    return closed
+            lost.append(LostConnection(f"door {door.id!r}", cells))
+    return lost
 
 
 def _has_open_step(search: Search, levels: list[int], steps: Int) -> bool:
     """Whether one of the steps between two levels is free, and leads to enough of both levels.
 
-    `steps` are flat ids, shape (n, 2), those on the first of `levels` first.
+    Args:
+        search: of the grid.
+        levels: numbers of the two levels.
+        steps: flat ids of each step's cells on the first and the second level, shape (n, 2).
     """
     flat = search.flat
     number = search.islands.number
-    num_cells = np.zeros(steps.shape, dtype=np.int64)  # of the island on the level
+    # for each cell, how many cells of its island are on its level
+    num_cells = np.zeros(steps.shape, dtype=np.int64)
     for side, level in enumerate(levels):
         cells_by_island = np.bincount(number[flat.cells_of(level)])
         num_cells[:, side] = cells_by_island[number[steps[:, side]]]

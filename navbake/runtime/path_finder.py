@@ -1,7 +1,7 @@
 """Plans paths on a grid, and answers queries about places on it.
 
-`PathFinder` holds the interface and its documentation; the modules that its methods call hold the
-code. All of them take a `navbake.runtime.search.Search`.
+`PathFinder` holds the interface and its documentation. Its methods call functions of other modules,
+which hold the code and take a `navbake.runtime.search.Search`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ OnePosition: TypeAlias = Sequence[float]
 ManyPositions: TypeAlias = Sequence[Sequence[float]]
 """x, y, z of several positions, as a list of tuples."""
 
-# methods by names that users may expect
+# name that users may expect -> the method that does this
 _SUGGESTIONS = {
     "distance": "distances(starts, goal)",
     "geodesic_distance": "distances(starts, goal)",
@@ -58,10 +58,10 @@ class PathFinder:
     to, and times the cost of its area. A link costs what it says, or its length; and lasts as long
     as it says, or its cost at the agent's speed.
 
-    For an agent, the grid is inflated to its radius, and steps are as low as it takes. Cells of
-    areas that bar it are not free, and links that bar it or are narrower than twice its radius
-    aren't there. Without an agent, the grid is as it is, the speed is 1 m/s, all open links that
-    are wide enough count, and areas bar only where their cost is infinite.
+    For an agent, the grid is inflated to its radius, and steps that are too high for it don't
+    count. Cells of areas that bar it are not free. Links that bar it or are narrower than twice its
+    radius don't count. Without an agent, the grid is as it is, the speed is 1 m/s, all open links
+    that are wide enough count, and only areas of infinite cost bar.
 
     In all methods
 
@@ -113,13 +113,13 @@ class PathFinder:
         self.use(grid)
 
     def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
-        """Switch to another grid, as after `Baker.update`.
+        """Switch to another grid, for example after `Baker.update`.
 
         Args:
             grid: a grid of one or several levels, or its file.
 
         Raises:
-            QueryError: as when a PathFinder is made.
+            QueryError: for the same reasons as in `PathFinder`.
             FormatError: the file can't be read, or is no NavGrid.
 
         Example:
@@ -232,14 +232,14 @@ class PathFinder:
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say in one sentence why there is no path.
 
-        The sentence names a start or goal that isn't free, with the nearest free cell; else the
-        islands of both, and the first obstacle of these: cells that `grid.block` blocks, doors, the
-        first link or area that the path would use if all were open, a gap that is too narrow,
-        blocked steps between levels, and things in between by name.
+        If the start or the goal isn't free, the sentence says so, and where the nearest free cell
+        is. Else it names the islands of both, and the first reason that applies: cells that
+        `grid.block` blocks, doors, a link or area that the agent may not use, a gap that is too
+        narrow, blocked steps between levels, or the names of obstacles in between.
 
         Args:
             start: world x, y, z [m], shape (3,).
-            goal: as of `find_path`.
+            goal: see `find_path`.
             level: the level of positions, for which x, y are then enough; None finds it by z.
 
         Returns:
@@ -260,19 +260,19 @@ class PathFinder:
         """Compute the cost of the cheapest path from every cell to a goal.
 
         Args:
-            goal: as of `find_path`.
+            goal: see `find_path`.
             level: the level of positions, for which x, y are then enough; None finds it by z.
-            weighted: whether the costs are those of `find_path`. If False, the lengths of the
-                shortest paths [m], to which links add their costs.
+            weighted: whether to return the costs of `find_path`. If False, returns the lengths of
+                the shortest paths [m], to which links add their costs.
             by: ``cost``; or ``time`` for the seconds of the quickest path.
 
         Returns:
-            One array a level, shape (height, width), float64, inf where no path leads to the goal;
-            read-only.
+            One array for each level, shape (height, width), float64, inf where no path leads to
+            the goal; read-only.
 
         Raises:
-            QueryError: a position is not valid, there is no such level, room or object, or lengths
-                are wanted by ``time``.
+            QueryError: a position is not valid, there is no such level, room or object, or
+                `weighted=False` is combined with ``by="time"``.
 
         Example:
             >>> (field,) = finder.distance_field("room:kitchen")  # of a grid of one level
@@ -294,24 +294,25 @@ class PathFinder:
         weighted: bool = True,
         by: str = "cost",
     ) -> Float:
-        """Look up `distance_field` at starts, for one goal or for each of several.
+        """Look up `distance_field` at starts, for one goal or for each of several goals.
 
         The fields of the last few goals are cached. Pass either `goal` or `goals`.
 
         Args:
             starts: world x, y, z [m], shape (..., 3).
-            goal: as of `find_path`: of several positions, the cheapest to reach counts.
-            goals: m goals, each as of `find_path`.
+            goal: see `find_path`. If it is several positions, the cheapest to reach counts.
+            goals: m goals, each like `goal`.
             level: the level of positions, for which x, y are then enough; None finds it by z.
-            weighted: as of `distance_field`.
-            by: as of `distance_field`.
+            weighted: see `distance_field`.
+            by: see `distance_field`.
 
         Returns:
             float64, inf for no path: shape (...) for a `goal`; (..., m) for `goals`.
 
         Raises:
-            QueryError: a position is not valid, there is no such level, room or object, lengths are
-                wanted by ``time``, or not exactly one of `goal` and `goals` is given.
+            QueryError: a position is not valid, there is no such level, room or object,
+                `weighted=False` is combined with ``by="time"``, or both or neither of `goal` and
+                `goals` are given.
 
         Example:
             >>> starts = finder.random_point(rng, 100)
@@ -337,15 +338,15 @@ class PathFinder:
         """Find the widest agent that can get from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for no larger one. Obstacles that `grid.block` added count, and the agent's rights but not
-        its size. For an inflated grid, the result is that of the grid before its inflation, as far
-        as the file holds that grid.
+        for no larger one. Obstacles that `grid.block` added count. The agent's rights count, but
+        not its size. An inflation of the grid doesn't count, as far as the file also holds the grid
+        without it.
 
         Args:
             start: world x, y, z [m], shape (3,).
             goal: a position, several of them, or ``room:NAME``.
             level: the level of positions, for which x, y are then enough; None finds it by z.
-            ledges: ``avoid`` or ``ignore``, as of `grid.inflate`.
+            ledges: ``avoid`` or ``ignore``, see `grid.inflate`.
 
         Returns:
             The radius and the bottleneck; None if not even a point gets there.
@@ -621,12 +622,14 @@ class PathFinder:
                 `in_sight` take one position.
             level: the level of all positions, for which x, y are then enough; None finds each one's
                 level by its z.
-            same_level: stay on its level. A position on none snaps to the nearest floor in space.
-            same_room: stay in its room; None if it is in none.
+            same_level: the place must be on the position's level. A position on no level snaps to
+                the nearest floor in space.
+            same_room: the place must be in the position's room; there is none if the position is in
+                no room.
             room: only cells of this room.
             island: only cells of this island.
-            in_sight: no obstacle may be in between. From inside an object, the line must leave
-                it within its room.
+            in_sight: no obstacle may be between position and place. From inside an object, the
+                line between them must leave the object within its room.
             max_distance: at most this far away [m], >= 0.
 
         Returns:
@@ -706,9 +709,11 @@ class PathFinder:
     ) -> NearestObstacle | None:
         """Find the nearest point of an occupied cell's square on the position's level.
 
-        The area outside the grid has no obstacles. Where the level ends and another goes on, as at
-        the top of stairs, the other level counts where its floor is less than the agent's height,
-        less a step, above or below, and its own isn't.
+        The area outside the grid has no obstacles. A cell of the level doesn't count where another
+        level continues it, for example at the top of stairs: where the other level has an
+        unoccupied floor at about the height of the floor at the position, and the level itself has
+        none there. About the height means less than the agent's height, minus a step, above or
+        below.
 
         Args:
             position: world x, y, z [m], shape (3,).
@@ -763,7 +768,8 @@ class PathFinder:
 
         Args:
             level: number of the level, 0 is the lowest.
-            metres_per_pixel: > 0: a pixel shows the cell at its middle. None for one pixel a cell.
+            metres_per_pixel: edge of a pixel [m], > 0; each pixel shows the cell at its middle.
+                None for one pixel for each cell.
 
         Returns:
             RGB, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free, blocked, no
@@ -851,7 +857,7 @@ class PathFinder:
             straight: whether distances are straight lines.
             room: only in this room.
             level: the position's level, for which x, y are then enough; None finds it by z.
-            anywhere: draw points anywhere in the cells, as of `random_point`.
+            anywhere: draw points anywhere in the cells, see `random_point`.
 
         Returns:
             World x, y and floor z [m], float64: shape (3,), or (count, 3).
@@ -916,9 +922,10 @@ class PathFinder:
                 on its level. None for a random heading anywhere.
             max_distance: largest distance from the target, in a straight line on the map [m].
             min_distance: smallest distance from the target [m], >= 0.
-            in_sight: only the object that the target is in may be in between, as with `snap`.
-            same_room: stand in the target's room.
-            level: of the target; without a target, of the agent.
+            in_sight: no obstacle may be between agent and target but the object that the target is
+                in, see `snap`.
+            same_room: the agent stands in the target's room.
+            level: the target's level; without a target, the agent's.
 
         Returns:
             ``position``, world x, y and floor z [m], shape (3,), and ``heading``, 0 along x,
@@ -972,8 +979,9 @@ class PathFinder:
             clearance: radius of a disc round each agent that overlaps no obstacle and no drop, as
                 with `grid.inflate` [m]. The discs of two agents don't overlap either, unless
                 `min_distance` is given.
-            min_distance: between the centres of any two agents [m]; always more than twice the
-                agent's radius, that of the grid's inflation, or else of its bake.
+            min_distance: least distance between the centres of any two agents [m]. It is always
+                more than twice the agent's radius: the grid's inflated radius, or else its baked
+                one.
             facing: a position or a heading [rad] that all face; random headings if None.
             stratify: ``area`` draws one agent in each of n parts of equal area. ``room`` and
                 ``island`` draw about equally many agents in each room or island; with ``room``, no
@@ -985,8 +993,8 @@ class PathFinder:
             shape (n,).
 
         Raises:
-            QueryError: they don't fit; the message has an upper bound where one is known. Or there
-                is no such level, room or island, or an argument is not valid.
+            QueryError: the agents don't fit; the message has an upper bound if one is known. Or
+                there is no such level, room or island, or an argument is not valid.
 
         Example:
             >>> positions, headings = finder.spawn(rng, 8, rooms="living_room", min_distance=0.6)
@@ -1006,14 +1014,14 @@ class PathFinder:
     def reachable_positions(
         self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
     ) -> Float:
-        """List the lattice positions that steps along x and y reach from a start, as AI2-THOR does.
+        """List the lattice positions that steps along x and y reach from a start, like AI2-THOR.
 
         The square lattice goes through the start, a free position. A step counts if `try_step`
         reaches its end without sliding and the agent's disc is free of obstacles there.
 
         Args:
             start: world x, y, z [m], shape (3,); free.
-            spacing: of the lattice [m], at least a cell's size.
+            spacing: distance between neighbours in the lattice [m], at least a cell's size.
             level: the start's level, for which x, y are then enough; None finds it by z.
 
         Returns:
@@ -1024,36 +1032,3 @@ class PathFinder:
                 such level.
         """
         return draws.reachable_positions(self.search, start, spacing, level)
-
-
-def plan_path(
-    grid: NavGrid,
-    start: ArrayLike,
-    goal: Goal,
-    *,
-    level: int | None = None,
-    by: str = "cost",
-    smooth: bool = True,
-    agent: str | Agent | None = None,
-) -> Path | None:
-    """Find the cheapest path on a grid, see `PathFinder.find_path`.
-
-    Each call prepares the whole grid; use a `PathFinder` for many queries.
-
-    Args:
-        grid: a grid of one or several levels.
-        start: world x, y, z [m], shape (3,).
-        goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
-        level: the level of positions, for which x, y are then enough; None finds it by z.
-        by: ``cost`` for the cheapest path, ``time`` for the quickest.
-        smooth: whether the path is pulled straight where that stays free.
-        agent: the name of one of the grid's `agents`, or a `navbake.Agent`.
-
-    Returns:
-        The path, None if there is none.
-
-    Raises:
-        QueryError: an argument is not valid.
-    """
-    finder = PathFinder(grid, agent=agent)
-    return finder.find_path(start, goal, level=level, by=by, smooth=smooth)

@@ -13,7 +13,7 @@ from navbake.lazy import lazy, resolve
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAME_KEYS, UserData, names_in
-from navbake.runtime.flat_grid import FlatGrid, doors_along
+from navbake.runtime.flat_grid import FlatGrid, list_doors_along
 from navbake.runtime.inflation import check_choice
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int, Int32
@@ -24,9 +24,9 @@ ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
-CRITERIA = ("cost", "time")
+CRITERIA = ("cost", "time")  # what paths can be planned by
 NO_POINT = np.full(2, np.nan)
-OBJECT_REACH = 1.0  # [m] from an object to a place next to it
+MAX_OBJECT_DISTANCE = 1.0  # [m]: a place next to an object is at most this far from it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,15 +84,21 @@ class Path:
         Returns:
             World x, y, z [m], shape (..., 3).
         """
-        run = distances_along(self.positions)
-        along = np.asarray(distance, dtype=np.float64)
-        return np.stack([np.interp(along, run, axis) for axis in self.positions.T], axis=-1)
+        point_distances = distances_of_points(self.positions)
+        distances = np.asarray(distance, dtype=np.float64)
+        return np.stack(
+            [np.interp(distances, point_distances, axis) for axis in self.positions.T], axis=-1
+        )
 
 
-def distances_along(positions: Float) -> Float:
-    """Compute the distances along a polyline up to each of its points, seen from above [m].
+def distances_of_points(positions: Float) -> Float:
+    """Compute how far along a polyline each of its points is, seen from above [m].
 
-    `positions` have x and y, shape (n, 2 or more); returns shape (n,).
+    Args:
+        positions: world x, y of the points [m], shape (n, 2 or more).
+
+    Returns:
+        Distances from the first point, shape (n,).
     """
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(positions[:, :2], axis=0).T)))
 
@@ -107,7 +113,8 @@ class Target:
     Attributes:
         name: of the goal, for messages.
         cells: flat ids, free or not; -1 for positions in no cell.
-        positions: of a goal that is one or several positions, world, shape (n, 2) or (n, 3).
+        positions: the goal's positions, world x, y or x, y, z [m], shape (n, 2) or (n, 3); None if
+            the goal is a room or an object.
     """
 
     name: str
@@ -128,6 +135,9 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
         goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
         level: the level of positions; None finds each one's level by its z.
 
+    Returns:
+        The cells, with the goal's name.
+
     Raises:
         QueryError: there is no such room or object, or a position is not valid.
     """
@@ -142,23 +152,27 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
         raise QueryError(
             f"expected {expected}, got {goal!r}", key="goal", value=goal, expected=expected
         )
-    p = check_positions(goal, flat.num_levels, level)
-    if p.ndim > 2 or not p.size:
+    goal_positions = check_positions(goal, flat.num_levels, level)
+    if goal_positions.ndim > 2 or not goal_positions.size:
         expected = "positions of shape (3,) or (n, 3), n >= 1"
         raise QueryError(
-            f"expected {expected}, got {p.shape}", key="goal", value=goal, expected=expected
+            f"expected {expected}, got {goal_positions.shape}",
+            key="goal",
+            value=goal,
+            expected=expected,
         )
-    name = "the goal" if p.ndim == 1 else f"one of {len(p)} goals"
-    p = np.atleast_2d(p)
-    return Target(name, flat.cells_at(p, level), p)
+    name = "the goal" if goal_positions.ndim == 1 else f"one of {len(goal_positions)} goals"
+    goal_positions = np.atleast_2d(goal_positions)
+    return Target(name, flat.cells_at(goal_positions, level), goal_positions)
 
 
 def cells_next_to_object(search: Search, name: str) -> Int:
-    """List the free cells next to an object, or on it where it is no obstacle.
+    """List the free cells next to an object, or on it if it is no obstacle.
 
-    A search runs ring by ring on each level from the object's cells, up to 1 m away, over cells
-    without obstacles. Where it meets no free cell, as for an object on a table, it runs over cells
-    that objects alone block, too. Each island's nearest ring and the next one count.
+    On each level, a search runs ring by ring from the object's cells, up to 1 m away, over cells
+    without obstacles. If it meets no free cell, for example from an object on a table, it also runs
+    over cells that only objects block. Each island's cells in its nearest ring and the next ring
+    are listed.
 
     Args:
         search: of the grid, up to date.
@@ -180,48 +194,62 @@ def cells_next_to_object(search: Search, name: str) -> Int:
         if not len(ids):
             continue
         island = search.islands.number[level_cells]
-        goal_cells.append(level_cells.start + _cells_next_to(level, ids, island))
+        goal_cells.append(level_cells.start + _find_cells_next_to(level, ids, island))
     return np.concatenate(goal_cells)
 
 
-def _cells_next_to(level: SceneGrid2D, object_ids: Int, island: Int32) -> Int:
+def _find_cells_next_to(level: SceneGrid2D, object_ids: Int, island: Int32) -> Int:
     """List the free cells of a level next to an object's cells; see `cells_next_to_object`.
 
-    `object_ids` are ids of cells on the level, at least one; `island` has the number of each of the
-    level's cells. Returns ids on the level, ascending.
+    Args:
+        level: the level.
+        object_ids: ids of the object's cells on the level, at least one.
+        island: the number of each cell's island, by id on the level, 0 where it isn't free.
+
+    Returns:
+        Ids on the level, ascending.
     """
     # a window round the object
-    reach = math.ceil(OBJECT_REACH / level.lattice.cell_size)
+    num_rings = math.ceil(MAX_OBJECT_DISTANCE / level.lattice.cell_size)
     object_rows, object_cols = np.divmod(object_ids, level.width)
-    first_row = max(object_rows.min() - reach, 0)
-    end_row = min(object_rows.max() + reach + 1, level.height)
-    first_col = max(object_cols.min() - reach, 0)
-    end_col = min(object_cols.max() + reach + 1, level.width)
+    first_row = max(object_rows.min() - num_rings, 0)
+    end_row = min(object_rows.max() + num_rings + 1, level.height)
+    first_col = max(object_cols.min() - num_rings, 0)
+    end_col = min(object_cols.max() + num_rings + 1, level.width)
     rows = np.arange(first_row, end_row)
     cols = np.arange(first_col, end_col)
     ids = rows[:, None] * level.width + cols
     island = island[ids]
     is_object = np.isin(ids, object_ids)
     is_passable = is_object | (island > 0) | (level.solid.take(ids) == 0)
-    is_goal = _find_nearest_rings(is_object, is_passable, island, reach)
+    is_goal = _find_nearest_rings(is_object, is_passable, island, num_rings)
     if not is_goal.any():
         is_passable |= _mark_blocked_by_objects(level, ids)
-        is_goal = _find_nearest_rings(is_object, is_passable, island, reach)
+        is_goal = _find_nearest_rings(is_object, is_passable, island, num_rings)
     next_cells: Int = ids[is_goal]
     return next_cells
 
 
-def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, reach: int) -> Bool:
-    """Mark each island's cells in the ring round an object that is nearest, and in the next one.
+def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, num_rings: int) -> Bool:
+    """Mark each island's cells in its ring nearest to an object, and in the next ring.
 
-    The rings grow over passable cells. All arrays have the shape of the window.
+    Ring k holds the cells that k steps over passable cells lead to from the object.
+
+    Args:
+        is_object: mask of the object's cells, shape (rows, cols).
+        is_passable: mask of the cells that rings grow over, of the same shape.
+        island: the number of each cell's island, 0 where it isn't free, of the same shape.
+        num_rings: number of rings.
+
+    Returns:
+        The mask, of the same shape.
     """
     ring = np.where(is_object, 0, -1)
-    for step in range(1, reach + 1):
+    for step in range(1, num_rings + 1):
         is_next = ndimage.binary_dilation(ring >= 0) & is_passable & (ring < 0)
         ring[is_next] = step
     is_goal = np.zeros(ring.shape, dtype=np.bool_)
-    is_near = (ring >= 0) & (ring < reach)
+    is_near = (ring >= 0) & (ring < num_rings)
     for number in np.unique(island[is_near & (island > 0)]):
         nearest_ring = ring[is_near & (island == number)].min()
         is_goal |= (island == number) & (ring >= 0) & (ring <= nearest_ring + 1)
@@ -229,7 +257,10 @@ def _find_nearest_rings(is_object: Bool, is_passable: Bool, island: Int32, reach
 
 
 def _mark_blocked_by_objects(level: SceneGrid2D, ids: Int) -> Bool:
-    """Mark the cells of a level that objects alone block, and no wall; shape of `ids`."""
+    """Mark the cells of a level that objects block but no wall, by the user data.
+
+    `ids` are ids on the level; returns a mask of their shape.
+    """
     entries = UserData.of(level.user_data).find(ids.ravel())
     walls = {name for entry in entries for name in names_in(entry, "walls")}
     has_objects_only = []
@@ -312,7 +343,7 @@ def find_path(
     if route is None:
         return None
     places = flat.split(route.cells)
-    costs = search.measure(route, places, by)
+    costs = search.measure_route(route, places, by)
     end = NO_POINT
     if target.positions is not None:  # the first that is in the cell
         end = target.positions[int(np.argmax(target.cells == route.cells[-1])), :2]
@@ -322,15 +353,15 @@ def find_path(
         start_position[:2],
         end,
         smooth,
-        search.graph_by(by),
+        search.graph_with_costs(by),
         flat.floors,
         search.off_center,
     )
-    # the points before and after each link: `link_to` has the index of the cell that a link leads
-    # to, at the points before it and, where the floor rises over the link, at those on it
+    # The indices of the points before and after each link. `link_to` has the index of the cell that
+    # the link leads to: at the point before it and, if the floor rises there, at the points on it.
     stops = []
     for link in costs.links:
-        on_link = np.flatnonzero(link_to == link.place)
+        on_link = np.flatnonzero(link_to == link.cell_index)
         stops.append([on_link[0], on_link[-1] + 1])
     numbers = search.rooms.number[route.cells]
     is_entered = np.append(True, numbers[1:] != numbers[:-1])
@@ -341,7 +372,7 @@ def find_path(
         length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
         cost=costs.cost,
         rooms=[str(search.rooms.id_of(int(n))) for n in numbers[is_entered] if n],
-        doors=doors_along(search.doors, route.cells),
+        doors=list_doors_along(search.doors, route.cells),
         links=[link.name for link in costs.links],
         seconds=costs.seconds,
         by=by,
@@ -353,30 +384,30 @@ def find_path(
 def find_field(
     search: Search, goal: Goal, level: int | None, *, weighted: bool = True, by: str = "cost"
 ) -> Float:
-    """Compute the costs of `PathFinder.distance_field`.
+    """Compute the costs of `PathFinder.distance_field`, by flat id.
 
     Args:
         search: of the grid, up to date.
         goal: a position, several of them, ``room:NAME`` or ``object:NAME``.
         level: the level of positions; None finds each one's level by its z.
-        weighted: whether weights and areas count; else lengths [m].
+        weighted: whether weights and areas count; else costs are lengths [m].
         by: ``cost`` or ``time``.
 
     Returns:
-        float64, by flat id, inf for no path; read-only. Goals of the same cells share one array.
+        float64, by flat id, inf for no path; read-only. Goals with the same cells share one array.
 
     Raises:
-        QueryError: an argument is not valid, or lengths are wanted by ``time``.
+        QueryError: an argument is not valid, or `weighted=False` is combined with ``by="time"``.
     """
     check_choice(by, CRITERIA, "by")
     if not weighted and by == "time":
         raise QueryError("expected by='cost' for lengths (weighted=False), got by='time'")
-    measure = by if weighted else "length"
+    criterion = by if weighted else "length"
     goals = find_target(search, goal, level).free_cells(search.flat)
 
     def compute_field() -> Float:
-        field = search.field(goals, by=measure)
+        field = search.field(goals, by=criterion)
         field.flags.writeable = False
         return field
 
-    return search.cached("fields", (measure, goals.tobytes()), compute_field)
+    return search.cached("fields", (criterion, goals.tobytes()), compute_field)

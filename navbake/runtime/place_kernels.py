@@ -1,11 +1,11 @@
-"""Finds the cells that positions are in, and the nearest cells of a mask; of many positions a call.
+"""Finds the cells that positions are in, and the nearest cells of a mask, in batches.
 
 Positions are located in batches, level by level: a look-up at a random address waits for the
 memory, and in a batch many such waits overlap.
 
 The nearest cell is searched in square rings round the point's cell, until no cell of the next ring
-can be nearer than the best so far. Where the mask is dense near the point, as free and occupied
-cells are, that is quicker than any index, and an added obstacle outdates nothing.
+can be nearer than the best so far. Most points have free and occupied cells near them. There, this
+is quicker than an index, and needs no update when an obstacle is added.
 """
 
 import math
@@ -16,19 +16,20 @@ import numpy as np
 from navbake.compiled import kernel, subkernel
 from navbake.runtime.grid_arrays import cell_center, floor_at, level_of, to_cell_units
 
-BATCH_SIZE = 512  # positions; what a batch needs stays in the processor's first cache
-MAX_DROP = 0.5  # [m] that a position may be above the floor of an agent that stands there
-# What `find_nearest_cell` measures: on the map to a cell's centre; in space to the centre, on the
-# floor; on the map to the cell's square, except of cells over or under which another level goes on
-# at the point's height.
+BATCH_SIZE = 512  # positions; the data of a batch stays in the processor's first cache
+MAX_DROP = 0.5  # [m]: a position may be this far above the floor of an agent that stands there
+# Which distance `find_nearest_cell` measures: on the map to a cell's centre; in space to the centre
+# at the floor's height; or on the map to the cell's square. The last one leaves out cells where
+# another level continues this one at the point's height.
 CENTER_ON_MAP = 0
 CENTER_IN_SPACE = 1
 TO_OBSTACLE = 2
 
 
 class RowCells(NamedTuple):
-    """Every `stride`-th cell of a row, from a first to a last column."""
+    """Every `stride`-th cell of a level's row, from `first_col` up to and including `last_col`."""
 
+    level: int
     row: int
     first_col: int
     last_col: int
@@ -37,10 +38,10 @@ class RowCells(NamedTuple):
 
 @kernel
 def locate(layout, floors, level, positions):
-    """Find the cells whose floors are the nearest at or below positions.
+    """Find the cells that positions are in, on the level of the highest floor at or below each.
 
-    A floor may be up to `max_step` above the position. If no level has such a floor there, the
-    level with the highest ground is taken, by the same rule.
+    A floor may be up to `max_step` above the position. If no level has such a floor, the cell
+    without a floor is taken whose level has the highest ground not above z + `max_step`.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
@@ -66,7 +67,15 @@ def locate(layout, floors, level, positions):
 def mark_standing(layout, floors, free, max_drop, positions):
     """Mark the positions that are in a free cell, at most `max_drop` [m] above its floor.
 
-    `positions` have shape (n, 3), `free` is by cell. Returns bool, shape (n,).
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        free: by cell, bool.
+        max_drop: largest height of a position above the floor [m].
+        positions: world x, y, z [m], shape (n, 3).
+
+    Returns:
+        bool, shape (n,).
     """
     is_standing = np.zeros(len(positions), dtype=np.bool_)
     cells = np.empty(BATCH_SIZE, dtype=np.int64)
@@ -83,7 +92,7 @@ def mark_standing(layout, floors, free, max_drop, positions):
 
 @subkernel
 def _locate_batch(layout, floors, positions, cells, z):
-    """Locate at most `BATCH_SIZE` positions: write their cells and the floors' heights there."""
+    """Locate at most `BATCH_SIZE` positions: write their cells to `cells`, the floors' z to `z`."""
     level_cells = np.empty(BATCH_SIZE, dtype=np.int64)
     ground_cells = np.full(BATCH_SIZE, -1, dtype=np.int64)
     highest_ground = np.full(BATCH_SIZE, -np.inf)
@@ -113,7 +122,10 @@ def _locate_batch(layout, floors, positions, cells, z):
 
 @subkernel
 def _locate_on_level(layout, level, positions, cells):
-    """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
+    """Write the flat ids of a level's cells that positions are in to `cells`, -1 outside the level.
+
+    The positions are finite, world x, y [m].
+    """
     first_cell = layout.start[level]
     rows = layout.height[level]
     cols = layout.width[level]
@@ -135,22 +147,23 @@ def snap_positions(layout, floors, allowed, level, same_level, max_distance, pos
         layout: `navbake.runtime.grid_arrays.Layout`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
         allowed: by cell, bool.
-        level: the level of all positions; -1: each is on that of the floor below it.
+        level: the level of all positions; -1 to find each one's level by its z.
         same_level: whether a place must be on its position's level.
         max_distance: largest distance to a place [m].
         positions: world x, y, z [m], shape (n, 3).
 
     Returns:
-        World x, y, z [m], shape (n, 3), NaN for no place; and flat ids, shape (n,), -1 for none.
+        World x, y, z of the places [m], shape (n, 3), NaN for none; and the flat ids of their
+        cells, shape (n,), -1 for none.
     """
     cells = locate(layout, floors, level, positions)
     places = np.full((len(positions), 3), np.nan)
     for i in range(len(positions)):
         cell_below = cells[i]
         point = (positions[i, 0], positions[i, 1], positions[i, 2])
-        home_level = level_of(layout.start, cell_below) if cell_below >= 0 else level
+        position_level = level_of(layout.start, cell_below) if cell_below >= 0 else level
         if cell_below >= 0 and allowed[cell_below]:
-            z = floor_at(floors, home_level, cell_below)
+            z = floor_at(floors, position_level, cell_below)
             if level >= 0 or point[2] - z <= MAX_DROP:
                 places[i, 0] = point[0]
                 places[i, 1] = point[1]
@@ -158,17 +171,21 @@ def snap_positions(layout, floors, allowed, level, same_level, max_distance, pos
                 continue
         nearest_distance = max_distance
         nearest = np.int64(-1)
-        on_one_level = same_level and home_level >= 0
-        levels = range(home_level, home_level + 1) if on_one_level else range(len(layout.width))
+        on_one_level = same_level and position_level >= 0
+        levels = (
+            range(position_level, position_level + 1) if on_one_level else range(len(layout.width))
+        )
         for candidate_level in levels:
             measure = CENTER_ON_MAP if on_one_level else CENTER_IN_SPACE
-            ground = 0.0 if on_one_level else floors.ground[candidate_level]
+            ground = floors.ground[candidate_level]
+            overlap = 0.0  # counts for `TO_OBSTACLE` only
             cell, distance = find_nearest_cell(
                 layout,
                 allowed,
                 floors.z,
                 measure,
                 ground,
+                overlap,
                 candidate_level,
                 point,
                 nearest_distance,
@@ -191,8 +208,8 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
         layout: `navbake.runtime.grid_arrays.Layout`.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
         occupied: by cell, bool.
-        overlap: floors that differ by less than this are at one height [m].
-        level: the level of all positions; -1: each is on that of the floor below it.
+        overlap: floors whose heights differ by less than this count as equally high [m].
+        level: the level of all positions; -1 to find each one's level by its z.
         max_distance: largest distance to an obstacle [m].
         positions: world x, y, z [m], shape (n, 3), or (n, 2) with a level.
 
@@ -213,6 +230,7 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
                 occupied,
                 floors.z,
                 TO_OBSTACLE,
+                0.0,  # the ground counts for `CENTER_IN_SPACE` only
                 overlap,
                 own_level,
                 point,
@@ -222,13 +240,24 @@ def find_nearest_obstacles(layout, floors, occupied, overlap, level, max_distanc
 
 
 @subkernel
-def find_nearest_cell(layout, mask, floor, measure, height, level, point, max_distance):
-    """Find the cell of a level in a mask that is nearest to x, y, z, and its distance [m].
+def find_nearest_cell(layout, mask, floor, measure, ground, overlap, level, point, max_distance):
+    """Find the cell of a level, of those in a mask, that is nearest to a point.
 
-    The flat id is -1 if no cell is within `max_distance`. Of equally near cells, the one with the
-    lowest flat id is returned. For
-    `TO_OBSTACLE`, z is the floor's at the point, and floors less than `height` apart are at one
-    height; for `CENTER_IN_SPACE`, cells without floor are taken to be at `height`.
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        mask: by cell, bool.
+        floor: world z of the floor by cell, NaN for none [m].
+        measure: which distance counts: `CENTER_ON_MAP`, `CENTER_IN_SPACE` or `TO_OBSTACLE`.
+        ground: for `CENTER_IN_SPACE`, z of cells without a floor [m].
+        overlap: for `TO_OBSTACLE`, floors whose heights differ by less than this count as equally
+            high [m].
+        level: number of the level.
+        point: world x, y, z [m]; for `TO_OBSTACLE`, z is the floor's height at the point.
+        max_distance: largest distance [m].
+
+    Returns:
+        The flat id, the lowest one of equally near cells, -1 if no cell is within `max_distance`;
+        and the distance [m].
     """
     rows = layout.height[level]
     cols = layout.width[level]
@@ -260,14 +289,14 @@ def find_nearest_cell(layout, mask, floor, measure, height, level, point, max_di
                 stride = 1
             elif first_col < 0:
                 first_col = last_col
-            row_cells = RowCells(row, first_col, min(cols - 1, last_col), stride)
+            row_cells = RowCells(level, row, first_col, min(cols - 1, last_col), stride)
             squared_best, nearest = _search_row(
                 layout,
                 mask,
                 floor,
                 measure,
-                height,
-                level,
+                ground,
+                overlap,
                 point,
                 row_cells,
                 squared_best,
@@ -279,13 +308,14 @@ def find_nearest_cell(layout, mask, floor, measure, height, level, point, max_di
 
 @subkernel
 def _search_row(
-    layout, mask, floor, measure, height, level, point, row_cells, squared_best, nearest
+    layout, mask, floor, measure, ground, overlap, point, row_cells, squared_best, nearest
 ):
     """Compare the nearest cell so far with cells of a row.
 
-    Returns the nearer one's squared distance [m²], and its flat id.
+    The first arguments are those of `find_nearest_cell`; `row_cells` is a `RowCells`. Returns the
+    squared distance [m²] and the flat id of the nearest cell of both.
     """
-    row, first_col, last_col, stride = row_cells
+    level, row, first_col, last_col, stride = row_cells
     size = layout.cell_size[level]
     x_min = layout.x_min[level]
     y_max = layout.y_max[level]
@@ -301,11 +331,11 @@ def _search_row(
             dy = max(0.0, dy - 0.5 * size)
         squared = dx * dx + dy * dy
         if measure == CENTER_IN_SPACE:
-            z = height if math.isnan(floor[cell]) else floor[cell]
+            z = ground if math.isnan(floor[cell]) else floor[cell]
             squared += (z - point[2]) ** 2
         if squared < squared_best or (squared == squared_best and (nearest < 0 or cell < nearest)):
             if measure == TO_OBSTACLE and _is_clear_on_another_level(
-                layout, mask, floor, height, level, cell, point[2]
+                layout, mask, floor, overlap, level, cell, point[2]
             ):
                 continue
             squared_best = squared
@@ -314,9 +344,12 @@ def _search_row(
 
 
 @subkernel
-def _is_clear_on_another_level(layout, mask, floor, height, level, cell, z):
-    """Whether another level, but not this one, has a clear floor near a height in a column."""
-    if abs(floor[cell] - z) < height:  # False for NaN
+def _is_clear_on_another_level(layout, mask, floor, overlap, level, cell, z):
+    """Whether another level continues a level at a cell: its cell has a floor near z, unmasked.
+
+    Near means less than `overlap` above or below [m]. False if the cell's own floor is near z.
+    """
+    if abs(floor[cell] - z) < overlap:  # False for NaN
         return False
     x, y = cell_center(layout, cell)
     for candidate in range(len(layout.width)):
@@ -324,6 +357,6 @@ def _is_clear_on_another_level(layout, mask, floor, height, level, cell, z):
         u, v = to_cell_units(layout, candidate, x, y)
         if candidate != level and 0 <= v < layout.height[candidate] and 0 <= u < width:
             candidate_cell = layout.start[candidate] + np.int64(v) * width + np.int64(u)
-            if not mask[candidate_cell] and abs(floor[candidate_cell] - z) < height:
+            if not mask[candidate_cell] and abs(floor[candidate_cell] - z) < overlap:
                 return True
     return False

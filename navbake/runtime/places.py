@@ -1,8 +1,8 @@
-"""Queries about places: free space, neighbourhood, lines of sight, and steps.
+"""Queries about places: islands, rooms, free space, steps, lines of sight, obstacles and images.
 
-The functions answer the methods of `navbake.runtime.path_finder.PathFinder` of the same names. A
-position is world x, y, z [m], on the level of the nearest floor below, or on `level`; QueryError is
-raised for one that is not valid. `search` is up to date with the grid.
+Most functions do the work of the method of `navbake.runtime.path_finder.PathFinder` of the same
+name. A position is world x, y, z [m], on the level of the nearest floor below, or on `level`;
+QueryError is raised for one that is not valid. `search` is up to date with the grid.
 """
 
 import math
@@ -29,10 +29,10 @@ from navbake.types import Bool, Float, Int
 place_kernels = lazy("navbake.runtime.place_kernels")  # numba loads slowly
 walk_kernels = lazy("navbake.runtime.walk_kernels")
 
-MAX_DROP = 0.5  # [m], that of `navbake.runtime.place_kernels`, which loads numba
+MAX_DROP = 0.5  # [m], equal to `navbake.runtime.place_kernels.MAX_DROP`, whose module loads numba
 FIRST_SIGHT_RADIUS = 1.0  # [m], first radius of the search for a place in sight
-DISTANCE_SLACK = 1e-9  # [m] by which distances may be rounded
-PIXEL_SLACK = 1e-6  # share of a pixel that the last one may lack
+DISTANCE_SLACK = 1e-9  # [m] by which rounding may change a distance
+PIXEL_SLACK = 1e-6  # share of a pixel: if less than this is left at the edge, it gets no pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +100,14 @@ def room_near(
     """
     flat = search.flat
     number = search.rooms.number
-    p, home_cell = flat.locate(position, level)
+    checked_position, position_cell = flat.locate(position, level)
     check_distance(max_distance)
-    if home_cell < 0:
+    if position_cell < 0:
         return None
-    home_level = int(flat.level_of(home_cell))
-    _, cell = snap_to_cells(flat, number > 0, p, home_level, max_distance=max_distance)
+    position_level = int(flat.level_of(position_cell))
+    _, cell = snap_to_cells(
+        flat, number > 0, checked_position, position_level, max_distance=max_distance
+    )
     return search.rooms.id_of(int(number[cell])) if cell >= 0 else None
 
 
@@ -126,21 +128,21 @@ def room_of_object(search: Search, name: str) -> str | None:
 def is_navigable(
     search: Search, position: ArrayLike, level: int | None, max_drop: float
 ) -> bool | Bool:
-    """Whether each position's cell is free, and its floor at most `max_drop` below it.
+    """Whether each position's cell is free, and the cell's floor at most `max_drop` below it.
 
     Args:
         search: of the grid.
         position: world x, y, z [m], shape (3,) or (..., 3).
         level: the level of all positions; None finds each one's level by its z.
-        max_drop: largest height of a position above its floor [m].
+        max_drop: largest height of a position above its floor [m]; it doesn't count with `level`.
 
     Returns:
         bool for one position, an array of shape (...) for many.
     """
     check_distance(max_drop, "max_drop")
     flat = search.flat
-    p = check_positions(position, flat.num_levels, level)
-    kernel_level, points = to_kernel_positions(p, level)
+    checked_position = check_positions(position, flat.num_levels, level)
+    kernel_level, points = to_kernel_positions(checked_position, level)
     if kernel_level >= 0:
         cells = place_kernels.locate(flat.layout, flat.floors, kernel_level, points)
         is_free = (cells >= 0) & flat.free[cells]
@@ -148,7 +150,11 @@ def is_navigable(
         is_free = place_kernels.mark_standing(
             flat.layout, flat.floors, flat.free, float(max_drop), points
         )
-    return bool(is_free[0]) if p.ndim == 1 else is_free.reshape(p.shape[:-1])
+    return (
+        bool(is_free[0])
+        if checked_position.ndim == 1
+        else is_free.reshape(checked_position.shape[:-1])
+    )
 
 
 def snap(
@@ -170,23 +176,23 @@ def snap(
     flat = search.flat
     check_distance(max_distance)
     if same_room or in_sight:
-        p = flat.check_one(position, level)
+        checked_position = flat.check_position(position, level)
     else:
-        p = check_positions(position, flat.num_levels, level)
+        checked_position = check_positions(position, flat.num_levels, level)
     if same_room:
-        own_room = room_at(search, p, level)
+        own_room = room_at(search, checked_position, level)
         if own_room is None:
             return None
         if search.rooms.find(room or own_room) != search.rooms.find(own_room):
             return None
         room = own_room
-    allowed = search.allowed(room=room, islands=search.allowed_islands(island, None))
+    allowed = search.mark_allowed(room=room, islands=search.allowed_islands(island, None))
     if in_sight:
-        return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
+        return _snap_in_sight(search, allowed, checked_position, level, same_level, max_distance)
     places, cells = snap_to_cells(
-        flat, allowed, p, level, same_level=same_level, max_distance=max_distance
+        flat, allowed, checked_position, level, same_level=same_level, max_distance=max_distance
     )
-    return None if p.ndim == 1 and cells < 0 else places
+    return None if checked_position.ndim == 1 and cells < 0 else places
 
 
 def snap_to_cells(
@@ -237,18 +243,22 @@ def _snap_in_sight(
     same_level: bool,
     max_distance: float,
 ) -> Float | None:
-    """Snap to a place in sight; searches growing radii, as lines cost more than distances."""
+    """Find the nearest place in sight of a position; None if there is none.
+
+    Lines of sight take longer to compute than distances. So only places within a radius are
+    checked first, the nearest ones first; the radius doubles until one is in sight.
+    """
     flat = search.flat
-    home_cell = int(flat.cells_at(position, level))
+    position_cell = int(flat.cells_at(position, level))
     place, cell = snap_to_cells(
         flat, allowed, position, level, same_level=same_level, max_distance=max_distance
     )
-    if home_cell < 0 or cell < 0:
+    if position_cell < 0 or cell < 0:
         return None
-    if cell == home_cell:
+    if cell == position_cell:
         return place
     num_axes = 2 if same_level or len(position) == 2 else 3
-    levels = [int(flat.level_of(home_cell))] if num_axes == 2 else list(range(flat.num_levels))
+    levels = [int(flat.level_of(position_cell))] if num_axes == 2 else list(range(flat.num_levels))
     num_allowed = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
     radius = min(FIRST_SIGHT_RADIUS, float(max_distance))
     while True:
@@ -261,7 +271,7 @@ def _snap_in_sight(
         order = np.argsort(distance, kind="stable")
         near = order[: np.count_nonzero(distance <= radius)]
         first = search.first_in_sight(
-            home_cell, position, cells[near], centers[near], search.rooms.number
+            position_cell, position, cells[near], centers[near], search.rooms.number
         )
         if first >= 0:
             return np.asarray(centers[near[first]])
@@ -278,7 +288,7 @@ def cells_in_annulus(
     max_distance: float,
     allowed: Bool,
 ) -> Int:
-    """List the allowed cells of a level with centres in an annulus round a point.
+    """List the allowed cells of a level whose centres are in an annulus round a point.
 
     Args:
         flat: the grid.
@@ -286,7 +296,7 @@ def cells_in_annulus(
         point: world x, y [m].
         min_distance: inner radius [m].
         max_distance: outer radius [m].
-        allowed: by flat id.
+        allowed: mask of the allowed cells, by flat id.
 
     Returns:
         Flat ids, ascending.
@@ -295,7 +305,7 @@ def cells_in_annulus(
     size = layout.cell_size[level]
     num_rows = layout.height[level]
     num_cols = layout.width[level]
-    # distances along the axes from the point to the rows' and columns' middles
+    # from the point to the middles of the rows and columns, along the axes [m]
     row_offsets = (np.arange(num_rows) + 0.5) * size - (layout.y_max[level] - point[1])
     col_offsets = (np.arange(num_cols) + 0.5) * size - (point[0] - layout.x_min[level])
     outer = max_distance + DISTANCE_SLACK
@@ -319,7 +329,7 @@ def try_step(
     Args:
         search: of the grid.
         start: world x, y, z [m], shape (..., 3).
-        end: world x, y, z [m], shape (3,) or that of `start`.
+        end: world x, y, z [m], shape (3,) or the shape of `start`.
         slide: whether to slide on from where the straight walk stops.
         level: the level of all starts; None finds each one's level by its z.
 
@@ -380,15 +390,17 @@ def nearest_obstacle(
         max_distance: largest distance to the obstacle [m].
     """
     flat = search.flat
-    p = flat.check_one(position, level)
-    own_cells, obstacle_cells, distances = _find_obstacles(search, p, level, max_distance)
+    checked_position = flat.check_position(position, level)
+    own_cells, obstacle_cells, distances = _find_obstacles(
+        search, checked_position, level, max_distance
+    )
     own_cell = own_cells[0]
     obstacle_cell = obstacle_cells[0]
     if obstacle_cell < 0:
         return None
     half = flat.layout.cell_size[flat.level_of(own_cell)] / 2
     center = flat.positions(obstacle_cell)[:2]
-    point = np.clip(p[:2], center - half, center + half)
+    point = np.clip(checked_position[:2], center - half, center + half)
     floor = flat.positions(own_cell)[2]
     return NearestObstacle(float(distances[0]), np.append(point, floor))
 
@@ -407,23 +419,28 @@ def clearance(
     Returns:
         float for one position, an array of shape (...) for many.
     """
-    p = check_positions(position, search.flat.num_levels, level)
-    _, obstacle_cells, distances = _find_obstacles(search, p, level, max_distance)
+    checked_position = check_positions(position, search.flat.num_levels, level)
+    _, obstacle_cells, distances = _find_obstacles(search, checked_position, level, max_distance)
     distances = np.where(obstacle_cells < 0, max_distance, distances)
-    return float(distances[0]) if p.ndim == 1 else distances.reshape(p.shape[:-1])
+    return (
+        float(distances[0])
+        if checked_position.ndim == 1
+        else distances.reshape(checked_position.shape[:-1])
+    )
 
 
 def _find_obstacles(
     search: Search, positions: Float, level: int | None, max_distance: float
 ) -> tuple[Int, Int, Float]:
-    """Find the obstacles nearest to checked positions.
+    """Find the obstacle nearest to each of several positions, which are checked before.
 
-    Returns the positions' own cells, and the nearest occupied cells, flat ids, -1 for none; and
-    distances [m].
+    Returns:
+        The flat ids of the positions' cells; the flat ids of the nearest occupied cells, -1 for
+        none; and the distances to these [m]; each of shape (n,).
     """
     check_distance(max_distance)
     flat = search.flat
-    # floors less than this apart are at one height for an agent, as in `grid.inflate`
+    # floors whose heights differ by less count as equally high, like in `grid.inflate`
     overlap = search.grid.agent_height - flat.floors.max_step
     kernel_level, points = to_kernel_positions(positions, level)
     own_cells, obstacle_cells, distances = place_kernels.find_nearest_obstacles(
@@ -477,7 +494,7 @@ def draw_top_down(
 
 
 def _cells_at_pixels(num_cells: int, cells_per_pixel: float) -> Int:
-    """List the cells at the middles of the pixels along an axis."""
+    """List the index of the cell at the middle of each pixel, along one axis of a level."""
     num_pixels = math.ceil(num_cells / cells_per_pixel - PIXEL_SLACK)
     middles = (np.arange(num_pixels) + 0.5) * cells_per_pixel
     cells: Int = np.minimum(middles.astype(int), num_cells - 1)

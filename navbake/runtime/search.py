@@ -31,8 +31,8 @@ search_kernels = lazy("navbake.runtime.search_kernels")
 walk_kernels = lazy("navbake.runtime.walk_kernels")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
-FIRST_QUEUE_SIZE = 1 << 15  # entries of the queue at first
-MAX_CACHED = 8  # results of each kind
+FIRST_QUEUE_SIZE = 1 << 15  # number of entries of the queue at first
+MAX_CACHED = 8  # number of cached results of each kind
 NO_CELLS = np.empty(0, dtype=np.int64)
 NO_ROOMS = np.empty(0, dtype=np.int32)
 CachedResult = TypeVar("CachedResult")
@@ -44,7 +44,7 @@ class Route(NamedTuple):
     Attributes:
         cells: flat ids, from the start to the goal, shape (n,).
         by_link: whether the route enters the cell over a link or from another level, shape (n,).
-        cost: cost of the route: [m] if it was planned by cost, [s] if by time.
+        cost: of the route: [m] if it was planned by cost, [s] if by time.
     """
 
     cells: Int
@@ -56,11 +56,11 @@ class TakenLink(NamedTuple):
     """A named link that a route takes.
 
     Attributes:
-        place: index in the route of the cell that the link leads to.
+        cell_index: index in the route of the cell that the link leads to.
         name: of the link.
     """
 
-    place: int
+    cell_index: int
     name: str
 
 
@@ -80,20 +80,21 @@ class Search:
     Args:
         grid: as it was loaded or baked.
         cut_corners: see `PathFinder`.
-        agent: who plans: an agent, the name of one that the grid lists, or None.
-        radius: that links have to be wide enough for [m]; the grid's if None.
+        agent: the agent that plans: an `Agent`, the name of one that the grid lists, or None.
+        radius: the search leaves out links that are narrower than twice this [m]; None for the
+            grid's radius.
         penalty: see `navbake.runtime.flat_grid.flatten`.
 
     Attributes:
-        agent: who plans.
+        agent: the agent that plans.
         grid: the grid for the agent's size, see `navbake.runtime.blocking.fit_grid`.
         cut_corners: whether diagonal steps past blocked corners are allowed.
-        radius: that links have to be wide enough for [m].
+        radius: links that are narrower than twice this are left out [m].
         flat: the grid's cells.
-        graph: the steps between them, and their costs.
-        free_diagonally: free cells with room for a diagonal step, by flat id.
-        off_center: where a line may leave the centres of cells.
-        version: number of changes by obstacles so far; `update` counts them.
+        graph: the steps between cells, and their costs [m].
+        free_diagonally: mask of the free cells with room for a diagonal step, by flat id.
+        off_center: where the agent may be off the centres of cells.
+        version: how often `update` has found cells that obstacles blocked or freed.
 
     Raises:
         QueryError: a weight is negative, or the grid can't be fitted to the agent.
@@ -113,26 +114,28 @@ class Search:
         self.cut_corners = cut_corners
         self.version = 0
         self.radius = self.grid.radius if radius is None else radius
-        clean = self.grid.without_obstacles()
-        self.flat = flat_grid.flatten(clean, self.agent, penalty)
+        grid_without_obstacles = self.grid.without_obstacles()
+        self.flat = flat_grid.flatten(grid_without_obstacles, self.agent, penalty)
         self._cache: dict[str, dict[Hashable, object]] = {}
         flat = self.flat
-        # without obstacles; None where only free cells count
-        self._clean_masks = find_off_center_masks(clean)
-        clean_masks = self._clean_masks or OffCenterMasks(flat.free, flat.free, flat.free)
+        # of the grid without obstacles; None if only free cells count
+        self._masks_without_obstacles = find_off_center_masks(grid_without_obstacles)
+        masks_without_obstacles = self._masks_without_obstacles or OffCenterMasks(
+            flat.free, flat.free, flat.free
+        )
         self._masks = OffCenterMasks(
-            diagonal=clean_masks.diagonal & flat.free,
-            anywhere=clean_masks.anywhere & flat.free,
-            sweepable=clean_masks.sweepable & flat.free,
+            diagonal=masks_without_obstacles.diagonal & flat.free,
+            anywhere=masks_without_obstacles.anywhere & flat.free,
+            sweepable=masks_without_obstacles.sweepable & flat.free,
         )
         self.free_diagonally = self._masks.diagonal
-        self.off_center = self._make_off_center(clean)
+        self.off_center = self._make_off_center(grid_without_obstacles)
         least_weight = flat.weight[flat.free].min(initial=0.0)
         if least_weight < 0:
             raise QueryError(
                 f"expected weights >= 0, got {least_weight:g}: no path is the cheapest then"
             )
-        # the buckets fit the weights of all cells, blocked ones included
+        # the graph is made without obstacles, so that its buckets fit the weights of all cells
         self._moves = np.zeros(flat.num_cells, dtype=np.uint8)
         self.graph = self._make_graph("cost", False)
         self._visits: Visits = arrays.Visits(
@@ -148,37 +151,40 @@ class Search:
             self._update_moves(number, (0, level.height, 0, level.width))
         self.update()
 
-    def _make_off_center(self, clean: NavGrid) -> OffCenter:
-        """Make `off_center` of the grid without obstacles."""
+    def _make_off_center(self, grid_without_obstacles: NavGrid) -> OffCenter:
+        """Make `off_center`, with the solid cells of the grid without obstacles."""
         solid_before = np.zeros(1, dtype=np.int32)
-        if self._clean_masks is not None:
-            solid = np.concatenate([level.solid.ravel() != 0 for level in clean.levels])
+        if self._masks_without_obstacles is not None:
+            solid = np.concatenate(
+                [level.solid.ravel() != 0 for level in grid_without_obstacles.levels]
+            )
             solid_before = np.append(np.int32(0), np.cumsum(solid, dtype=np.int32))
         off_center: OffCenter = arrays.OffCenter(
             anywhere=self._masks.anywhere,
             sweepable=self._masks.sweepable,
             solid_before=solid_before,
             radius=self.grid.inflated_radius,
-            is_closed=len(self.grid.levels) > 1,
+            is_solid_outside=len(self.grid.levels) > 1,
         )
         return off_center
 
     # ---------------------------------------------------------------- the graph
 
-    def graph_by(self, by: str, *, backwards: bool = False) -> Graph:
-        """Return the steps and what they cost.
+    def graph_with_costs(self, by: str, *, reverse_links: bool = False) -> Graph:
+        """Return the graph whose steps have costs of one kind.
 
         Args:
-            by: ``cost`` [m], ``time`` [s], or ``length`` [m], by which only passages over links
-                have a cost of their own.
-            backwards: whether links are reversed.
+            by: ``cost`` [m]; ``time`` [s]; or ``length`` [m], to which passages over links add
+                their costs.
+            reverse_links: whether each link leads from its end to its start.
         """
-        if by == "cost" and not (backwards and len(self.flat.arcs.ends)):
+        if by == "cost" and not (reverse_links and len(self.flat.arcs.ends)):
             return self.graph
-        return self.cached("graphs", (by, backwards), partial(self._make_graph, by, backwards))
+        make_graph = partial(self._make_graph, by, reverse_links)
+        return self.cached("graphs", (by, reverse_links), make_graph)
 
-    def _make_graph(self, by: str, backwards: bool) -> Graph:
-        """Make the graph of `graph_by`."""
+    def _make_graph(self, by: str, reverse_links: bool) -> Graph:
+        """Make the graph that `graph_with_costs` returns."""
         flat = self.flat
         weight = flat.weight
         weights = np.ones(1)
@@ -191,26 +197,26 @@ class Search:
             weights = flat.weight[flat.free]
         least_weight = float(weights.min()) if weights.size else 1.0
         greatest_weight = float(weights.max()) if weights.size else 1.0
-        links = flat.links(self.radius, by_time=by == "time", backwards=backwards)
+        links = flat.links(self.radius, by_time=by == "time", are_reversed=reverse_links)
         is_passable = flat.arcs.fits_radius(self.radius)
         sources, targets = flat.positions(flat.arcs.ends[is_passable].T)
         estimated_costs = least_weight * octile_length(sources - targets)
         passage_costs = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[is_passable]
-        bucket, num_buckets = search_kernels.plan_buckets(
+        bucket_width, num_buckets = search_kernels.plan_buckets(
             cell_size=float(flat.layout.cell_size.min()),
             least_weight=least_weight,
             greatest_weight=greatest_weight,
             longest_step=float(links.length.max(initial=0)),
-            dearest_passage=float((passage_costs + estimated_costs).max(initial=0.0)),
+            highest_passage_cost=float((passage_costs + estimated_costs).max(initial=0.0)),
         )
         graph: Graph = arrays.Graph(
             layout=flat.layout,
             links=links,
             moves=self._moves,
             weight=weight,
-            same_weight=least_weight if least_weight == greatest_weight else 0.0,
+            uniform_weight=least_weight if least_weight == greatest_weight else 0.0,
             least_weight=least_weight,
-            bucket=bucket,
+            bucket_width=bucket_width,
             num_buckets=num_buckets,
         )
         return graph
@@ -228,7 +234,7 @@ class Search:
             self.version += 1
 
     def _update_window(self, level_number: int, window: Window, state: ObstacleState) -> None:
-        """Update weights, masks and moves of the cells in a window of a level."""
+        """Update weights, masks and moves of a level's cells in a window, by its `state`."""
         level = self.grid.levels[level_number]
         row0, row1, col0, col1 = window
         inside = np.s_[row0:row1, col0:col1]
@@ -243,9 +249,9 @@ class Search:
         for index, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
             mask = self._masks[index]
             mask[cells] = free
-            if self._clean_masks is not None:
-                clean_mask = self._clean_masks[index]
-                mask[cells] &= clean_mask[cells] & (state.count[layer][inside] == 0)
+            if self._masks_without_obstacles is not None:
+                mask_without_obstacles = self._masks_without_obstacles[index]
+                mask[cells] &= mask_without_obstacles[cells] & (state.count[layer][inside] == 0)
         self._update_moves(level_number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
 
     def _update_moves(self, level_number: int, window: Window) -> None:
@@ -271,13 +277,13 @@ class Search:
         compute: Callable[[], CachedResult],
         limit: int = MAX_CACHED,
     ) -> CachedResult:
-        """Return the result of a function, which is called once for each key and grid version.
+        """Return a function's result, cached for each key and state of the grid's obstacles.
 
         Args:
-            kind: name of the results' kind.
-            key: what the result depends on, beside the grid.
-            compute: computes the result.
-            limit: number of results of the kind that are cached: those that were used last.
+            kind: name of the kind of results.
+            key: tells results of one kind apart.
+            compute: the function; called if its result isn't in the cache.
+            limit: how many results of the kind stay in the cache, the most recently used ones.
         """
         results = self._cache.setdefault(kind, {})
         versioned_key = (self.version, key)
@@ -297,7 +303,7 @@ class Search:
 
     @cached_property
     def doors(self) -> flat_grid.DoorMap:
-        """The doors of each cell."""
+        """The ids of the doors of each cell, by flat id."""
         return flat_grid.map_doors(self.grid, self.flat)
 
     @property
@@ -318,14 +324,14 @@ class Search:
 
     # ---------------------------------------------------------------- selections of cells
 
-    def allowed(
+    def mark_allowed(
         self,
         *,
         level: int | None = None,
         room: str | None = None,
         islands: Sequence[int] | None = None,
     ) -> Bool:
-        """Mark the free cells that are on a level, in a room and on one of some islands.
+        """Mark the free cells that are on a level, in a room and on one of several islands.
 
         Args:
             level: number of the level; None for any.
@@ -353,23 +359,27 @@ class Search:
     def allowed_islands(
         self, island: int | None, reachable_from: ArrayLike | None
     ) -> tuple[int, ...] | None:
-        """Return the islands to which a query is restricted, by number; None for no restriction.
+        """Return the numbers of the islands to which a query is restricted.
 
         Args:
             island: number of the only island that is allowed; None for any.
-            reachable_from: a free position that paths have to lead from; None for no such position.
+            reachable_from: a free position, world x, y, z [m]: only islands that paths from it
+                reach are allowed. None for no such condition.
+
+        Returns:
+            The numbers; None for no restriction.
 
         Raises:
-            QueryError: there is no such island, or the position doesn't lead there.
+            QueryError: there is no such island, or no path leads from the position to it.
         """
         if reachable_from is None:
             return None if island is None else (self.islands.check(island),)
         _, start_cell = self.flat.free_cell_at(reachable_from)
         start_island = int(self.islands.number[start_cell])
-        reached = self.islands.reached_from(start_island)
+        reached_islands = self.islands.reached_from(start_island)
         if island is None:
-            return reached
-        if island not in reached:
+            return reached_islands
+        if island not in reached_islands:
             raise QueryError(
                 f"island {island} can't be reached: the position is on {start_island}",
                 key="island",
@@ -392,17 +402,17 @@ class Search:
     def first_in_sight(
         self, cell: int, point: Float, cells: Int, points: Float, room: Int32 = NO_ROOMS
     ) -> int:
-        """Find the first of some points that is in sight of a point.
+        """Find the first of several points that is in sight of a point.
 
-        Only occupied cells hide; heights are not compared.
+        Occupied cells block the line of sight; heights are not compared.
 
         Args:
-            cell: flat id of the cell that the point is in.
+            cell: flat id of the cell that `point` is in.
             point: world x, y [m], shape (2,) or (3,).
             cells: flat ids of the cells of `points`, shape (n,).
             points: world x, y [m], shape (n, 2) or (n, 3), C-contiguous.
-            room: by flat id. The line may start in occupied cells, and leave them within the room
-                of the first one; empty if it may not.
+            room: the number of each cell's room, by flat id, if the line may start in occupied
+                cells; it must then leave them within the first one's room. Else empty.
 
         Returns:
             The point's index in `points`, -1 for none.
@@ -437,7 +447,7 @@ class Search:
         """
         if (goals == origin).any():
             return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
-        graph = self.graph_by(by)
+        graph = self.graph_with_costs(by)
         if len(self.flat.arcs.ends):
             saving = self._largest_link_saving(goals, by, graph.least_weight)
             graph = graph._replace(link_saving=saving)
@@ -452,9 +462,9 @@ class Search:
         )
 
     def _largest_link_saving(self, goals: Int, by: str, least_weight: float) -> float:
-        """Compute by how much links may make a route cheaper than the search estimates.
+        """Compute by how much, at most, links make a route cheaper than the search estimates.
 
-        The search estimates octile distances to the box round the goals.
+        The estimate is the octile distance to the box round the goals, times `least_weight`.
         """
         flat = self.flat
         compute = partial(flat.costs_between_stops, self.radius, least_weight, by_time=by == "time")
@@ -469,8 +479,8 @@ class Search:
         over_links = (costs + estimates).min(axis=1)
         return float((estimates - over_links).max())
 
-    def measure(self, route: Route, places: Cells, by: str) -> RouteCosts:
-        """Measure a route.
+    def measure_route(self, route: Route, places: Cells, by: str) -> RouteCosts:
+        """Compute the cost of a route, how long it takes, and which named links it takes.
 
         Args:
             route: of this search.
@@ -478,14 +488,14 @@ class Search:
             by: ``cost`` or ``time``, by which the route was planned.
 
         Returns:
-            Its cost [m], its duration [s], and the named links that it takes.
+            The cost [m], the duration [s], and the links in the order of the route.
         """
         flat = self.flat
         graph = self.graph
         has_links = bool(route.by_link.any())
-        is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not has_links
+        is_plain = graph.uniform_weight > 0.0 and len(flat.pace) == 1 and not has_links
         if by == "cost" and is_plain:
-            seconds = route.cost / graph.same_weight * float(flat.pace[0])
+            seconds = route.cost / graph.uniform_weight * float(flat.pace[0])
             return RouteCosts(route.cost, seconds, [])
         length = flat.layout.cell_size[places.level]
         is_diagonal = (np.diff(places.row) != 0) & (np.diff(places.col) != 0)
@@ -499,7 +509,7 @@ class Search:
         passage_seconds = np.zeros_like(length)
         links: list[TakenLink] = []
         step_sources, step_targets = flat.step_ends()
-        planned_graph = self.graph_by(by)
+        planned_graph = self.graph_with_costs(by)
         planned_costs = flat.arcs.seconds if by == "time" else flat.arcs.cost
         for k in np.flatnonzero(route.by_link).tolist():
             ends = route.cells[k - 1 : k + 1]
@@ -510,7 +520,7 @@ class Search:
             if not is_candidate.any():
                 continue
             arc = int(np.argmin(np.where(is_candidate, planned_costs, np.inf)))
-            weight = planned_graph.same_weight or planned_graph.weight[ends[1]]
+            weight = planned_graph.uniform_weight or planned_graph.weight[ends[1]]
             if not len(steps) or planned_costs[arc] < length[k] * weight:
                 links.append(TakenLink(k, self.grid.links[flat.arcs.link[arc]].name))
                 length[k] = 0.0
@@ -524,50 +534,77 @@ class Search:
             links=links,
         )
 
-    def field(self, goals: Int, *, by: str = "cost", backwards: bool = True) -> Float:
+    def field(self, goals: Int, *, by: str = "cost") -> Float:
         """Compute the cost of the cheapest route from each cell to any of several goals.
 
         Args:
             goals: flat ids of free cells, int64.
-            by: ``cost``, ``time`` or ``length``, see `graph_by`.
-            backwards: if False, the routes lead from the nearest goal to each cell, measured by
-                ``length`` only.
+            by: ``cost``, ``time`` or ``length``, see `graph_with_costs`.
 
         Returns:
             float64, by flat id; inf for no route.
         """
-        return self._flood(goals, by, backwards)[0]
+        cost, _ = self._flood(goals, by, reverse_links=True)
+        return cost
+
+    def lengths_from(self, sources: Int) -> Float:
+        """Compute the length of the shortest route to each cell from the nearest of several cells.
+
+        Links add their costs to the length.
+
+        Args:
+            sources: flat ids of free cells, int64.
+
+        Returns:
+            float64 [m], by flat id; inf for no route.
+        """
+        # A flood from cells weights each step by the cell that it leads away from. So it gives the
+        # costs of routes from these cells only where all weights are equal, as for lengths.
+        length, _ = self._flood(sources, "length", reverse_links=False)
+        return length
 
     def find_next_cells(self, goals: Int) -> tuple[Float, Int]:
-        """Compute the `field` by cost, and the next cell on the route from each cell to a goal.
+        """For each cell, compute the cost of the cheapest route to a goal, and its next cell.
 
         Args:
             goals: flat ids of free cells, int64.
 
         Returns:
-            The costs, by flat id, inf for no route; and flat ids, by flat id: the cell itself at a
-            goal, -1 for no route.
+            The costs [m], by flat id, inf for no route; and the flat id of the next cell, by flat
+            id: the cell itself at a goal, -1 for no route.
         """
         flat = self.flat
         links = self.graph.links
-        cost, move = self._flood(goals, "cost", True)
+        cost, move = self._flood(goals, "cost", reverse_links=True)
         cells = np.arange(flat.num_cells)
-        # the field grew from the goals: the next cell is the reversed move
+        # the search ran from the goals, so the move that reached a cell leads from its next cell
         row_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
         col_steps = np.zeros(search_kernels.MOVE_BITS + 1, dtype=np.int64)
         row_steps[: len(arrays.ROW_STEP)] = arrays.ROW_STEP
         col_steps[: len(arrays.COL_STEP)] = arrays.COL_STEP
-        down = row_steps[move]
-        across = col_steps[move]
+        row_offsets = row_steps[move]
+        col_offsets = col_steps[move]
         width = flat.layout.width[flat.level_of(cells)]
-        next_cells = np.where(np.isfinite(cost), cells - down * width - across, -1)
+        next_cells = np.where(np.isfinite(cost), cells - row_offsets * width - col_offsets, -1)
         by_link = (move[links.cell] == search_kernels.BY_LINK) & (next_cells[links.cell] >= 0)
         next_cells[links.cell[by_link]] = self._visits.link_from[by_link]
         return cost, next_cells
 
-    def _flood(self, goals: Int, by: str, backwards: bool) -> tuple[Float, Int32]:
-        """Search from goals; returns each cell's cost and the move that reached it."""
-        self._run_search(self.graph_by(by, backwards=backwards), goals, NO_CELLS)
+    def _flood(self, sources: Int, by: str, *, reverse_links: bool) -> tuple[Float, Int32]:
+        """Reach all cells from several cells, without a goal.
+
+        Args:
+            sources: flat ids of free cells, int64.
+            by: ``cost``, ``time`` or ``length``, see `graph_with_costs`.
+            reverse_links: whether links are taken from their ends to their starts, as for routes
+                that lead to the sources.
+
+        Returns:
+            Each cell's cost, inf where none is reached; and the move that reached the cell, see
+            `navbake.runtime.search_kernels`; both by flat id.
+        """
+        graph = self.graph_with_costs(by, reverse_links=reverse_links)
+        self._run_search(graph, sources, NO_CELLS)
         mark = self._visits.mark
         is_reached = mark >= self._search_number * search_kernels.SEARCH_UNIT
         cost = np.where(is_reached, self._visits.cost, np.inf)

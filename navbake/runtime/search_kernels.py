@@ -1,19 +1,20 @@
-"""The steps of a grid, the cheapest route over them, and what the routes from all cells cost.
+"""Finds the moves between cells, the cheapest route to a goal, and the cost from all cells.
 
 `find_route` is A* (Hart, Nilsson and Raphael 1968), and without a goal Dijkstra's algorithm (1959).
 A step costs its length [m] times the weight of the cell that it leads to. The cost that remains to
-the goals is estimated by the octile distance to the box round them times the smallest weight. The
-estimate is never too high, so the route found is the cheapest. On another level the same estimate
-holds along x and y, since a step to it costs at least what it covers there. A passage over a link
-may cost less. So the search goes on, once a goal is reached, by as much as links may save on the
-route to it: an estimate that is too high by at most that leaves the answer exact (Harris 1974, the
-bandwidth condition).
+the goals is estimated by the octile distance to the box round them, times the smallest weight. The
+estimate is never too high, so the route found is the cheapest. It also holds on other levels: a
+step between levels costs at least its length on the map times the smallest weight. Only a passage
+over a link may cost less. So once a goal is reached, the search goes on until costs are higher by
+as much as links may save: an estimate that is too high by at most that leaves the answer exact
+(Harris 1974, the bandwidth condition).
 
-The queue has buckets (Dial 1969), each as wide as a share of the cheapest step, whose cells come
-out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro (2006). Unlike there,
-the answer stays exact, because a cell that gets cheaper after it was taken out is put in again
-(label correcting). The buckets are used in a circle, which is long enough for the dearest step.
-Each is a linked stack; freed entries are reused, so the queue stays in the processor's cache.
+The queue has buckets (Dial 1969). Each holds the cells of a range of costs, less than the cheapest
+step wide, and cells come out of it in any order: the "untidy" priority queue of Yatziv, Bartesaghi
+and Sapiro (2006). Unlike there, the answer stays exact, because a cell that gets cheaper after it
+was taken out is put in again (label correcting). The buckets are used in a circle, which is long
+enough for the most expensive step. Each is a linked stack; freed entries are reused, so the queue
+stays in the processor's cache.
 """
 
 import math
@@ -35,15 +36,15 @@ from navbake.runtime.grid_arrays import (
     to_cell_units,
 )
 
-# by direction, the bits of the two straight moves beside a diagonal one
+# for each direction: the bits of the two straight moves on both sides of a diagonal move
 STRAIGHT_MOVES_BESIDE = np.array(
     [0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST]
 )
-# share of the cheapest step that a bucket is wide: up to 1, few cells are expanded twice
+# width of a bucket as a share of the cheapest step's cost; few cells are expanded twice up to 1
 BUCKET_SHARE = 0.5
 MAX_BUCKETS = 1 << 16
-# indices in the queue's counters: the first entry to use again, -1 for none; the number of entries
-# ever used; and the number of entries in the queue
+# Indices in the array `counters` of the queue. It holds the first entry to reuse, -1 for none; the
+# number of entries ever used; and the number of entries in the queue.
 SPARE_ENTRY = 0
 NUM_USED = 1
 NUM_OPEN = 2
@@ -67,17 +68,17 @@ QUEUE_FULL = 1
 
 @kernel
 def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level, window, moves):
-    """Compute the moves that lead from the cells in a window of a level, into `moves`.
+    """Compute the moves that lead from the cells in a window of a level, and write them to `moves`.
 
-    A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope.
-    A diagonal move also needs that both cells beside it are free, that steps lead over either of
-    them, and that the agent has room at both ends, unless it may cut corners.
+    A move leads to a free neighbour whose floor differs by at most `max_step`, or by more on a
+    slope. A diagonal move needs more, unless the agent may cut corners: both cells beside it are
+    free, straight moves lead to its end over each of them, and the agent has room at both ends.
 
     Args:
         free: by cell, bool.
         fits_diagonally: by cell, whether the agent has room for a diagonal step.
         floors: `navbake.runtime.grid_arrays.FloorHeights`.
-        slopes: by cell, bits EAST and SOUTH, see `navbake.runtime.flat_grid.FlatGrid`.
+        slopes: `navbake.runtime.flat_grid.FlatGrid.slopes`.
         cut_corners: whether diagonal moves past blocked corners are allowed.
         layout: `navbake.runtime.grid_arrays.Layout`.
         level: the window's level.
@@ -95,21 +96,20 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
             cell = first_cell + row * width + col
             bits = 0
             for direction in range(8 if free[cell] else 0):
-                down = ROW_STEP[direction] * width
-                across = COL_STEP[direction]
-                is_inside_rows = 0 <= row + ROW_STEP[direction] < height
-                if not (is_inside_rows and 0 <= col + across < width):
+                row_step = ROW_STEP[direction]
+                col_step = COL_STEP[direction]
+                if not (0 <= row + row_step < height and 0 <= col + col_step < width):
                     continue
-                row_neighbor = cell + across
-                col_neighbor = cell + down
-                target = cell + down + across
+                row_neighbor = cell + col_step  # in the same row
+                col_neighbor = cell + row_step * width
+                target = col_neighbor + col_step
                 is_steep = False
                 if direction >= 4:
                     if not free[target]:
                         continue
                     is_steep = abs(floor[cell] - floor[target]) > max_step
-                    # A diagonal on a slope is as good as the steps over its corners: some edge of
-                    # these must be more than a step.
+                    # A diagonal move on a slope counts if the straight moves over its corners use
+                    # the slope: at one of their edges, floors must differ by more than a step.
                     if is_steep and not (
                         slopes.shape[0] > 0
                         and (
@@ -122,8 +122,8 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
                         continue
                 elif not _is_step(cell, target, free, floor, max_step, slopes):
                     continue
-                # The four cells of a corner must be connected: `bits` has the two edges of this
-                # cell already, the last two tests are about those of the target.
+                # Straight moves must connect the four cells round the corner: `bits` has those from
+                # this cell; the last two tests are for those to the target.
                 if (direction < 4 or (cut_corners and not is_steep)) or (
                     bits & STRAIGHT_MOVES_BESIDE[direction] == STRAIGHT_MOVES_BESIDE[direction]
                     and (cut_corners or (fits_diagonally[cell] and fits_diagonally[target]))
@@ -136,7 +136,10 @@ def find_moves(free, fits_diagonally, floors, slopes, cut_corners, layout, level
 
 @subkernel
 def _is_step(cell, neighbor, free, floor, max_step, slopes):
-    """Whether an agent may step over the edge between a cell and a neighbour, which is free."""
+    """Whether an agent may step from a cell over an edge to a neighbour.
+
+    It may if the neighbour is free, and its floor at most a step higher or lower or on a slope.
+    """
     if not free[neighbor]:
         return False
     if not abs(floor[cell] - floor[neighbor]) > max_step:  # so that NaN, no floor, is no step
@@ -152,26 +155,28 @@ def plan_buckets(
     least_weight: float,
     greatest_weight: float,
     longest_step: float,
-    dearest_passage: float = 0.0,
+    highest_passage_cost: float = 0.0,
 ) -> tuple[float, int]:
     """Compute the width of the queue's buckets, and how many of them a search needs.
 
-    A bucket is `BUCKET_SHARE` of the cheapest step wide, wider where that would take over
-    `MAX_BUCKETS`.
+    The width is `BUCKET_SHARE` of the cost of the cheapest step, or more if that would take more
+    than `MAX_BUCKETS` buckets.
 
     Args:
         cell_size: edge of the smallest cell [m].
         least_weight: the smallest weight of a free cell, >= 0.
         greatest_weight: the largest weight of a free cell.
         longest_step: length of the longest step between levels [m].
-        dearest_passage: cost of the dearest passage over a link, with what the estimate may rise
-            over it.
+        highest_passage_cost: over all links, the largest sum of the passage's cost and the search's
+            cost estimate between the link's ends; 0 without links.
 
     Returns:
-        The width, a cost; and the number of buckets, a power of two.
+        The buckets' width, in units of cost; and their number, a power of two.
     """
-    # from a bucket to a new entry
-    farthest = max(2.0 * greatest_weight * max(DIAGONAL * cell_size, longest_step), dearest_passage)
+    # by how much the cost of a new entry may exceed that of the entry it comes from
+    farthest = max(
+        2.0 * greatest_weight * max(DIAGONAL * cell_size, longest_step), highest_passage_cost
+    )
     width = max(BUCKET_SHARE * cell_size * least_weight, farthest / (MAX_BUCKETS - 4))
     if not width > 0.0:  # all steps are free of cost: one bucket holds everything
         return 1.0, 4
@@ -183,7 +188,11 @@ def plan_buckets(
 
 @subkernel
 def _push(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
-    """Put a cell into a bucket; the caller has checked that an entry is left."""
+    """Put a cell into a bucket of the queue, of which the caller has checked that it isn't full.
+
+    `counters` are the queue's counters; `entry_cell` and `entry_next` are described in `Visits` of
+    `navbake.runtime.grid_arrays`.
+    """
     # the remainder, as the number of buckets is a power of two
     slot = bucket_number & (bucket_head.shape[0] - 1)
     entry = counters[SPARE_ENTRY]
@@ -200,33 +209,38 @@ def _push(bucket_head, counters, entry_cell, entry_next, bucket_number, cell):
 
 @subkernel
 def _lower_bound(row, col, box, scale):
-    """Compute the least cost of a route from a cell to the goals' box: the octile distance.
+    """Compute a lower bound of the cost of a route from a cell to the box round the goals.
 
-    `box` has the first and last row, first and last column; `scale` is the cost of a cell.
+    Args:
+        row: the cell's row.
+        col: the cell's column.
+        box: first and last row, first and last column of the box.
+        scale: least cost of a step to a neighbour in the same row or column.
     """
-    down = max(box[0] - row, row - box[1], 0.0)
-    across = max(box[2] - col, col - box[3], 0.0)
-    return scale * (max(down, across) + (DIAGONAL - 1.0) * min(down, across))
+    row_distance = max(box[0] - row, row - box[1], 0.0)
+    col_distance = max(box[2] - col, col - box[3], 0.0)
+    longer = max(row_distance, col_distance)
+    return scale * (longer + (DIAGONAL - 1.0) * min(row_distance, col_distance))
 
 
 @kernel
 def find_route(graph, sources, goals, search_number, visits):
-    """Find the cheapest route from a source to a goal; see the module's head.
+    """Find the cheapest route from one of several sources to one of several goals.
 
-    Without goals, all cells are reached, and steps are followed backwards; ``graph.links`` must
-    then be reversed. ``visits.cost`` is then the cost of the route from each cell to the nearest
-    source.
+    The module's docstring describes the algorithm. Without goals, all cells are reached, and steps
+    are followed backwards: ``visits.cost`` is then the cost of the route from each cell to the
+    nearest source, and ``graph.links`` must be reversed.
 
     Args:
         graph: `navbake.runtime.grid_arrays.Graph`.
         sources: flat ids of free cells, int64.
         goals: flat ids of free cells, int64, none of them a source; empty for no goal.
-        search_number: larger than any that wrote into ``visits.mark``.
+        search_number: larger than the number of any search that wrote into ``visits.mark``.
         visits: `navbake.runtime.grid_arrays.Visits`, written.
 
     Returns:
-        `SEARCH_DONE`, or `QUEUE_FULL` if there are too few entries for the open cells; and the
-        route's flat ids from source to goal, int64, none where there is no route.
+        `SEARCH_DONE`, or `QUEUE_FULL` if the queue has too few entries; and the flat ids of the
+        route from source to goal, int64, none if there is no route.
     """
     layout = graph.layout
     route = np.empty(256, np.int64)
@@ -236,15 +250,15 @@ def find_route(graph, sources, goals, search_number, visits):
     link_cell, link_start, link_target, link_length, link_cost, is_end = graph.links
     moves = graph.moves
     weight = graph.weight
-    same_weight = graph.same_weight
+    uniform_weight = graph.uniform_weight
     least_weight = graph.least_weight
-    bucket = graph.bucket
+    bucket_width = graph.bucket_width
     mark, cost, link_from, entry_cell, entry_next = visits
     bucket_head = np.full(graph.num_buckets, -1, np.int32)
     counters = np.array([-1, 0, 0])
     last_slot = bucket_head.shape[0] - 1
-    per_bucket = 1.0 / bucket
-    rounding = 1e-9 * bucket  # a smaller gain is none
+    per_bucket = 1.0 / bucket_width
+    rounding = 1e-9 * bucket_width  # a smaller gain is none
     own_mark = search_number * SEARCH_UNIT
     has_goals = goals.shape[0] > 0
     best_cost = np.inf  # of a goal
@@ -285,7 +299,7 @@ def find_route(graph, sources, goals, search_number, visits):
                 bucket_number = np.int64(bound * per_bucket)
             _push(bucket_head, counters, entry_cell, entry_next, bucket_number, source)
 
-    # of the level of the cell that is expanded
+    # the level of the cell that is expanded, and its layout
     level = 0
     first_cell = start[0]
     num_cols = width[0]
@@ -296,7 +310,7 @@ def find_route(graph, sources, goals, search_number, visits):
             bucket_number += 1
             # All open cells cost as much as this bucket at least. A goal counts only now, as a
             # cheaper route to it may have been in the bucket that it was found in.
-            if bucket_number * bucket >= best_cost + graph.link_saving:
+            if bucket_number * bucket_width >= best_cost + graph.link_saving:
                 break
             continue
         bucket_head[bucket_number & last_slot] = entry_next[entry]
@@ -345,8 +359,8 @@ def find_route(graph, sources, goals, search_number, visits):
                     )
             # Backwards, the step that is added leads into this cell. Steps lead both ways, so the
             # moves out of a cell are those into it; links come reversed.
-            step_weight = same_weight
-            if same_weight <= 0.0:
+            step_weight = uniform_weight
+            if uniform_weight <= 0.0:
                 # most neighbours were reached at a cost that the smallest weight can't beat
                 least_cost = cell_cost + length * least_weight
                 if mark[target] >= own_mark and least_cost >= cost[target] - rounding:

@@ -1,26 +1,26 @@
-"""Finds the cells of a level that are blocked for an agent of a radius, by cells of all levels.
+"""Finds the cells of a level where an agent of a given radius can't stand.
 
-An agent's centre is on a cell's centre. The rules:
+The agent's centre is on a cell's centre. The rules:
 
-- Occupied cells: the agent must not overlap their squares, in which all baked geometry lies. The
-  radius replaces the baked one: where the baked disc reaches beyond a square, the squares that
-  geometry itself overlaps (`SceneGrid2D.solid`) replace the occupied ones, and a cell that only
-  the baked disc blocked may become free.
-- Higher floors in the disc: at most a step above the agent's. A ledge is a wall from below, and so
-  is the step after the next one for an agent too large for the stair. Files that only have the
-  occupancy of a larger radius follow the bake up to that radius.
-- Lower floors in the disc: at most a step below the agent's, unless `ledges` is ``ignore``. In each
-  column, the highest floor of all levels counts that isn't more than a step above the agent's. So
-  the room under a gallery is no drop, but the stair beside it is.
-- Slopes: a floor reached in a straight line over steps and at least one link between neighbours
-  more than a step apart, as the bake finds on ramps, is neither higher nor lower.
-- Other levels: the cells of both levels count where their floors are less than the body's height
-  from the agent's. So an object under a landing does not block the stair to it.
-- Outside the grid: beyond a single level, nothing blocks. Each of several levels is cut to the
-  cells with a floor; the area beyond has no floor and counts as occupied.
-- Cells without floor that are not occupied, in files of other programs: as in the original client,
-  at least 0.7 of the cells in the disc must have a floor. Here this must hold for every smaller
-  radius too, so that a larger agent is never free where a smaller one isn't.
+- Occupied cells: the agent must not overlap their squares. If the file has a layer ``solid``, only
+  the squares that geometry itself overlaps count (`SceneGrid2D.solid`). So the given radius
+  replaces the baked one, and a cell that only the baked disc blocked may become free.
+- Higher floors in the disc: at most a step above the agent's floor. So a ledge blocks the agents
+  below it. The next-but-one tread of a stair blocks an agent whose disc overlaps it. In files that
+  have only the occupancy for the baked radius, this rule applies to larger radii only.
+- Lower floors in the disc: at most a step below the agent's floor, unless `ledges` is ``ignore``.
+  At each cell, of all levels' floors, the highest counts that isn't more than a step above the
+  agent's floor. So for an agent on a gallery, the room under it is no drop, but a stair beside it
+  is.
+- Slopes: on ramps, the bake links neighbours whose floors differ by more than a step. A floor is
+  neither too high nor too low if a straight line over steps and at least one such link leads there.
+- Other levels: their cells count where their floors are less than the agent's height, minus a step,
+  above or below the agent's floor. So an object under a landing doesn't block the stair to it.
+- Outside the grid: nothing blocks beyond a grid of one level. In a grid of several levels, each
+  level is cut to the cells with a floor; the area beyond has no floor and counts as occupied.
+- Cells without a floor that are not occupied, in files of other programs: like in the original
+  client, at least 0.7 of the cells in the disc must have a floor. Here this must hold for every
+  smaller radius too, so that a larger agent is never free where a smaller one isn't.
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ compiled = lazy("navbake.compiled")
 kernels = lazy("navbake.runtime.inflation_kernels")
 ndimage = lazy("scipy.ndimage")
 
-LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
-ALIGNMENT_TOLERANCE = 1e-3  # of a cell: levels offset by less share one lattice
+LEAST_FLOOR = 0.7  # least share of the cells in an agent's disc that must have a floor
+ALIGNMENT_TOLERANCE = 1e-3  # share of a cell: levels that are offset by less have the same lattice
 RADIUS_SLACK = 1e-9  # share of a radius by which a disc may overlap a square, for rounding
 
 
 class DiscOffsets(NamedTuple):
-    """Offsets from a cell to the cells that an open disc round its centre reaches.
+    """The cells that a disc round a cell's centre overlaps; touching is not overlapping.
 
     Attributes:
-        offsets: steps to them, rows and columns, shape (n, 2), nearest first.
-        squares: the squared distances to them, in half cells, shape (n,).
-        half_widths: the disc by row, as `navbake.runtime.inflation_kernels.dilate` takes it.
+        offsets: rows and columns from the cell to these cells, shape (n, 2), nearest first.
+        squared_distances: to these cells, in half cells squared, shape (n,).
+        half_widths: the rows of the disc, see `navbake.runtime.inflation_kernels.dilate`.
     """
 
     offsets: Int
-    squares: Int
+    squared_distances: Int
     half_widths: Int32
 
 
@@ -84,27 +84,27 @@ def find_blocked(
     radius: float,
     ledges: str = "avoid",
     *,
-    by_own_level: bool = True,
+    counts_own_occupied: bool = True,
 ) -> Bool:
     """Mark the cells of a level where an agent can't stand; the module's docstring has the rules.
 
     Args:
         grid: the grid; its weights don't count.
-        level_number: the level.
+        level_number: number of the level.
         radius: of the agent [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
-        by_own_level: if False, the level's own occupied cells don't block, and all its other cells
-            with a floor do.
+        counts_own_occupied: if False, occupied cells of the agent's own level don't block, and
+            every cell of another level counts as occupied.
 
     Returns:
         bool, shape (height, width) of the level.
     """
     compiled.ensure_compiled("runtime.inflation_kernels.")
     radius_in_cells = radius / grid.levels[level_number].lattice.cell_size
-    stack, inside = stack_levels(grid, level_number, math.ceil(radius_in_cells) + 1)
+    stack, level_window = stack_levels(grid, level_number, math.ceil(radius_in_cells) + 1)
     occupied = stack.occupied[stack.level]
     disc = find_disc_offsets(radius_in_cells, occupied.shape)
-    if by_own_level:
+    if counts_own_occupied:
         blocked: Bool = kernels.dilate(occupied, disc.half_widths)
     else:
         blocked = np.zeros(occupied.shape, dtype=np.bool_)
@@ -116,13 +116,13 @@ def find_blocked(
         has_floor = ~np.isnan(stack.floor[stack.level])
         is_hole = ~has_floor & (occupied == 0)
         if is_hole.any():
-            disc = find_disc_offsets(radius_in_cells, is_hole.shape, of_squares=False)
+            disc = find_disc_offsets(radius_in_cells, is_hole.shape, to_squares=False)
             near_hole = kernels.dilate(is_hole.view(np.uint8), disc.half_widths)
             near_hole = near_hole & has_floor & ~blocked
             kernels.block_near_holes(
-                has_floor, near_hole, disc.offsets, disc.squares, LEAST_FLOOR, blocked
+                has_floor, near_hole, disc.offsets, disc.squared_distances, LEAST_FLOOR, blocked
             )
-    return blocked[inside]
+    return blocked[level_window]
 
 
 def find_free(grid: NavGrid, radius: float, ledges: str) -> Bool:
@@ -152,43 +152,52 @@ def block_by_floors(
     ledges: str,
     blocked: Bool,
 ) -> None:
-    """Update `blocked` by the floors and the other levels within `offsets` of an agent's cell.
+    """Update which cells are blocked, by the floors and the other levels near each cell.
 
     Args:
         grid: the grid.
-        level_number: the agent's level.
-        stack: the cells near it, of `stack_levels`.
+        level_number: number of the agent's level.
+        stack: the cells of this level and those around it, from `stack_levels`.
         radius: of the agent [m].
-        offsets: steps to the cells that the agent meets, shape (n, 2).
+        offsets: rows and columns from an agent's cell to the cells that it overlaps, shape (n, 2).
         ledges: ``avoid`` or ``ignore``.
-        blocked: cells of the stack, bool, shape (rows, cols), written.
+        blocked: whether each cell of the stack is blocked, bool, shape (rows, cols), written.
     """
     level = grid.levels[level_number]
-    # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
+    # `occupied` includes higher floors up to the baked radius, but a layer `solid` doesn't
     has_solid = bool(level.navbake) and "solid" in level.attributes
-    counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
+    higher_floors_block = radius > (0.0 if has_solid else grid.agent_radius)
     lowest_floor = np.fmin.reduce(stack.floor, axis=None)
     highest_floor = np.fmax.reduce(stack.floor, axis=None)
     if len(stack.floor) == 1 and not highest_floor - lowest_floor > stack.step:
-        return  # neither higher nor lower floors
-    # the lowest and the highest floors in the patches that offsets lead to from each patch
+        return  # no floor is higher or lower than another by more than a step
+    # for each patch: the lowest and highest floors in the patches that offsets lead to from there
     patch_size = kernels.PATCH_SIZE
     window = 2 * -(-int(np.abs(offsets).max()) // patch_size) + 1
     padding = [(0, 0), *((0, -size % patch_size) for size in blocked.shape)]
     floor = np.pad(stack.floor, padding, constant_values=np.nan)
-    lowest = _extremes_of_windows(np.fmin, floor, patch_size, window)
-    highest = _extremes_of_windows(np.fmax, floor, patch_size, window)
-    counts_lower = ledges == "avoid"
-    kernels.block_by_floors(stack, lowest, highest, offsets, counts_higher, counts_lower, blocked)
+    lowest = _find_extremes_near(np.fmin, floor, patch_size, window)
+    highest = _find_extremes_near(np.fmax, floor, patch_size, window)
+    lower_floors_block = ledges == "avoid"
+    kernels.block_by_floors(
+        stack, lowest, highest, offsets, higher_floors_block, lower_floors_block, blocked
+    )
 
 
-def _extremes_of_windows(
+def _find_extremes_near(
     extreme: np.ufunc, floor: NDArray[np.float32], patch_size: int, window: int
 ) -> NDArray[np.float32]:
-    """Compute the lowest or highest floors in the patches of a window round each patch.
+    """Compute the lowest or the highest floor in a window of patches round each patch.
 
-    `extreme` is `numpy.fmin` or `numpy.fmax`; `window` is a number of patches. Patches without
-    floor, and beyond the array, count as infinitely high or low.
+    Args:
+        extreme: `numpy.fmin` for the lowest floor, `numpy.fmax` for the highest.
+        floor: z [m], shape (levels, rows, cols).
+        patch_size: edge of a patch, in cells.
+        window: edge of the window, in patches.
+
+    Returns:
+        z [m], shape (levels, patch rows, patch columns); inf for no lowest, -inf for no highest
+        floor.
     """
     is_lowest = extreme is np.fmin
     beyond = np.float32(np.inf if is_lowest else -np.inf)
@@ -204,23 +213,28 @@ def _extremes_of_windows(
 
 
 def find_disc_offsets(
-    radius: float, shape: tuple[int, int], *, of_squares: bool = True
+    radius: float, shape: tuple[int, int], *, to_squares: bool = True
 ) -> DiscOffsets:
-    """List the steps from a cell to the cells that an open disc round its centre reaches.
+    """List the offsets from a cell to the cells that a disc round its centre overlaps.
 
     Args:
         radius: of the disc, in cells.
-        shape: rows and columns of the array; longer steps are left out.
-        of_squares: whether the disc has to reach the cells' squares, else their centres.
+        shape: rows and columns of the array; longer offsets are left out.
+        to_squares: whether the disc has to overlap the cells' squares, else their centres.
     """
-    row_reach = min(math.ceil(radius) + 1, shape[0])
-    col_reach = min(math.ceil(radius) + 1, shape[1])
-    rows = np.arange(-row_reach, row_reach + 1)
-    cols = np.arange(-col_reach, col_reach + 1)
-    squares = _half_cells(rows, of_squares)[:, None] ** 2 + _half_cells(cols, of_squares) ** 2
-    is_reached = squares < (2 * radius) ** 2 * (1 - RADIUS_SLACK)  # touching is not reaching
+    max_row_offset = min(math.ceil(radius) + 1, shape[0])
+    max_col_offset = min(math.ceil(radius) + 1, shape[1])
+    rows = np.arange(-max_row_offset, max_row_offset + 1)
+    cols = np.arange(-max_col_offset, max_col_offset + 1)
+    squared_distances = (
+        _distances_in_half_cells(rows, to_squares)[:, None] ** 2
+        + _distances_in_half_cells(cols, to_squares) ** 2
+    )
+    is_reached = squared_distances < (2 * radius) ** 2 * (
+        1 - RADIUS_SLACK
+    )  # touching is not reaching
     row, col = np.nonzero(is_reached)
-    reached_squares = squares[row, col]
+    reached_squares = squared_distances[row, col]
     order = np.argsort(reached_squares, kind="stable")
     rows_down = is_reached[len(rows) // 2 :]
     half_widths = np.count_nonzero(rows_down, axis=1) // 2
@@ -229,24 +243,29 @@ def find_disc_offsets(
     return DiscOffsets(offsets[order], reached_squares[order], half_widths)
 
 
-def _half_cells(steps: Int, of_squares: bool) -> Int:
-    """Compute distances along an axis to squares' near sides or centres, in half cells."""
+def _distances_in_half_cells(steps: Int, to_squares: bool) -> Int:
+    """Compute distances along an axis in half cells, from a cell's centre to other cells.
+
+    Args:
+        steps: numbers of cells from the cell to the others, shape (n,).
+        to_squares: whether to measure to the near sides of their squares, else to their centres.
+    """
     half_cells = 2 * np.abs(steps)
-    return np.maximum(half_cells - 1, 0) if of_squares else half_cells
+    return np.maximum(half_cells - 1, 0) if to_squares else half_cells
 
 
 def stack_levels(
-    grid: NavGrid, level_number: int, reach: int
+    grid: NavGrid, level_number: int, margin: int
 ) -> tuple[LevelStack, tuple[slice, slice]]:
     """Stack the cells of a level and of the levels around it into arrays of one lattice.
 
     Args:
         grid: a grid of one or several levels.
         level_number: the agent's level.
-        reach: how far beyond the level's cells the arrays go at most [cells].
+        margin: how far the arrays extend beyond the level's own cells at most [cells].
 
     Returns:
-        The stack; and the rows and columns of the level's own rectangle in it.
+        The stack; and the rows and columns of the level's own cells in it.
     """
     level = grid.levels[level_number]
     step = step_limit(grid) * grid.unit
@@ -263,10 +282,10 @@ def stack_levels(
         ])  # fmt: skip
         least = rectangles[:, :2].min(axis=0)
         greatest = rectangles[:, 2:].max(axis=0)
-        first_row = max(-reach, int(least[0])) - 1
-        first_col = max(-reach, int(least[1])) - 1
-        end_row = min(level.height + reach, int(greatest[0])) + 1
-        end_col = min(level.width + reach, int(greatest[1])) + 1
+        first_row = max(-margin, int(least[0])) - 1
+        first_col = max(-margin, int(least[1])) - 1
+        end_row = min(level.height + margin, int(greatest[0])) + 1
+        end_col = min(level.width + margin, int(greatest[1])) + 1
         shape = (len(corners), end_row - first_row, end_col - first_col)
         floor = np.full(shape, np.nan, dtype=np.float32)
         occupied = np.ones(shape, dtype=np.uint8)
@@ -293,9 +312,10 @@ def stack_levels(
 
 
 def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[int, int]]:
-    """Find the levels whose cells coincide with those of a level.
+    """Find the levels whose cells have the same size and lie in the same lattice as a level's.
 
-    Returns row and column of each one's cell (0, 0) in the level's lattice, by the level's number.
+    Returns:
+        For each of them, by number: row and column of its cell (0, 0) in the level's lattice.
     """
     level = grid.levels[level_number]
     x_min, y_max, size, *_ = level.lattice
@@ -314,7 +334,14 @@ def _find_aligned_levels(grid: NavGrid, level_number: int) -> dict[int, tuple[in
 def _mark_slopes(
     grid: NavGrid, places: dict[int, StackPlace], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
-    """Make the `slopes` of a LevelStack from the grid's steps; `places` are by level."""
+    """Make `LevelStack.slopes`.
+
+    Args:
+        grid: the grid, whose steps are used.
+        places: where each stacked level lies in the arrays, by the level's number.
+        floor: `LevelStack.floor`.
+        step: largest difference of neighbours' floors that an agent can step over [m].
+    """
     links = grid.step_array
     no_slopes = np.zeros((0, 0, 0), dtype=np.uint8)
     links = links[np.isin(links[:, ::2], list(places)).all(axis=1)]
@@ -331,7 +358,7 @@ def _mark_slopes(
     if not is_slope.any():
         return no_slopes
     slopes = np.zeros(floor.shape, dtype=np.uint8)
-    # the bit of a direction by steps down and across, from -1 to 1; the middle is no direction
+    # the bit of each direction, at [1 + row step, 1 + column step]; the middle is no direction
     direction_bits = np.zeros((3, 3), dtype=np.uint8)
     direction_bits[1, 2] = arrays.EAST
     direction_bits[0, 1] = arrays.NORTH
@@ -346,7 +373,14 @@ def _mark_slopes(
 
 
 def _stack_indices(grid: NavGrid, places: dict[int, StackPlace], level: Int, cell: Int) -> Int:
-    """Compute index, row and column in a LevelStack of cells by level and id, shape (3, n)."""
+    """Compute where cells lie in the arrays of a LevelStack: layer, row and column, shape (3, n).
+
+    Args:
+        grid: the grid.
+        places: where each stacked level lies, by the level's number.
+        level: level numbers of the cells, shape (n,).
+        cell: ids of the cells on their levels, shape (n,).
+    """
     no_place = StackPlace(0, 0, 0)
     corners = np.array([places.get(k, no_place) for k in range(len(grid.levels))])
     widths = np.array([level.width for level in grid.levels])
@@ -362,7 +396,14 @@ def _floor_in_metres(level: SceneGrid2D) -> NDArray[np.float32]:
 
 
 def _paste(canvas: NDArray[np.generic], piece: NDArray[np.generic], row: int, col: int) -> None:
-    """Copy a piece to a position on a canvas; only the overlap is copied."""
+    """Copy the part of an array that overlaps another one into it.
+
+    Args:
+        canvas: the array that is written.
+        piece: the array that is copied.
+        row: row of the canvas at which the piece's first row lies; may be outside.
+        col: column of the canvas at which the piece's first column lies; may be outside.
+    """
     height, width = canvas.shape
     rows = slice(max(-row, 0), max(height - row, 0))
     cols = slice(max(-col, 0), max(width - col, 0))

@@ -4,9 +4,8 @@ A line goes from cell to cell as in Amanatides and Woo, "A Fast Voxel Traversal 
 Tracing" (1987). Unlike there, each crossing is computed from the cell's own edge, not summed up,
 because a link may lead to a level whose cells lie elsewhere.
 
-A slide is a flood over the free cells within reach, with lengths that are corrected until none
-gets shorter (Bellman and Ford with a queue). In each cell that is reached, the point that is the
-nearest to the end is a candidate.
+A slide searches the free cells near where the line is blocked, by shortest walks (Bellman and Ford
+with a queue). In each cell, the point nearest to the line's end is a candidate for where it ends.
 """
 
 import math
@@ -25,10 +24,10 @@ from navbake.runtime.grid_arrays import (
 )
 from navbake.runtime.place_kernels import locate
 
-MAX_STEP_LENGTH = 1e6  # [m]: a longer step is cut, so that no cells beyond all grids are counted
-# A walk over eight neighbours is at most so many times as long as a straight line
+MAX_STEP_LENGTH = 1e6  # [m]: a longer step is cut, so that column numbers stay in range
+# a walk in eight directions is at most this many times as long as the straight line
 DETOUR_RATIO = 1.09
-LENGTH_SLACK = 1e-9  # share of a length, or of a cell, that is rounding
+LENGTH_SLACK = 1e-9  # share of a length, or of a cell, by which rounding may change a length
 
 
 @kernel
@@ -76,10 +75,10 @@ def step_each(layout, links, floors, passable, level, starts, ends, sliding):
 
 @kernel
 def first_in_sight(layout, links, floors, passable, room, cell, point, cells, points):
-    """Find the first of some points that is in sight of a point.
+    """Find the first of several points that is in sight of a point.
 
-    A straight line between them must meet passable cells only; heights count as far as `floors`
-    have a finite `max_step`.
+    A straight line between them must cross passable cells only. The floors of neighbouring cells
+    on it must differ by at most ``floors.max_step``, which is inf if heights don't count.
 
     Args:
         layout: `navbake.runtime.grid_arrays.Layout`.
@@ -113,12 +112,25 @@ def first_in_sight(layout, links, floors, passable, room, cell, point, cells, po
 def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
     """Walk from a point in a cell straight to another point, as far as cells are passable.
 
-    Through a corner of four cells, one of the two beside the line has to be passable. If `room`,
-    by cell, is not empty, the line may start in cells that are not passable, and continue in them
-    as long as they are of the first one's room, until it leaves them.
+    Where the line runs through a corner of four cells, one of the two cells beside it must be
+    passable.
 
-    Returns the flat id of the last cell, and the fraction of the line's length at which the line
-    leaves that cell, 1 if it ends there.
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        links: steps to other levels, `navbake.runtime.grid_arrays.Links`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        passable: by cell, bool.
+        room: number of each cell's room, int32. If it isn't empty, the line may start in cells that
+            are not passable, as long as they are in the first one's room, until it leaves them.
+        cell: flat id of the start's cell.
+        x0: world x of the start [m].
+        y0: world y of the start [m].
+        x1: world x of the end [m].
+        y1: world y of the end [m].
+
+    Returns:
+        The flat id of the last cell; and the fraction of the line's length at which the line leaves
+        that cell, 1 if it ends there.
     """
     dx = x1 - x0
     dy = y1 - y0
@@ -135,7 +147,7 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
         edge_y = layout.y_max[level] - (row + (dy < 0)) * size
         share_x = (edge_x - x0) / dx if dx != 0.0 else np.inf
         share_y = (edge_y - y0) / dy if dy != 0.0 else np.inf
-        # rounding may put an edge of the new cell before the one just crossed: never go back
+        # rounding may place an edge of the new cell before the one just crossed: never go back
         share = max(share, min(share_x, share_y))
         if share >= 1.0:
             return cell, 1.0
@@ -146,10 +158,12 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
             if next_cell >= 0 or (attempt == 1 and share_x != share_y):
                 break
             is_over_x = (share_x <= share_y) == (attempt == 0)
-            down, across = (0, col_step) if is_over_x else (row_step, 0)
-            next_cell = _cell_over_edge(layout, links, passable, floors, cell, down, across)
+            row_offset, col_offset = (0, col_step) if is_over_x else (row_step, 0)
+            next_cell = _cell_over_edge(
+                layout, links, passable, floors, cell, row_offset, col_offset
+            )
             if next_cell < 0 and is_leaving:
-                neighbor = _neighbor(layout, cell, down, across)
+                neighbor = _neighbor(layout, cell, row_offset, col_offset)
                 if neighbor >= 0 and room[neighbor] == room[first_cell]:
                     next_cell = neighbor
         if next_cell < 0:
@@ -159,12 +173,13 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
 
 
 @subkernel
-def _cell_over_edge(layout, links, passable, floors, cell, down, across):
-    """Find the passable cell over one edge of a cell, on its level or over a link; -1 for none.
+def _cell_over_edge(layout, links, passable, floors, cell, row_offset, col_offset):
+    """Find the passable cell on the other side of a cell's edge; -1 for none.
 
-    One of `down` and `across` is 0, the other 1 or -1.
+    It is the neighbour on the level, or a cell at that place on another level that a link leads to.
+    One of `row_offset` and `col_offset` is 0, the other 1 or -1: they choose the edge.
     """
-    neighbor = _neighbor(layout, cell, down, across)
+    neighbor = _neighbor(layout, cell, row_offset, col_offset)
     if neighbor >= 0 and passable[neighbor]:
         rise = abs(floors.z[cell] - floors.z[neighbor])
         if math.isnan(rise) or rise <= floors.max_step:  # NaN, no floor, is no step
@@ -174,8 +189,8 @@ def _cell_over_edge(layout, links, passable, floors, cell, down, across):
         return np.int64(-1)
     size = layout.cell_size[level_of(layout.start, cell)]
     x, y = cell_center(layout, cell)
-    x = x + across * size
-    y = y - down * size
+    x = x + col_offset * size
+    y = y - row_offset * size
     tolerance = 0.25 * size
     for i in range(links.start[slot], links.start[slot + 1]):
         target = links.target[i]
@@ -187,39 +202,54 @@ def _cell_over_edge(layout, links, passable, floors, cell, down, across):
 
 
 @subkernel
-def _neighbor(layout, cell, down, across):
-    """Find the neighbour on the same level, -1 beyond its rim."""
+def _neighbor(layout, cell, row_offset, col_offset):
+    """Find the flat id of a cell's neighbour on the same level; -1 outside the level."""
     level = level_of(layout.start, cell)
     num_cols = layout.width[level]
     row, col = divmod(cell - layout.start[level], num_cols)
-    if 0 <= row + down < layout.height[level] and 0 <= col + across < num_cols:
-        return cell + down * num_cols + across
+    if 0 <= row + row_offset < layout.height[level] and 0 <= col + col_offset < num_cols:
+        return cell + row_offset * num_cols + col_offset
     return np.int64(-1)
 
 
 @subkernel
 def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
-    """Continue from x0, y0 in a cell, where a straight walk to x1, y1 ended, to the nearest point.
+    """Slide on from x0, y0, where a straight walk was blocked, to the point nearest to x1, y1.
 
-    A cell counts if a walk over free neighbours to it is no longer than the rest of the straight
-    walk, and there only points at most as far away as that. Returns its flat id, and x, y in it.
+    A cell counts if a walk over passable neighbours to it is about as long as the rest of the
+    straight walk at most; `DETOUR_RATIO` and 1.5 cells are allowed on top. Of it, only points count
+    that are no farther from x0, y0 than that rest is long.
+
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        links: steps to other levels, `navbake.runtime.grid_arrays.Links`.
+        floors: `navbake.runtime.grid_arrays.FloorHeights`.
+        passable: by cell, bool.
+        cell: flat id of the cell of x0, y0.
+        x0: world x of where the straight walk was blocked [m].
+        y0: world y of it [m].
+        x1: world x of where the straight walk should have ended [m].
+        y1: world y of it [m].
+
+    Returns:
+        The flat id of the cell where the slide ends, and world x, y of the point [m].
     """
     remaining = math.hypot(x1 - x0, y1 - y0)
     size = layout.cell_size.min()
     limit = DETOUR_RATIO * remaining + 1.5 * size
-    # the cells of each level within reach: first row and column, number of rows and of columns,
-    # and the slot of the first one in the arrays of this search
-    reach = np.int64(math.ceil(limit / size) + 1)
+    # for each level, the window of cells near x0, y0: first row and column, number of rows and of
+    # columns, and the index of its first cell in the arrays of this search
+    window_radius = np.int64(math.ceil(limit / size) + 1)
     num_slots = 0
     window = np.zeros((5, len(layout.width)), dtype=np.int64)
     for level in range(len(layout.width)):
         u, v = to_cell_units(layout, level, x0, y0)
         row = np.int64(math.floor(v))
         col = np.int64(math.floor(u))
-        first_row = max(row - reach, np.int64(0))
-        first_col = max(col - reach, np.int64(0))
-        end_row = max(first_row, min(layout.height[level], row + reach + 1))
-        end_col = max(first_col, min(layout.width[level], col + reach + 1))
+        first_row = max(row - window_radius, np.int64(0))
+        first_col = max(col - window_radius, np.int64(0))
+        end_row = max(first_row, min(layout.height[level], row + window_radius + 1))
+        end_col = max(first_col, min(layout.width[level], col + window_radius + 1))
         window[0, level] = first_row
         window[1, level] = first_col
         window[2, level] = end_row - first_row
@@ -259,9 +289,11 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
             best_y = y
         edge = layout.cell_size[level_of(layout.start, current)]
         for direction in range(8):  # over edges, then over corners past both sides
-            down, across = steps[direction % 4]
+            row_offset, col_offset = steps[direction % 4]
             if direction < 4:
-                target = _cell_over_edge(layout, links, passable, floors, current, down, across)
+                target = _cell_over_edge(
+                    layout, links, passable, floors, current, row_offset, col_offset
+                )
                 edge_neighbors[direction] = target
                 target_length = length[slot] + edge
             else:
@@ -269,11 +301,13 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
                 second_side = edge_neighbors[(direction - 3) % 4]
                 if first_side < 0 or second_side < 0:
                     continue
-                next_down, next_across = steps[(direction - 3) % 4]
+                next_row_offset, next_col_offset = steps[(direction - 3) % 4]
                 over_first = _cell_over_edge(
-                    layout, links, passable, floors, first_side, next_down, next_across
+                    layout, links, passable, floors, first_side, next_row_offset, next_col_offset
                 )
-                target = _cell_over_edge(layout, links, passable, floors, second_side, down, across)
+                target = _cell_over_edge(
+                    layout, links, passable, floors, second_side, row_offset, col_offset
+                )
                 if over_first != target:  # both walks round the corner end in the same cell
                     continue
                 target_length = length[slot] + edge * DIAGONAL
@@ -293,7 +327,7 @@ def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
 
 @subkernel
 def _window_slot(layout, window, cell):
-    """Compute the index of a cell in the windows of all levels, -1 outside."""
+    """Compute the index of a cell in the arrays of `_slide`, -1 outside its level's window."""
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
     row = row - window[0, level]

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 Floating = np.dtype[np.floating]
 Arrays = dict[str, NDArray[Any]]
-"""Arrays of numpy by the fields of `GridTensors`."""
-MIN_NUMBERS_PER_CELL = 8  # of the dtype, in the width of a cell
+"""Name of a field of `GridTensors` -> its array of numpy."""
+MIN_NUMBERS_PER_CELL = 8  # least count of the dtype's numbers in the width of a cell
 
 
 def make_tensors(
@@ -42,7 +42,7 @@ def make_tensors(
 ) -> GridTensors:
     """Turn one or several grids into arrays of one library, on one device.
 
-    Later changes of a grid, obstacles that are added included, have no effect: make new tensors
+    Later changes of a grid have no effect, also obstacles that are added later: make new tensors
     then.
 
     Args:
@@ -51,21 +51,20 @@ def make_tensors(
             API.
         device: of the arrays, as the library names it; its default unless given.
         dtype: ``"float32"`` or ``"float64"``: of positions and of all values in metres; the
-            library's default unless given. float32 is refused if it can't resolve cells so far
-            from the origin.
-        goals: of one grid, goals as `PathFinder.find_path` takes them; of several, such a
-            sequence for each, all equally long. `distance_to_goal` and `path_step` number them in
-            this order.
-        max_drop: largest height above the floor for `is_navigable` [m], >= 0.
-        cut_corners: as in `PathFinder`.
-        agent: as in `PathFinder`: the arrays are those of the grids for its size.
+            library's default unless given. float32 is refused if the grid is so far from the origin
+            that float32 can't tell cells apart.
+        goals: for one grid, a sequence of goals as `PathFinder.find_path` takes them. For several
+            grids, such a sequence for each grid, all equally long. `distance_to_goal` and
+            `path_step` number goals in this order.
+        max_drop: `is_navigable` holds up to this height above the floor [m], >= 0.
+        cut_corners: see `PathFinder`.
+        agent: see `PathFinder`; the arrays are made of the grids for the agent's size.
 
     Returns:
         The tensors.
 
     Raises:
-        QueryError: grids, goals, library, dtype or device aren't as above, or there are 2^31 cells
-            or more.
+        QueryError: an argument is not valid, or there are 2^31 cells or more.
         MissingDependencyError: the extra ``tensors`` isn't installed.
 
     Example:
@@ -78,7 +77,7 @@ def make_tensors(
     floating: Floating = np.dtype("float64" if library_dtype == xp.float64 else "float32")
     searches = [Search(grid, cut_corners=cut_corners, agent=agent) for grid in grid_list]
     grid_list = [search.grid for search in searches]
-    shape = _padded_shape(grid_list)
+    shape = _find_padded_shape(grid_list)
     num_goals = len(goals_of_grids[0])
     if math.prod(shape) * max(num_goals, 1) >= 2**31:
         actual = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
@@ -93,7 +92,7 @@ def make_tensors(
     return GridTensors(
         xp=xp,
         dtype=library_dtype,
-        index=make_array(np.zeros(1, dtype=np.int64)).dtype,
+        index_dtype=make_array(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
         num_rooms=num_rooms,
         rooms=rooms,
@@ -106,7 +105,7 @@ def make_tensors(
 def _check_grids(
     grids: NavGrid | Sequence[NavGrid], goals: Sequence[Goal] | Sequence[Sequence[Goal]]
 ) -> tuple[list[Any], list[Sequence[Goal]]]:
-    """The grids as a list, and the goals of each."""
+    """Check the arguments, and return the grids as a list, and a list of the goals of each grid."""
     is_single = hasattr(grids, "levels")
     if not is_single and not isinstance(grids, Iterable):
         raise QueryError(f"expected a grid or several, got {grids!r}")
@@ -123,8 +122,8 @@ def _check_grids(
     return grid_list, goals_of_grids
 
 
-def _padded_shape(grids: list[Any]) -> PaddedShape:
-    """The largest numbers of levels, rows and columns of any grid."""
+def _find_padded_shape(grids: list[Any]) -> PaddedShape:
+    """Find how many grids there are, and the largest numbers of levels, rows and columns."""
     levels = [level for grid in grids for level in grid.levels]
     return PaddedShape(
         scenes=len(grids),
@@ -137,7 +136,16 @@ def _padded_shape(grids: list[Any]) -> PaddedShape:
 def _open_library(
     xp: Namespace, device: object, dtype: str | None
 ) -> tuple[Namespace, Callable[[NDArray[Any]], Array]]:
-    """A library's namespace, and a function that makes arrays of it, floats in the dtype."""
+    """Check a library, and return its namespace and a function that makes its arrays.
+
+    Args:
+        xp: the library.
+        device: of the arrays; None for the library's default.
+        dtype: ``float32`` or ``float64``, for arrays of floats; None for the library's default.
+
+    Returns:
+        The library's namespace by the array API; and a function that converts an array of numpy.
+    """
     try:
         from array_api_compat import array_namespace  # of the extra [tensors]
     except ImportError as error:
@@ -170,7 +178,17 @@ def _open_library(
 
 
 def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, outside: float) -> NDArray[Any]:
-    """Values by flat id as an array (levels, rows, cols), padded to `shape`."""
+    """Arrange the values of a grid's cells by level, row and column, padded to the largest grid.
+
+    Args:
+        search: of the grid.
+        values: by flat id.
+        shape: the padded shape.
+        outside: the value of padding.
+
+    Returns:
+        The values, shape (levels, rows, cols).
+    """
     padded = np.full(shape[1:], outside, dtype=values.dtype)
     for number, level in enumerate(search.grid.levels):
         level_values = values[search.flat.cells_of(number)].reshape(level.shape)
@@ -179,11 +197,11 @@ def _pad(search: Search, values: NDArray[Any], shape: PaddedShape, outside: floa
 
 
 def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) -> Arrays:
-    """Edges of the columns and rows of each level."""
+    """Make the arrays with the edges and numbers of the columns and rows of each level."""
     num_levels = (shape.scenes, shape.levels)
     arrays: Arrays = {
         name: np.zeros(num_levels, dtype=dtype)
-        for name in ("x_first", "y_first", "scale", "west", "east", "north", "south")
+        for name in ("x_first", "y_first", "cells_per_metre", "west", "east", "north", "south")
     }
     arrays["x_edge"] = np.zeros((*num_levels, shape.cols + 1), dtype=dtype)
     arrays["y_edge"] = np.zeros((*num_levels, shape.rows + 1), dtype=dtype)
@@ -199,8 +217,10 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
                 raise QueryError(
                     f"{dtype} can't tell cells of {size:g} m apart {place}: use float64"
                 )
-            x_edge = first_in_cell(x_min, size, width, dtype)
-            y_edge = -first_in_cell(-y_max, size, height, dtype)  # the same formula, bit for bit
+            x_edge = find_first_in_cells(x_min, size, width, dtype)
+            y_edge = -find_first_in_cells(
+                -y_max, size, height, dtype
+            )  # the same formula, bit for bit
             at = (scene, number)
             arrays["x_edge"][at][: width + 1] = x_edge
             arrays["y_edge"][at][: height + 1] = y_edge
@@ -208,7 +228,7 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
             arrays["num_cols"][at] = width
             arrays["x_first"][at] = x_min
             arrays["y_first"][at] = y_max
-            arrays["scale"][at] = 1 / size
+            arrays["cells_per_metre"][at] = 1 / size
             arrays["west"][at] = x_edge[0]
             arrays["east"][at] = x_edge[-1]
             arrays["north"][at] = y_edge[0]
@@ -219,7 +239,7 @@ def _make_lattices(grids: list[NavGrid], shape: PaddedShape, dtype: Floating) ->
 def _make_layers(
     searches: list[Search], shape: PaddedShape, dtype: Floating, max_drop: float
 ) -> Arrays:
-    """The layers of all scenes, by cell."""
+    """Make the arrays that have a value for each cell of all scenes, and `ground`."""
     layers_of_scenes: dict[str, list[NDArray[Any]]] = {}
     ground = np.zeros((shape.scenes, shape.levels))
     num_islands = 0
@@ -229,21 +249,21 @@ def _make_layers(
         z = flat.floors.z
         ground[scene, : len(levels)] = flat.floors.ground
         ground_of_cell = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
-        # where there is no floor, one would stand on the level's ground
+        # a position over a cell without a floor counts from the level's ground
         standing_z = np.where(np.isnan(z), ground_of_cell, z)
         heights, rank = np.unique(standing_z, return_inverse=True)
         rank = np.where(np.isnan(z), rank, rank + len(heights)).astype(np.int32)
-        # mirrored: the lowest number from which the mirrored floor is at most the drop above
-        highest = -lowest_reaching(-standing_z, max_drop, dtype)
+        # the highest z is found like the lowest one, with the signs of z and the floors changed
+        highest = -find_lowest_within_step(-standing_z, max_drop, dtype)
         island = search.islands.number
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
         num_islands += search.islands.count
         area_numbers = range(1, len(search.grid.areas) + 1)
         area = values_by_area(search.grid, area_numbers, 0).astype(np.int32) + 0 * island
         layers = {
-            "reach": (lowest_reaching(standing_z, flat.floors.max_step, dtype), np.inf),
+            "lowest_z": (find_lowest_within_step(standing_z, flat.floors.max_step, dtype), np.inf),
             "rank": (rank, -1),
-            "top": (np.where(flat.free, highest, -np.inf), -np.inf),
+            "highest_z": (np.where(flat.free, highest, -np.inf), -np.inf),
             "floor": (z, np.nan),
             "room": (search.rooms.number, 0),
             "island": (island, 0),
@@ -267,7 +287,7 @@ def _make_layers(
 def _make_goal_fields(
     searches: list[Search], goals: list[Sequence[Goal]], shape: PaddedShape, dtype: Floating
 ) -> Arrays:
-    """Cost and next cell of the cheapest path to each goal, by cell."""
+    """Make `cost` and `next_cell`: of the cheapest path from each cell to each goal."""
     cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
     next_cell = np.full(cost.shape, -1, dtype=np.int32)
     padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
@@ -276,20 +296,20 @@ def _make_goal_fields(
             padded_ids[scene, number, : level.height, : level.width].ravel()
             for number, level in enumerate(search.grid.levels)
         ]
-        # by flat id; and -1 at the end, for none
+        # flat id -> padded id; its last entry, -1, is looked up for no next cell, which is also -1
         padded_id = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
         for number, goal in enumerate(goals[scene]):
             goal_cells = find_target(search, goal).free_cells(search.flat)
             cost_of_cell, next_of_cell = search.find_next_cells(goal_cells)
             cost[number, scene] = _pad(search, cost_of_cell, shape, np.inf)
             next_cell[number, scene] = _pad(search, padded_id[next_of_cell], shape, -1)
-    return {"cost": cost.ravel(), "onward": next_cell.ravel()}
+    return {"cost": cost.ravel(), "next_cell": next_cell.ravel()}
 
 
 def _sort_free_cells(
     room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: PaddedShape
 ) -> Arrays:
-    """The free cells sorted by island and room, and by scene and room."""
+    """Make the arrays of free cells, sorted by island and room, and sorted by scene and room."""
     free = np.flatnonzero(island)
     scene = free // int(np.prod(shape[1:]))
     num_groups = max(int(island.max(initial=0)) + 1, shape.scenes)
@@ -299,17 +319,18 @@ def _sort_free_cells(
     for name, group in (("island", island[free]), ("room", scene)):
         key = (group * (num_rooms + 1) + room[free]).astype(np.int32)
         order = np.argsort(key, kind="stable")
-        arrays[f"by_{name}"] = free[order].astype(np.int32)
+        arrays[f"cells_by_{name}"] = free[order].astype(np.int32)
         arrays[f"{name}_key"] = key[order]
     return arrays
 
 
-# A position's cell is ``floor((x - x_min) / cell_size)`` in float64; in float32 the formula is
-# wrong near edges. So a bisection finds the smallest number of the dtype in each cell by the
-# float64 formula, and one comparison with it gives the exact cell. Likewise floors and drops.
+# A position's column is ``floor((x - x_min) / cell_size)`` in float64. In float32, this formula is
+# wrong near the edges of columns. So a bisection finds the smallest number of the dtype that the
+# float64 formula puts into each column, and one comparison with it gives the exact column. The same
+# is done for the lowest and the highest z at which a position is on a floor.
 
 
-def smallest_true(
+def find_smallest_true(
     condition: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
     """Find, by bisection, the smallest number of a dtype at which each of n conditions holds.
@@ -336,8 +357,10 @@ def smallest_true(
         last_false = np.where(is_between & ~holds, middle, last_false)
 
 
-def first_in_cell(x_min: float, size: float, count: int, dtype: Floating) -> NDArray[np.floating]:
-    """Find the smallest x of a dtype that lies in each column, and the smallest beyond the last.
+def find_first_in_cells(
+    x_min: float, size: float, count: int, dtype: Floating
+) -> NDArray[np.floating]:
+    """Find the smallest x of a dtype in each column, and the smallest one beyond the last column.
 
     Args:
         x_min: the first column's edge [m].
@@ -354,11 +377,13 @@ def first_in_cell(x_min: float, size: float, count: int, dtype: Floating) -> NDA
     def is_in_cell(x: Float) -> Bool:
         return np.asarray(np.floor((x - x_min) / size) >= number)
 
-    return smallest_true(is_in_cell, edge - size / 2, edge + size / 2, dtype)
+    return find_smallest_true(is_in_cell, edge - size / 2, edge + size / 2, dtype)
 
 
-def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:
-    """Find, for each floor, the lowest z of a dtype that is at most a step below it.
+def find_lowest_within_step(
+    floors: Float, max_step: float, dtype: Floating
+) -> NDArray[np.floating]:
+    """Find, for each floor, the lowest z of a dtype that is at most a step below the floor.
 
     Args:
         floors: z of floors, shape (n,) [m].
@@ -371,6 +396,8 @@ def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[
     heights, height_of_floor = np.unique(floors, return_inverse=True)
     # bounds beyond the rounding of the exact thresholds
     exact = heights - max_step
-    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(heights) + np.abs(exact))
-    lowest = smallest_true(lambda z: heights <= z + max_step, exact - reach, exact + reach, dtype)
+    bound = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(heights) + np.abs(exact))
+    lowest = find_smallest_true(
+        lambda z: heights <= z + max_step, exact - bound, exact + bound, dtype
+    )
     return lowest[height_of_floor]

@@ -21,15 +21,16 @@ Array: TypeAlias = Any
 DType: TypeAlias = Any
 """A dtype of that library."""
 Ids: TypeAlias = Any
-"""An integer, or integers as an array; as `scene_id` None where there is one scene."""
+"""An integer, or an array of integers. A `scene_id` may be None if there is one scene."""
 
-NUMPY_NAMES = ("numpy", "array_api_compat.numpy")
-POSITIONS_PER_CHUNK = 16_384  # positions: their coordinates, ids and masks stay in the second cache
-MAX_Z = 1e30  # positions from here on are invalid [m]
+NUMPY_NAMES = ("numpy", "array_api_compat.numpy")  # names of numpy as a namespace
+# the coordinates, ids and masks of this many positions stay in the processor's second cache
+POSITIONS_PER_CHUNK = 16_384
+MAX_Z = 1e30  # positions this high or higher are invalid [m]
 
 
 class PaddedShape(NamedTuple):
-    """Padded numbers of scenes, levels, rows and columns."""
+    """The number of scenes, and the largest numbers of levels, rows and columns of any scene."""
 
     scenes: int
     levels: int
@@ -43,35 +44,39 @@ class GridTensors:
 
     Scenes are padded to the largest numbers of levels, rows and columns. The id of a cell
     is ``((scene * levels + level) * rows + row) * cols + col``, over the padded `shape`; n is the
-    number of ids. Arrays "by level" are indexed by ``scene * levels + level``.
+    number of ids. Arrays "by cell" are indexed by these ids, arrays "by level" by
+    ``scene * levels + level``.
     """
 
-    xp: Namespace  # the array library's
+    xp: Namespace  # the array library
     dtype: DType  # of positions and of all values in metres: float32 or float64
-    index: DType  # the integer dtype that ids are computed in
-    shape: PaddedShape  # padded
-    num_rooms: int  # the most rooms of a scene
-    rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
-    areas: tuple[tuple[str, ...], ...]  # likewise of `area`
-    goals: tuple[str, ...]  # the goals by number, as they were given
+    index_dtype: DType  # the integer dtype that ids are computed in
+    shape: PaddedShape
+    num_rooms: int  # the largest number of rooms of a scene
+    rooms: tuple[tuple[str, ...], ...]  # ``rooms[scene][r - 1]`` is the id of room number r
+    areas: tuple[tuple[str, ...], ...]  # ``areas[scene][a - 1]`` is the name of area number a
+    goals: tuple[str, ...]  # the goals as they were given, in the order of their numbers
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
-    scale: Array  # by level, cells per metre
-    x_edge: Array  # the smallest number of `dtype` in each column or beyond it, cols + 1 a level
-    y_edge: Array  # the largest number of `dtype` in each row or beyond it, rows + 1 a level
-    # by level: x from west to below east and y from north to above south are on it
+    cells_per_metre: Array  # by level, cells per metre
+    # for each level: the smallest x of `dtype` in each column, then the smallest beyond the last
+    x_edge: Array
+    # for each level: the largest y of `dtype` in each row, then the largest beyond the last
+    y_edge: Array
+    # by level: a position is on the level if west <= x < east and south < y <= north
     west: Array
     east: Array
     north: Array
     south: Array
     num_rows: Array  # by level, without padding
     num_cols: Array
-    # by cell, the lowest z [m] from which its floor, or else the ground, is at most a step above
-    reach: Array
-    # by cell, int32, the rank of its floor among a scene's, grounds below all floors: a position is
-    # on the reachable floor of the highest rank
+    # by cell, the lowest z of a position that is on the cell's floor, or else on the ground [m]
+    lowest_z: Array
+    # by cell, int32, the rank of the floor's height in the scene; cells without a floor rank lower.
+    # Of the cells whose `lowest_z` isn't above a position, it is in the one of the highest rank.
     rank: Array
-    top: Array  # by cell, the highest z [m] at which `is_navigable` holds; -inf where it never does
+    # by cell, the highest z at which `is_navigable` holds, -inf where it never does [m]
+    highest_z: Array
     floor: Array  # by cell [m], NaN for no floor
     ground: Array  # by level, z of its ground [m]
     room: Array  # by cell, int32, 0 for no room
@@ -79,23 +84,26 @@ class GridTensors:
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
     clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
     cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
-    # at ``goal * n + cell``, int32, the id of the next cell on that path: the cell itself at the
-    # goal, -1 for no path
-    onward: Array
-    by_island: Array  # the free cells' ids, sorted by `island_key`; int32, shape (m,)
-    island_key: Array  # of each of them ``island * (num_rooms + 1) + room``
-    by_room: Array  # the free cells' ids, sorted by `room_key`; int32, shape (m,)
-    room_key: Array  # of each of them ``scene * (num_rooms + 1) + room``
+    # at ``goal * n + cell``, int32, the id of the next cell on that path; at the goal it is the
+    # cell's own id, without a path -1
+    next_cell: Array
+    cells_by_island: Array  # the free cells' ids, sorted by `island_key`; int32, shape (m,)
+    island_key: Array  # of each of these cells: ``island * (num_rooms + 1) + room``
+    cells_by_room: Array  # the free cells' ids, sorted by `room_key`; int32, shape (m,)
+    room_key: Array  # of each of these cells: ``scene * (num_rooms + 1) + room``
 
     def __repr__(self) -> str:
         return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
 
 
-STATIC_FIELDS = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "areas", "goals")
+STATIC_FIELDS = ("xp", "dtype", "index_dtype", "shape", "num_rooms", "rooms", "areas", "goals")
 
 
 def register_pytree(xp: Namespace) -> None:
-    """Register GridTensors as a pytree, so that JAX traces functions of it."""
+    """Register GridTensors as a pytree of JAX, so that JAX can compile functions that take it.
+
+    Does nothing for other libraries.
+    """
     if xp.__name__.split(".")[0] != "jax":
         return
     from jax import tree_util  # the caller's library
@@ -117,7 +125,7 @@ def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Arra
 
     Returns:
         Ids of the cells, 0 for none; numbers of the levels in their scenes, 0 for none; and whether
-        there is a cell; shape (...).
+        each position is in a cell; all of shape (...).
     """
     xp = t.xp
     lowest = first_level(t, scene_id)
@@ -126,17 +134,17 @@ def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Arra
     z = positions[..., 2]
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # unknown scenes
-    best_cell = xp.zeros_like(x, dtype=t.index)
+    best_cell = xp.zeros_like(x, dtype=t.index_dtype)
     best_level = best_cell
     if t.shape.levels == 1:  # no choice of a level
         cell, inside = clamp_to_level(t, x, y, lowest)
-        inside = inside & (z >= t.reach[cell]) & (z < MAX_Z)
+        inside = inside & (z >= t.lowest_z[cell]) & (z < MAX_Z)
         return xp.where(inside, cell, 0), best_level, inside
     best_rank = best_cell - 1
     for number in range(t.shape.levels):
         cell, inside = clamp_to_level(t, x, y, lowest + number)
         rank = t.rank[cell]
-        is_better = inside & (z >= t.reach[cell]) & (z < MAX_Z) & (rank > best_rank)
+        is_better = inside & (z >= t.lowest_z[cell]) & (z < MAX_Z) & (rank > best_rank)
         best_cell = xp.where(is_better, cell, best_cell)
         best_level = xp.where(is_better, number, best_level)
         best_rank = xp.where(is_better, rank, best_rank)
@@ -144,9 +152,9 @@ def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Arra
 
 
 def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tuple[Array, Array]:
-    """Find the nearest cells of x, y on one level, and whether they are inside.
+    """Find the cells of positions x, y on one level, and whether the positions are on the level.
 
-    Rounding finds the nearest edge, and an exact comparison the position's side of it.
+    Rounding finds the nearest edge; an exact comparison tells on which side of it the position is.
 
     Args:
         t: the tensors.
@@ -155,7 +163,8 @@ def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tu
         level: the level's number among those of all scenes, or one for each position.
 
     Returns:
-        Ids of cells, which always exist; and whether x, y lie in them; shape (...).
+        Ids of cells, valid ones also for positions outside the level; and whether the positions are
+        in them; both of shape (...).
     """
     xp = t.xp
     shape = t.shape
@@ -165,12 +174,12 @@ def clamp_to_level(t: GridTensors, x: Array, y: Array, level: Array | int) -> tu
     south = t.south[level]
     in_cols = (x >= west) & (x < east)  # False for NaN
     x = xp.where(in_cols, x, west)
-    col = xp.astype(xp.round((x - t.x_first[level]) * t.scale[level]), t.index)
-    col = col - xp.astype(x < t.x_edge[level * (shape.cols + 1) + col], t.index)
+    col = xp.astype(xp.round((x - t.x_first[level]) * t.cells_per_metre[level]), t.index_dtype)
+    col = col - xp.astype(x < t.x_edge[level * (shape.cols + 1) + col], t.index_dtype)
     in_rows = (y <= north) & (y > south)
     y = xp.where(in_rows, y, north)
-    row = xp.astype(xp.round((t.y_first[level] - y) * t.scale[level]), t.index)
-    row = row - xp.astype(y > t.y_edge[level * (shape.rows + 1) + row], t.index)
+    row = xp.astype(xp.round((t.y_first[level] - y) * t.cells_per_metre[level]), t.index_dtype)
+    row = row - xp.astype(y > t.y_edge[level * (shape.rows + 1) + row], t.index_dtype)
     return (level * shape.rows + row) * shape.cols + col, in_cols & in_rows
 
 
@@ -182,7 +191,7 @@ def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
 
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
-    """Convert ids of cells to level (index among the levels of all scenes), row and column."""
+    """Convert ids of cells to index among the levels of all scenes, row and column."""
     cells_per_level = t.shape.rows * t.shape.cols
     cell_of_level = cell % cells_per_level
     return cell // cells_per_level, cell_of_level // t.shape.cols, cell_of_level % t.shape.cols
@@ -271,7 +280,7 @@ def check_numbers(
     if not hasattr(numbers, "dtype") or not t.xp.isdtype(numbers.dtype, "integral"):
         actual = getattr(numbers, "dtype", type(numbers).__name__)
         raise QueryError(f"expected an integer or integers as {label}, got {actual}")
-    numbers = t.xp.astype(numbers, t.index)
+    numbers = t.xp.astype(numbers, t.index_dtype)
     numbers = t.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
     return broadcast(t, numbers, shape, label)
 
@@ -295,7 +304,7 @@ def device_of(t: GridTensors) -> object:
 
 
 def _new_array(t: GridTensors, values: Array, dtype: DType) -> Array:
-    """Numbers of Python or numpy as an array on the tensors' device."""
+    """Make an array on the tensors' device of numbers of Python or numpy."""
     try:
         return t.xp.asarray(values, dtype=dtype, device=device_of(t))
     except (ValueError, TypeError, RuntimeError) as error:
@@ -308,15 +317,20 @@ def clip(xp: Namespace, values: Array, low: Array | float, high: Array | float) 
 
 
 def apply_in_chunks(
-    t: GridTensors, function: Callable[..., Array], positions: Array, *more: Array | int | None
+    t: GridTensors,
+    function: Callable[..., Array],
+    positions: Array,
+    *other_arguments: Array | int | None,
 ) -> Array:
     """Apply a function to positions, in chunks on several threads where that is faster.
 
     Args:
         t: the tensors.
-        function: of flat positions and `more`; returns an array with an entry for each position.
+        function: takes positions and the other arguments; returns an array with an entry for each
+            position.
         positions: shape (..., 3) [m].
-        more: arrays of shape (..., and so on), which are cut as the positions are; or numbers.
+        other_arguments: arrays with an entry for each position, which are cut like the positions;
+            or numbers or None, which are passed as they are.
 
     Returns:
         What the function returns, for the whole shape (...).
@@ -324,7 +338,7 @@ def apply_in_chunks(
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)
     if t.xp.__name__ not in NUMPY_NAMES or count < 2 * POSITIONS_PER_CHUNK:
-        return function(positions, *more)
+        return function(positions, *other_arguments)
     from navbake.threads import run_in_chunks  # saves numba for small batches
 
     def flatten(argument: Array | int | None) -> Array | int | None:
@@ -332,7 +346,7 @@ def apply_in_chunks(
             return argument
         return np.reshape(argument, (count, *argument.shape[len(shape) :]))
 
-    arguments = [flatten(argument) for argument in (positions, *more)]
+    arguments = [flatten(argument) for argument in (positions, *other_arguments)]
     results: dict[int, Array] = {}  # by the first position of each chunk
 
     def fill(first: int, last: int) -> None:

@@ -2,9 +2,9 @@
 
 Each function takes the tensors `t` of one or several grids, and positions, world x, y, z [m], of
 any shape (..., 3) in the tensors' dtype, and returns values of shape (...). With several grids,
-`scene_id` selects one: an integer, or integers of shape (...). A position that is not finite or
-outside the grid gives NaN, False, 0 or -1. QueryError is raised for an array of another shape or
-dtype, and for an unknown scene or goal.
+`scene_id` selects one: an integer, or integers of shape (...). For a position that is not finite or
+outside the grid, the value is NaN, False, 0 or -1. QueryError is raised for an array of another
+shape or dtype, and for an unknown scene or goal.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ INTERPOLATIONS = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
-    """Find the level of each position, as in `PathFinder.cell_at`.
+    """Find the level of each position, by the rule of `PathFinder.cell_at`.
 
     Args:
         t: the tensors.
@@ -127,7 +127,7 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Arra
 
     def is_free(points: Array, scenes: Array) -> Array:
         cell, _, inside = locate(t, points, scenes)
-        return inside & (points[..., 2] <= t.top[cell])
+        return inside & (points[..., 2] <= t.highest_z[cell])
 
     return _apply(t, is_free, positions, scene_id)
 
@@ -137,9 +137,9 @@ def clearance(
 ) -> Array:
     """Return the distance from each position to the nearest cell that isn't free.
 
-    Unlike `PathFinder.clearance`, which measures from the position to obstacles, it is a layer,
-    `navbake.navgrid.islands.clearance`: from each free cell's centre to the nearest centre of a
-    cell that isn't free, less half a cell; 0 in all others.
+    `PathFinder.clearance` measures from the position to obstacles. This function looks up a layer,
+    `navbake.navgrid.islands.clearance`, instead: the distance from a free cell's centre to the
+    nearest centre of a cell that isn't free, minus half a cell; 0 in cells that aren't free.
 
     Args:
         t: the tensors.
@@ -147,7 +147,8 @@ def clearance(
         scene_id: each position's scene; needed where the tensors have several grids.
         mode: ``"nearest"`` for the value of the position's cell, as ``grid.values_at`` returns it;
             ``"bilinear"`` interpolates between the centres of the four cells round the position on
-            its level, and is differentiable; the outer cells are continued at the grid's edge.
+            its level, and is differentiable. Beyond the centres of the outermost cells, their
+            values are used.
 
     Returns:
         Distances, shape (...), NaN outside [m].
@@ -165,22 +166,24 @@ def clearance(
         # keep positions outside the grid out of the gradient
         x = xp.where(inside, points[..., 0], t.x_first[level])
         y = xp.where(inside, points[..., 1], t.y_first[level])
-        across = (x - t.x_first[level]) * t.scale[level] - 0.5
-        down = (t.y_first[level] - y) * t.scale[level] - 0.5
+        # in cells, from the centre of the level's first cell
+        u = (x - t.x_first[level]) * t.cells_per_metre[level] - 0.5
+        v = (t.y_first[level] - y) * t.cells_per_metre[level] - 0.5
         last_col = t.num_cols[level] - 1
         last_row = t.num_rows[level] - 1
-        col0 = clip(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
-        row0 = clip(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
+        col0 = clip(xp, xp.astype(xp.floor(u), t.index_dtype), 0, last_col)
+        row0 = clip(xp, xp.astype(xp.floor(v), t.index_dtype), 0, last_row)
         col1 = xp.minimum(col0 + 1, last_col)
         row1 = xp.minimum(row0 + 1, last_row)
-        share_x = clip(xp, across - xp.astype(col0, t.dtype), 0.0, 1.0)
-        share_y = clip(xp, down - xp.astype(row0, t.dtype), 0.0, 1.0)
+        share_x = clip(xp, u - xp.astype(col0, t.dtype), 0.0, 1.0)
+        share_y = clip(xp, v - xp.astype(row0, t.dtype), 0.0, 1.0)
 
-        def along_row(row: Array) -> Array:
+        def interpolate_in_row(row: Array) -> Array:
             start = level * (shape.rows * shape.cols) + row * shape.cols
             return t.clearance[start + col0] * (1 - share_x) + t.clearance[start + col1] * share_x
 
-        value = along_row(row0) * (1 - share_y) + along_row(row1) * share_y
+        upper = interpolate_in_row(row0) * (1 - share_y)
+        value = upper + interpolate_in_row(row1) * share_y
         return xp.where(inside, value, xp.nan)
 
     return _apply(t, interpolate, positions, scene_id)
@@ -189,7 +192,7 @@ def clearance(
 def _values_at(
     t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Ids
 ) -> Array:
-    """The values of a layer in the cells of positions."""
+    """Look up a layer in the cells of positions; the value is `outside` for no cell."""
 
     def value_of(points: Array, scenes: Array) -> Array:
         cell, _, inside = locate(t, points, scenes)
@@ -288,7 +291,19 @@ def patch(
 def _pattern_points(
     t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids
 ) -> tuple[Array, Array]:
-    """World positions of a pattern's points round agents, shape (..., k, 3), and their scenes."""
+    """Compute world positions of points round agents.
+
+    Args:
+        t: the tensors.
+        positions: of the agents, world x, y, z, shape (..., 3) [m].
+        yaw: their headings, shape (...) [rad].
+        pattern: points in the agents' frames, x ahead, y to the left, shape (k, 2) [m].
+        scene_id: of each agent.
+
+    Returns:
+        World x, y, z of the points, shape (..., k, 3); and their scenes, shape (..., 1), None for
+        tensors of one scene.
+    """
     xp = t.xp
     agents = check_positions(t, positions)
     heading = as_array(t, yaw)
@@ -311,7 +326,7 @@ def _pattern_points(
 def distance_to_goal(
     t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None
 ) -> Array:
-    """Look up the costs of the cheapest paths to a goal, as in `PathFinder.distances`.
+    """Look up the costs of the cheapest paths to a goal, like `PathFinder.distances`.
 
     Args:
         t: the tensors.
@@ -381,10 +396,10 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
 
     def direction_of(points: Array, first: Array | int, scenes: Array) -> Array:
         cell, _, inside = locate(t, points, scenes)
-        next_cell = xp.astype(t.onward[first + cell], t.index)
+        next_cell = xp.astype(t.next_cell[first + cell], t.index_dtype)
         has_path = inside & (next_cell >= 0)
         level, row, col = split(t, xp.where(has_path, next_cell, 0))
-        size = 1 / t.scale[level]
+        size = 1 / t.cells_per_metre[level]
         x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * size
         y = t.y_first[level] - (xp.astype(row, t.dtype) + 0.5) * size
         offset = xp.stack([x, y], axis=-1) - points[..., :2]
@@ -399,7 +414,10 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
 def _apply_to_goal(
     t: GridTensors, function: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
 ) -> Array:
-    """Apply a function to positions, where each goal's cells begin in `cost`, and scenes."""
+    """Check arguments, and apply a function of positions, first indices and scenes to them.
+
+    A first index is where the cells of the position's goal begin in ``t.cost``.
+    """
     xp = t.xp
     points = check_positions(t, positions)
     num_cells = int(t.floor.shape[0])
@@ -414,6 +432,7 @@ def _apply_to_goal(
 
 
 def _num_goals(t: GridTensors) -> int:
+    """Return the number of goals; raise an error if there are none."""
     if not t.goals:
         raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
     return len(t.goals)
@@ -438,8 +457,8 @@ def sample(
             Shape (..., 1) returns centres.
         room: only in this room, by its number (see `room`); an integer or integers of shape (...).
         min_clearance: only in cells with at least this `clearance` [m]; one number.
-        reachable_from: only cells of the island of these world positions, shape (..., 3) or (3,)
-            [m].
+        reachable_from: only cells of the island that this position is on, world x, y, z, shape
+            (3,); or (..., 3), one for each place [m].
         scene_id: of each place, where the tensors have several grids.
 
     Returns:
@@ -454,10 +473,10 @@ def sample(
     keys_per_group = t.num_rooms + 1
     is_valid = ~xp.isnan(numbers[..., 0])
     share = xp.where(is_valid, numbers[..., 0], 0.0)
-    # cells, sorted by the keys of their group and room: groups are scenes, or islands
+    # The cells are sorted by a key of group and room. Groups are scenes, or islands.
     if reachable_from is None:
-        group = xp.zeros_like(share, dtype=t.index) if scenes is None else scenes
-        cells = t.by_room
+        group = xp.zeros_like(share, dtype=t.index_dtype) if scenes is None else scenes
+        cells = t.cells_by_room
         keys = t.room_key
         is_valid = is_valid & (group >= 0)
     else:
@@ -465,8 +484,8 @@ def sample(
         if scenes is not None:
             start = broadcast(t, start, (*shape, 3), "reachable_from")
         start_island = broadcast(t, island(t, start, scenes), shape, "reachable_from")
-        group = xp.astype(start_island, t.index)
-        cells = t.by_island
+        group = xp.astype(start_island, t.index_dtype)
+        cells = t.cells_by_island
         keys = t.island_key
         is_valid = is_valid & (group > 0)
     if cells.shape[0] == 0:
@@ -480,29 +499,29 @@ def sample(
         high = low + 1
 
     def count_below(sorted_keys: Array, limits: Array) -> Array:
-        """How many sorted keys are smaller than each limit."""
+        """Count the sorted keys that are smaller than each limit."""
         flat_limits = xp.reshape(xp.astype(limits, sorted_keys.dtype), (-1,))
         counts = xp.searchsorted(sorted_keys, flat_limits, side="left")
-        return xp.reshape(xp.astype(counts, t.index), limits.shape)
+        return xp.reshape(xp.astype(counts, t.index_dtype), limits.shape)
 
     begin = count_below(keys, low)
     end = count_below(keys, high)
     count = end - begin
-    num_allowed = None  # before each cell
+    num_allowed = None  # for each of `cells`, how many before it are allowed; None for all
     if min_clearance is not None:
         if getattr(min_clearance, "ndim", 0) != 0:
             raise QueryError("expected one number as min_clearance [m], got an array of them")
-        is_allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
+        is_allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index_dtype)
         num_allowed = xp.concat([xp.zeros_like(is_allowed[:1]), xp.cumulative_sum(is_allowed)])
         count = num_allowed[end] - num_allowed[begin]
-    # the share's cell among `count`; the product may be rounded up
-    rank = xp.astype(xp.floor(share * xp.astype(count, t.dtype)), t.index)
+    # the cell's index among the `count` allowed ones; the product may be rounded up to `count`
+    rank = xp.astype(xp.floor(share * xp.astype(count, t.dtype)), t.index_dtype)
     rank = clip(xp, xp.minimum(rank, count - 1), 0, cells.shape[0])
     if num_allowed is None:
         place = begin + rank
     else:
         place = count_below(num_allowed[1:], num_allowed[begin] + rank + 1)
-    cell = xp.astype(cells[clip(xp, place, 0, cells.shape[0] - 1)], t.index)
+    cell = xp.astype(cells[clip(xp, place, 0, cells.shape[0] - 1)], t.index_dtype)
     level, row, col = split(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
@@ -513,16 +532,16 @@ def sample(
     north = t.y_edge[row_edge]
     south = t.y_edge[row_edge + 1]
     if numbers.shape[-1] == 1:
-        across = 0.5
-        down = 0.5
+        share_x = 0.5
+        share_y = 0.5
     else:
-        across = numbers[..., 1]
-        down = numbers[..., 2]
+        share_x = numbers[..., 1]
+        share_y = numbers[..., 2]
     # the eastern and the southern edge belong to the next cells
     last_x = xp.nextafter(east, xp.full_like(east, -xp.inf))
     last_y = xp.nextafter(south, xp.full_like(south, xp.inf))
-    x = xp.minimum(west + across * (east - west), last_x)
-    y = xp.maximum(north - down * (north - south), last_y)
+    x = xp.minimum(west + share_x * (east - west), last_x)
+    y = xp.maximum(north - share_y * (north - south), last_y)
     points = xp.stack([x, y, z], axis=-1)
     is_place = is_valid & (count > 0) & ~xp.any(xp.isnan(points), axis=-1)
     return xp.where(is_place[..., None], points, xp.nan)

@@ -28,7 +28,6 @@ FUNCTIONS = {
     "inflate": "runtime.inflation:inflate",
     "inflate_footprint": "runtime.inflation:inflate_footprint",
     "block": "runtime.blocking:block",
-    "find_path": "runtime.path_finder:plan_path",
     "routes": "routes.build:make_routes",
     "tensors": "tensors.build:make_tensors",
     "save": "formats.navgrid:write_navgrid",
@@ -44,7 +43,7 @@ FUNCTIONS = {
     "_repr_png_": "views.notebook:draw_png",
 }
 # these have parameters of several functions, or use another method
-ALONE = {"plot", "to_procthor", "blockers"}
+ALONE = {"plot", "to_procthor", "blockers", "find_path"}
 
 METHODS = {name: method for name, method in vars(GridMethods).items() if inspect.isfunction(method)}
 
@@ -71,6 +70,13 @@ def test_a_plot_takes_what_pictures_take():
     assert taken[1:] == parameters_of(resolve("navbake.views.plot:render_picture"), first=2)
     (level,) = parameters_of(resolve("navbake.formats.procthor:encode_procthor"), first=2)
     assert parameters_of(GridMethods.to_procthor, first=2) == [level, ("radius", *level[1:])]
+
+
+def test_a_path_is_found_with_the_arguments_of_path_finder():
+    parameters = parameters_of(GridMethods.find_path, first=1)
+    expected = parameters_of(navbake.PathFinder.find_path, first=1)
+    (agent,) = (each for each in parameters_of(navbake.PathFinder, first=1) if each[0] == "agent")
+    assert parameters == [*expected, agent]
 
 
 def test_voxels_are_saved_with_the_options_of_their_formats():
@@ -111,6 +117,7 @@ def test_a_method_calls_the_function_that_it_is_named_with():
     by_format = {name: {"formats.convert:write_as"} for name in calls if name.startswith("to_")}
     shapes = {name: {FUNCTIONS[name]} for name in FUNCTIONS if name in calls}
     expected = {**by_format, **shapes, "plot": {"views.plot:plot"}}
+    expected["find_path"] = {"runtime.path_finder:PathFinder"}
     for name in ("to_nav2", "to_npz", "to_mjcf", "to_procthor"):
         expected[name] = {"formats.convert:write_as"}
     assert calls == expected

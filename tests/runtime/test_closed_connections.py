@@ -7,13 +7,13 @@ import pytest
 import navbake
 from grid_maps import house_from, level_from
 from navbake.formats.graphs import make_room_graph
-from navbake.runtime.passage import find_closed_connections
+from navbake.runtime.passage import find_lost_connections
 from navbake.runtime.search import Search
 from project_paths import GOLDEN
 
 
 def cuts_of(grid, radius):
-    return [name for name, _ in find_closed_connections(Search(grid), Search(grid.inflate(radius)))]
+    return [name for name, _ in find_lost_connections(Search(grid), Search(grid.inflate(radius)))]
 
 
 @pytest.mark.parametrize("radius", [0.35, 0.42, 0.5])
@@ -41,9 +41,9 @@ def test_a_landing_between_blocked_treads_is_no_way():
 
     before, after = Search(stairs(GROUND)), Search(stairs(GROUND.replace("11", "++")))
     assert before.islands.count == 1 and after.islands.count == 2
-    ((name, _),) = find_closed_connections(before, after)
+    ((name, _),) = find_lost_connections(before, after)
     assert name == "the stairs between level 0 and 1 near (1.60, -0.40)"
-    assert find_closed_connections(before, before) == find_closed_connections(after, after) == []
+    assert find_lost_connections(before, before) == find_lost_connections(after, after) == []
 
 
 def test_one_of_two_stairs_is_named_and_a_closed_door_is_not():
@@ -53,7 +53,7 @@ def test_one_of_two_stairs_is_named_and_a_closed_door_is_not():
     blocked = house_from(
         [level_from("+" + "." * 11 + "\n" + "\n".join(["." * 12] * 5)), upper], steps
     )
-    ((name, _),) = find_closed_connections(Search(before), Search(blocked))
+    ((name, _),) = find_lost_connections(Search(before), Search(blocked))
     assert name == "the ramp between level 0 and 1 near (0.05, -0.05)"
     house = navbake.load(GOLDEN / "house.grid.json.gz").with_doors({"door_front": "closed"})
     assert "door 'door_front'" not in cuts_of(house, 0.5) and "door 'door_back'" in cuts_of(
