@@ -1,1 +1,1 @@
-"""Sparse graphs of where agents drive."""
+"""Graphs of routes: places in a scene, and the lanes that agents drive between them."""

@@ -1,9 +1,9 @@
 """Makes the graph of routes of a grid: nodes where agents turn, and lanes that are free for them.
 
-Nodes are doors, rooms' middles, the stops of links and stairs, and junctions of the medial axis of
-the free cells. Where a free cell is farther than `MAX_NODE_DISTANCE` from all of these, waypoints
-are added. Lanes are straight lines that `Search.can_pass` allows an agent inflated to its radius,
-so that its disc meets nothing on them. They are a greedy spanner: a lane is left out where a route
+Nodes are doors, the widest places of rooms, the stops of links and stairs, and junctions of the
+medial axis of the free cells. Where a free cell is farther than `MAX_NODE_DISTANCE` from all of
+these, waypoints are added. Lanes are straight lines on which the disc of an agent overlaps no
+obstacle (`Search.can_pass`), and links. They form a greedy spanner: a lane is left out if a route
 over shorter lanes costs at most 5 % more. Where two nodes are near and such a route is missing, the
 corners of the path between them become nodes.
 
@@ -35,12 +35,13 @@ spatial = lazy("scipy.spatial")
 
 MIN_ISLAND_AREA = 4.0  # smaller islands have no nodes but the stops of links [m²]
 MAX_NODE_DISTANCE = 1.8  # from any cell to its nearest node [m]
-MIN_JUNCTION_SPACING = 1.0  # between a junction and a node that sees it [m]
-CORNER_SNAP = 0.4  # from a path's corner to a node that takes its place [m]
-MAX_REGION_HOPS = 3  # from one node's cells to another's, between which a route has to be short
-MAX_DETOUR = 1.05  # cost of a route over other lanes, as a multiple of the straight lane's
+MIN_JUNCTION_SPACING = 1.0  # a junction nearer to a node in its sight is left out [m]
+CORNER_SNAP = 0.4  # a node this near to a path's corner may take its place [m]
+# nodes whose cells are this many regions apart or fewer need a short route between them
+MAX_REGION_HOPS = 3
+MAX_DETOUR = 1.05  # largest cost of a route over other lanes, as a multiple of the lane's own cost
 MAX_LANE_LENGTH = 20.0  # [m]
-DECIMALS = 6  # of positions and lengths, after the point: micrometres
+DECIMALS = 6  # positions and lengths are rounded to this many decimals: to micrometres
 
 
 def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
@@ -67,11 +68,11 @@ class _Stairs(NamedTuple):
 
     name: str
     kind: str  # ``stairs`` or ``ramp``
-    cells: list[int]  # both cells of one step between the levels, the lower first
+    cells: list[int]  # flat ids of one step between the levels: its lower and its upper cell
 
 
 class _Builder:
-    """The nodes and lanes of a graph while they are added."""
+    """Builds the graph of routes of a grid: collects nodes and lanes."""
 
     def __init__(self, grid: NavGrid, agent: Agent | None) -> None:
         self.speed = DEFAULT_SPEED if agent is None else agent.speed
@@ -85,7 +86,7 @@ class _Builder:
         self.grid = self.search.grid
         self.flat = self.search.flat
 
-        # by cell
+        # arrays by flat id
         islands = self.search.islands
         is_large = islands.areas >= MIN_ISLAND_AREA
         self.is_routable: Bool = self.flat.free & is_large[islands.number]
@@ -112,6 +113,7 @@ class _Builder:
         self.route_costs = np.empty((0, 0))  # of the cheapest routes between nodes [m]
 
     def build(self) -> RouteGraph:
+        """Add all nodes and lanes, and return the graph."""
         self._add_named_places()
         self._add_junctions()
         self._add_waypoints()
@@ -121,7 +123,7 @@ class _Builder:
         return self._make_graph()
 
     def _find_stairs(self) -> list[_Stairs]:
-        """The stairs of the grid, each with its widest step that agents reach."""
+        """Find the stairs between levels, and the widest free step of each."""
         stairs = []
         for number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, self.flat)):
             free_steps = steps[self.is_routable[steps].all(axis=1)]
@@ -139,9 +141,19 @@ class _Builder:
     def _add_node(
         self, cell: int, kind: str, name: str = "", *, door: str | None = None, link: str = ""
     ) -> int:
-        """Add a node; return its index, or that of the node which the cell has already.
+        """Add a node at a cell's centre, unless the cell has one already.
 
-        Links that stop on one cell have a node each, because a node names one link.
+        Links that stop on the same cell get a node each, because a node names one link.
+
+        Args:
+            cell: flat id.
+            kind: see `Node`; a junction or waypoint in the cell gets this kind and name instead.
+            name: of the node; empty for a number.
+            door: id of the door that the node stands in.
+            link: name of the link that the node is a stop of; empty for none.
+
+        Returns:
+            The index of the new node, or of the cell's earlier one.
         """
         position = np.round(self.flat.positions(cell), DECIMALS) + 0.0
         x, y, z = position.tolist()
@@ -193,12 +205,15 @@ class _Builder:
                 self._add_node(int(cells[best]), "room", room.name or room.id)
 
     def _stop_cells(self, link: Link) -> list[int]:
-        """The cells of a link's stops."""
+        """List the flat ids of the cells of a link's stops."""
         start = self.flat.layout.start
         return [int(start[stop.level]) + stop.cell for stop in link.stops]
 
     def _add_junctions(self) -> None:
-        """Add where three branches of the medial axis meet and no node is near, widest first."""
+        """Add junctions where three branches of the medial axis meet, the widest places first.
+
+        A junction is left out if a node near it sees it.
+        """
         cells_of_levels = []
         for number, level in enumerate(self.grid.levels):
             level_cells = self.flat.cells_of(number)
@@ -248,9 +263,9 @@ class _Builder:
                 is_covered[tree.query_ball_point(positions[place], MAX_NODE_DISTANCE)] = True
 
     def _sees(self, cell: int, target: int) -> bool:
-        """Whether an agent may move straight from one cell's centre to another's on its level.
+        """Whether an agent may move straight from one cell's centre to another's on the same level.
 
-        It may where `Search.can_pass` allows it, or over steps along a row, column or diagonal.
+        It may if `Search.can_pass` allows it, or over steps along a row, column or diagonal.
         """
         from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
 
@@ -278,53 +293,59 @@ class _Builder:
     # ---------------------------------------------------------------- lanes
 
     def _distance(self, node: int, target: int) -> float:
-        """How far a node is from another, seen from above [m]."""
+        """Compute the distance between two nodes, seen from above [m]."""
         offset = self.points[node] - self.points[target]
         return float(np.hypot(offset[0], offset[1]))
 
     def _lane_cost(self, node: int, target: int) -> float:
-        """The cost of a straight lane, or of a step between levels, which costs its length [m]."""
+        """Compute the cost of a lane between two nodes [m].
+
+        On one level, it is the cost of the straight line; between levels, the length on the map.
+        """
         level = self.nodes[node].level
         if level != self.nodes[target].level:
             return self._distance(node, target)
         return self._line_cost(self.points[[node, target], :2], level)
 
     def _line_cost(self, points: Float, level: int) -> float:
-        """The cost of a line on a level, shape (n, 2) [m]."""
+        """Compute the cost of a polyline on a level [m]; `points` are x, y, shape (n, 2) [m]."""
         return sum(
             float(np.hypot(*(end - start))) * self._mean_weight(start, end, level)
             for start, end in itertools.pairwise(points)
         )
 
     def _mean_weight(self, start: Float, end: Float, level: int) -> float:
-        """The mean weight of the cells on a straight line."""
+        """Compute the mean weight of the cells on a straight line between two points x, y [m]."""
         return float(self.flat.weight[self._cells_on_line(start, end, level)].mean())
 
     def _cells_on_line(self, start: Float, end: Float, level: int) -> Int:
-        """The cells along a line, by points a quarter of a cell apart."""
+        """List the cells of points on a line, about a quarter of a cell apart, by flat id."""
         cell_size = float(self.flat.layout.cell_size[level])
         num_points = math.ceil(float(np.linalg.norm(end - start)) / cell_size * 4) + 1
         shares = (np.arange(num_points) + 0.5)[:, None] / num_points
         return self.flat.cells_at(start + shares * (end - start), level)
 
     def _doors_on_lane(self, node: int, target: int) -> set[str | None]:
-        """The doors whose leaves lie on the line between two nodes, those of its ends, and None."""
+        """List the ids of the doors whose leaves a lane crosses or its ends stand in, and None."""
         start, end = self.points[[node, target], :2]
         cells = self._cells_on_line(start, end, self.nodes[node].level)
         crossed = {self.leaf_doors.get(cell) for cell in cells.tolist()}
         return crossed | self._doors_of_ends(node, target)
 
     def _doors_of_ends(self, node: int, target: int) -> set[str | None]:
-        """The doors in which two nodes stand, and None."""
+        """List the ids of the doors that two nodes stand in, and None."""
         return {None, self.nodes[node].door, self.nodes[target].door}
 
     def _is_lane_free(self, node: int, target: int, allowed_doors: set[str | None]) -> bool:
-        """Whether a straight lane is free, and leads through no doors but those allowed."""
+        """Whether a straight lane is free, and leads through no doors but the allowed ones.
+
+        `allowed_doors` holds their ids, and None.
+        """
         is_seen = self._sees(self.cells[node], self.cells[target])
         return is_seen and self._doors_on_lane(node, target) <= allowed_doors
 
     def _add_lane(self, lane: Lane) -> None:
-        """Add a lane, and shorten the routes that it shortens."""
+        """Add a lane, and update the costs of the cheapest routes between all nodes."""
         self.lanes.append(lane)
         directions = [(lane.start, lane.end)]
         if lane.two_way:
@@ -383,7 +404,10 @@ class _Builder:
             self._add_straight_lane(node_of_cell[low], node_of_cell[high], stairs.kind)
 
     def _add_lanes_in_sight(self) -> None:
-        """Add lanes between nodes that see each other, unless a route over shorter ones will do."""
+        """Add lanes between nodes that see each other, unless a route over shorter lanes exists.
+
+        Such a route counts if it costs at most `MAX_DETOUR` as much as the lane.
+        """
         levels = self.flat.level_of(np.array(self.cells, dtype=np.int64))
         pairs_of_levels = []
         for level in range(self.flat.num_levels):
@@ -404,7 +428,11 @@ class _Builder:
                 self._add_straight_lane(node, target)
 
     def _shortest_first(self, pairs: Int) -> list[tuple[int, int, float]]:
-        """Pairs of nodes, shape (n, 2), with their distances [m]; the shortest first."""
+        """Sort pairs of nodes, shape (n, 2), by their distance.
+
+        Returns:
+            The nodes of each pair, and their distance [m]; the shortest first.
+        """
         node, target = pairs.T
         offset = self.points[node] - self.points[target]
         length = np.round(np.hypot(offset[:, 0], offset[:, 1]), DECIMALS)
@@ -412,9 +440,9 @@ class _Builder:
         return [(int(node[index]), int(target[index]), float(length[index])) for index in order]
 
     def _add_paths_between_neighbors(self) -> None:
-        """Add the paths between nodes whose cells are near, unless a route over lanes will do.
+        """Add paths between nodes whose cells are near, unless a short route over lanes exists.
 
-        A cell belongs to the node that is the nearest by steps.
+        Each cell belongs to the node to which the path from it costs the least.
         """
         num_nodes = len(self.nodes)
         if not num_nodes:
@@ -436,7 +464,7 @@ class _Builder:
                 self._add_path(node, target, {None, *self.leaf_doors.values()})
 
     def _find_touching_nodes(self) -> Int:
-        """The pairs of nodes whose cells touch on a level, shape (n, 2)."""
+        """Find the pairs of nodes whose cells touch on a level: indices, shape (n, 2)."""
         from navbake.runtime.grid_arrays import EAST, SOUTH  # numba loads slowly
 
         node_cells = np.array(self.cells)
@@ -462,7 +490,15 @@ class _Builder:
         return touching
 
     def _add_path(self, node: int, target: int, allowed_doors: set[str | None]) -> None:
-        """Add the path between two nodes of a level: its corners, and lanes between them."""
+        """Add the path between two nodes of a level: nodes at its corners, and lanes between them.
+
+        Nothing is added if a route over lanes is about as short, or the path leaves the level.
+
+        Args:
+            node: index of the first node.
+            target: index of the last node.
+            allowed_doors: ids of the doors that the lanes may lead through, and None.
+        """
         level = self.nodes[node].level
         if level != self.nodes[target].level:
             return
@@ -484,14 +520,23 @@ class _Builder:
                 self._add_straight_lane(before, after)
 
     def _corner_nodes(self, node: int, target: int, path: Float, level: int) -> list[int]:
-        """The nodes along a path, shape (n, 2) [m]: corners that see each other, added if need be.
+        """Find nodes at the corners of a path, so that each sees the next; add missing ones.
 
-        Corners are skipped as long as the line past them costs hardly more.
+        A corner is skipped if the straight line past it costs at most `MAX_DETOUR` as much.
+
+        Args:
+            node: index of the node at the path's start.
+            target: index of the node at its end.
+            path: x, y of the path's points, shape (n, 2) [m].
+            level: number of the level.
+
+        Returns:
+            The indices of the nodes, from `node` to `target`.
         """
         inner = path[1:-1]
         cells = self.flat.cells_at(inner, level)
         centers = self.flat.positions(cells)[:, :2]
-        # without the points where only the floor bends, which are no cell's centre
+        # corners are at cells' centres; at other points, only the height of the floor bends
         turns = np.abs(centers - inner).max(axis=1, initial=0.0) < 1e-6
         remaining = [*cells[turns].tolist(), self.cells[target]]
         corners = [node]
@@ -521,10 +566,19 @@ class _Builder:
     def _node_in_place_of(
         self, cell: int, corner: int, next_cell: int, mean_weight: float
     ) -> int | None:
-        """The nearest node that can take the place of a path's corner in a cell; None without one.
+        """Find the nearest node that can take the place of a path's corner.
 
-        It sees the corner before, a node, and the cell after, and its lane from the corner before
-        costs hardly more than the path at its mean `price`.
+        It must see the node before and the cell after the corner. The lane from the node before
+        must cost at most `MAX_DETOUR` times its length at the path's mean weight.
+
+        Args:
+            cell: flat id of the corner's cell.
+            corner: index of the node before.
+            next_cell: flat id of the cell of the next corner.
+            mean_weight: mean weight of the cells on the path from the node before.
+
+        Returns:
+            The node's index; None if there is none.
         """
         level = int(self.flat.level_of(cell))
         distance = np.hypot(*(self.points - self.flat.positions(cell))[:, :2].T)
@@ -542,7 +596,7 @@ class _Builder:
     # ---------------------------------------------------------------- the graph
 
     def _make_graph(self) -> RouteGraph:
-        """The graph, whose nodes have unique names, and whose lanes have their doors and speeds."""
+        """Make the graph: give nodes unique names, and lanes their names, doors and speeds."""
         used_names = set[str]()
         nodes = list[Node]()
         for number, node in enumerate(self.nodes):
@@ -565,7 +619,7 @@ class _Builder:
         )
 
     def _finish_lane(self, lane: Lane, nodes: list[Node]) -> Lane:
-        """The lane with its name, rounded numbers, its door, and the lowest speed of its areas."""
+        """Return a lane with its name, rounded numbers, door, and the lowest speed of its areas."""
         start = nodes[lane.start]
         end = nodes[lane.end]
         lane = replace(
@@ -587,7 +641,10 @@ class _Builder:
 
 
 def _measure_clearance(grid: NavGrid, flat: FlatGrid) -> Float:
-    """How far each free cell is from the next one that isn't, by centres, shape (cells,) [m]."""
+    """Measure the distance from each free cell's centre to the nearest one that isn't free.
+
+    Returns distances by flat id, 0 where a cell isn't free [m].
+    """
     clearance = []
     for number, level in enumerate(grid.levels):
         free = flat.free[flat.cells_of(number)].reshape(level.shape)
@@ -598,10 +655,14 @@ def _measure_clearance(grid: NavGrid, flat: FlatGrid) -> Float:
 
 
 def _count_neighbors(padded: Bool) -> tuple[Int, Int]:
-    """How many of a cell's eight neighbours are set, and in how many runs around it.
+    """Count the neighbours in a mask that each cell has, and the runs that they form around it.
 
     Args:
-        padded: the mask with one cell more on each side.
+        padded: the mask with one more cell on each side.
+
+    Returns:
+        How many of the eight neighbours are in the mask, shape (height, width) without the padding;
+        and how many runs they form on the ring of neighbours, of the same shape.
     """
     height, width = padded[1:-1, 1:-1].shape
     # clockwise from the upper neighbour

@@ -1,4 +1,4 @@
-"""What a graph of routes is: named places, and lanes between them that are free for an agent."""
+"""Graphs of routes: nodes, which are named places, and lanes between them, free for an agent."""
 
 from __future__ import annotations
 
@@ -39,30 +39,31 @@ class Node:
 class Lane:
     """A connection of one node to another, along a straight line or over a link."""
 
-    start: int  #: Index of a node.
-    end: int  #: Index of another one.
+    start: int  #: Index of the node that it leads from.
+    end: int  #: Index of the node that it leads to.
     name: str
-    length: float  #: [m]
-    cost: float  #: Of a passage: its length times the price of its cells, or a link's cost [m].
+    length: float  #: Seen from above [m].
+    cost: float  #: Its length times the mean weight of its cells, or a link's cost [m].
     two_way: bool = True
     kind: str = FLOOR  #: ``floor``, ``stairs``, ``ramp``, or the kind of a link.
-    speed: float | None = None  #: The highest on it [m/s]; None for the agent's.
-    seconds: float | None = None  #: Of a passage of a link; None for its length at its speed.
+    speed: float | None = None  #: The speed limit on it [m/s]; None for the agent's speed.
+    #: How long it takes if it leads over a link [s]; None for its length at its speed.
+    seconds: float | None = None
     door: str | None = None  #: The id of the door that it leads through.
-    link: str | None = None  #: The name of the link that it is a passage of.
+    link: str | None = None  #: The name of the link that it leads over.
 
 
 @dataclass(frozen=True)
 class RouteGraph(RouteGraphMethods):
-    """A graph of routes of one agent."""
+    """Named places and the lanes between them, for agents of one size and speed."""
 
     nodes: tuple[Node, ...]
     lanes: tuple[Lane, ...]
     scene_id: str | None = None
     level_names: tuple[str, ...] = ("level 0",)
     agent: str | None = None  #: The agent's name.
-    radius: float = 0.0  #: Of the agent [m].
-    speed: float = 1.0  #: The agent's [m/s].
+    radius: float = 0.0  #: The agent's radius [m].
+    speed: float = 1.0  #: The agent's speed [m/s].
 
     def __repr__(self) -> str:
         one_way = sum(not lane.two_way for lane in self.lanes)
@@ -76,7 +77,10 @@ class RouteGraph(RouteGraphMethods):
 
     @property
     def costs(self) -> Any:
-        """Cost of the cheapest lane from node i to node j [m], shape (n, n), a scipy csr_array."""
+        """Entry (i, j) is the cost of the cheapest lane from node i to node j [m].
+
+        A scipy csr_array, shape (n, n), without entries for nodes that no lane joins.
+        """
         cheapest: dict[tuple[int, int], float] = {}
         for lane in directed(self.lanes):
             ends = (lane.start, lane.end)
@@ -88,7 +92,11 @@ class RouteGraph(RouteGraphMethods):
         return sparse.csr_array((list(cheapest.values()), start_end), shape=shape)
 
     def distances(self) -> Float:
-        """Cost of the cheapest route from node i to node j [m], shape (n, n), inf for no route."""
+        """Compute the costs of the cheapest routes between all nodes.
+
+        Returns:
+            At (i, j) the cost from node i to node j [m], inf for no route, shape (n, n).
+        """
         route_costs: Float = csgraph.dijkstra(self.costs)
         return route_costs
 
@@ -136,7 +144,10 @@ class RouteGraph(RouteGraphMethods):
         return int(node)
 
     def on_level(self, number: int) -> RouteGraph:
-        """Return the part of the graph on one level: its nodes, and the lanes between them.
+        """Return the part of the graph on one level: the level's nodes, and the lanes between them.
+
+        Args:
+            number: number of the level, 0 is the lowest; in the new graph it is level 0.
 
         Raises:
             QueryError: the graph has no such level.
@@ -174,12 +185,13 @@ def directed(lanes: Iterable[Lane]) -> list[Lane]:
 
 
 def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
-    """Join two lanes that differ only in direction into one that leads both ways.
+    """Replace each two lanes that differ only in direction by one lane that leads both ways.
 
-    It is the inverse of `directed`.
+    This is the inverse of `directed`.
     """
     joined: list[Lane] = []
-    without_return: dict[Lane, list[int]] = {}  # places in `joined`
+    # lane without one back so far -> indices in `joined`
+    without_return: dict[Lane, list[int]] = {}
     for lane in lanes:
         lane_back = replace(lane, start=lane.end, end=lane.start)
         if without_return.get(lane_back):
@@ -192,11 +204,13 @@ def undirected(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
 
 
 def to_entry(element: Node | Lane | RouteGraph, *left_out: str) -> Json:
-    """Return the fields of a node, a lane or a graph as JSON, without those that are None.
+    """Return the fields of a node, a lane or a graph as JSON.
+
+    Fields that are None, and the nodes and lanes of a graph, are left out.
 
     Args:
-        element: the node, lane or graph; a graph's nodes and lanes are left out.
-        left_out: names of fields that are left out; so are those that are None.
+        element: the node, lane or graph.
+        left_out: names of more fields to leave out.
     """
     without = {"nodes", "lanes", *left_out}
     values = {name: getattr(element, name) for name in element.__dataclass_fields__}

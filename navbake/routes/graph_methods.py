@@ -1,8 +1,8 @@
 """The methods of a graph of routes whose code stands in other modules: writing and auditing it.
 
-These modules import `navbake.routes.graph`, so this module imports upwards: for types below, and
-inside of its methods. It holds no code of its own, and the graph of imports leaves it out, as
-`navbake.navgrid.grid_methods`.
+These modules import `navbake.routes.graph`. To avoid a circle, this module imports them only for
+type checkers and inside its methods. It holds no code of its own, and the graph of imports leaves
+it out, like `navbake.navgrid.grid_methods`.
 """
 
 from __future__ import annotations
