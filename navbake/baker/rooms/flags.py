@@ -1,8 +1,8 @@
-"""The flags that rooms follow from: what each cell of a level is, and which rooms are marked in it.
+"""Gathers the inputs from which rooms are found: flags of each cell, and the rooms that are marked.
 
-`gather_flags` combines what earlier stages found: floors, the flags of columns, the occupants that
-stand, and the rooms that geoms, sites and polygons mark. Rooms depend on these flags, on settings
-and on closed leaves alone.
+`gather_flags` combines the results of earlier stages: floors, column flags, standing occupants, and
+the rooms that geoms, sites and polygons mark. Rooms depend only on these flags, on settings and on
+closed door leaves.
 """
 
 from __future__ import annotations
@@ -39,41 +39,42 @@ from navbake.types import Bool, Float, Int, Int32
 if TYPE_CHECKING:  # a caller that has a model has imported it
     import mujoco
 
-# The scene goes on beyond the lattice where it does so by more than this [cells]
+# The scene ends at a side of the lattice if it exceeds that side by at most this [cells]
 MAX_SCENE_EXCESS = 0.5
-# What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
-# edge is so wide [m]
+# An outdoor area has a connected piece at the grid's edge that is longer than this: no opening in a
+# wall is so wide [m]
 MIN_OUTDOOR_EDGE = MAX_GAP_WIDTH
-# All sides of a lattice, [[upper, lower], [left, right]]
+# A mask of all sides of a lattice, [[upper, lower], [left, right]]
 ALL_SIDES = np.ones((2, 2), dtype=np.bool_)
 
-# A room's floor geom lies at most this far below the walkable floor, as under a rug [m], …
-MAX_MARKER_DEPTH = 0.05
-# … or this far above it, as a floor that is only drawn over the one that collides [m]
-MAX_MARKER_HEIGHT = 0.005
-# A geom is a floor where at least this share of its upper side is one
+# A geom that marks a room is at most this far below the walkable floor (it may be under a rug) …
+MAX_MARKER_DEPTH = 0.05  # [m]
+# … or this far above it (it may be a drawn floor above the one that collides)
+MAX_MARKER_HEIGHT = 0.005  # [m]
+# A geom marks a room if at least this share of its upper side is floor
 MIN_FLOOR_SHARE = 0.5
-# What stands before a room's name in that of its floor
+# These prefixes of a floor geom's name are removed to make the room's name
 FLOOR_PREFIXES = ("floor|", "floor_")
-# A site's volume may begin this far above the floor [m]
+# A site's volume is cut off this far below the floor [m]
 MAX_SITE_GAP = 0.05
-# Share of itself, or of the agent, that a site's volume has at least between floor and head
+# An agent stands in a site's volume if this share of the volume's height, or of the agent's if that
+# is less, is between the floor and the agent's head
 MIN_STANDING_SHARE = 0.5
-# Patterns that users did not write are not warned of, by setting
+# Setting -> its default patterns; there are no warnings of these
 DEFAULT_PATTERNS = {"geoms": DEFAULT_GEOMS, "sites": DEFAULT_SITES}
-# Names that a warning lists
+# The most names that a warning lists
 NUM_LISTED_SITES = 5
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms that one source marks.
+    """The rooms that one source (geoms, sites, polygons or the automatic search) marks.
 
     Attributes:
-        names: the names of the rooms, None for a room without a name; room k + 1 has ``names[k]``.
-        labels: by level, the number of each cell's room, shape (height, width), 0 for none.
-        warnings: what the user should know, one line each.
-        covered: like `labels`, but a room also covers cells whose floor lies up to a step above the
-            room's, as on a podium. Empty if that adds no cells.
+        names: the rooms' names, None for a room without a name. Room number k + 1 has ``names[k]``.
+        labels: for each level, the number of each cell's room, 0 for none, shape (height, width).
+        warnings: warnings for the user, one line each.
+        covered: like `labels`, but cells whose floor is up to a step above the room's own floor (on
+            a podium, for example) also have the room's number. Empty if there are no such cells.
         outdoors: the numbers of the rooms that are outdoors.
     """
 
@@ -88,16 +89,16 @@ class LevelFlags(NamedTuple):
     """Flags of a level's cells, shape (height, width) of the whole lattice.
 
     Attributes:
-        floor: heights, NaN for none [m].
-        is_open: with a floor, and no wall or window.
-        is_hole: without a floor, and nothing stands at the height of an agent's body.
-        at_edge: open cells beside which there is nothing up to the edge of the grid, or ground too
-            steep to stand on, such as the bank of a ditch; no walls and pillars, which reach above
-            heads.
-        under_sky: with a floor, and nothing above an agent's head. All False on levels with too few
-            cells at the edge for anything to be outdoors.
-        is_bank: without a floor, where ground under the open sky is too steep to stand on.
-        occupied: without a floor, or a fixed geom meets the cell's square at an agent's height.
+        floor: z of the cell's floor, NaN if it has none [m].
+        is_open: whether the cell has a floor, and is in no wall or window.
+        is_hole: whether the cell has no floor, and nothing is at the height of an agent's body.
+        at_edge: whether the cell is open, nothing in it is higher than an agent, and it is at the
+            outer boundary of the scene: next to cells that are empty, or too steep to stand on, up
+            to the grid's edge.
+        under_sky: whether the cell has a floor and nothing is above an agent's head. All False on
+            levels with too few cells at the edge for anything to be outdoors.
+        is_bank: whether the cell has no floor because ground under the open sky is too steep.
+        occupied: whether the cell has no floor, or structure meets its square at an agent's height.
     """
 
     floor: Float
@@ -115,13 +116,13 @@ class RoomFlags(NamedTuple):
     Attributes:
         lattice: the whole lattice.
         levels: the flags of each level, lowest first.
-        is_empty: cells in whose columns there is nothing, shape (height, width).
+        is_empty: the cells without any geometry above or below, shape (height, width).
         scene_ends: the sides of the lattice at which the scene ends, [[upper, lower], [left,
             right]].
-        walls: the geometry of walls and of meshes that hold a building.
-        has_ground: whether endless ground goes on beyond the lattice.
+        walls: the geometry of walls, and of meshes that contain a whole building.
+        has_ground: whether an endless ground continues beyond the lattice.
         links: steps between cells, see `Floors`, shape (n, 4).
-        marks: the rooms that each source marks.
+        marks: source -> the rooms that it marks.
     """
 
     lattice: Lattice
@@ -147,15 +148,15 @@ def gather_flags(
     """Gather all inputs of the rooms, except settings and closed leaves.
 
     Args:
-        scene: whose geoms and sites mark rooms.
-        columns: of what stands.
-        floors: of all levels, at least one.
-        column_flags: of each level's cells, see `flag_columns`, shape (cells,), uint8.
-        standing_occupants: what stands in the cells; None where no walls are known.
-        occupied: the cells of each level, of the whole lattice, that have no floor, or whose
-            squares are met by what stands in an agent's way.
+        scene: the scene, whose geoms and sites may mark rooms.
+        columns: the vertical columns of the structure.
+        floors: the floors of all levels, at least one.
+        column_flags: for each level, the flags of its cells, see `flag_columns`, shape (cells,),
+            uint8.
+        standing_occupants: the structure that stands in the cells; None if walls are not needed.
+        occupied: for each level, see `LevelFlags.occupied`.
         settings: how rooms are marked.
-        agent: who stands in the volumes of sites.
+        agent: the agent that stands in the volumes of sites.
     """
     lattice = columns.lattice
     levels = list[LevelFlags]()
@@ -173,7 +174,7 @@ def gather_flags(
         is_open = ~np.isnan(level.floor) & ~wall_cells & ~is_window
         at_edge = mark_edge(is_empty | is_bank, ALL_SIDES) & is_open
         at_edge &= (flags & TALL) == 0
-        # if all cells at the edge touch
+        # The extent if all cells at the edge are in one diagonal line: the largest that is possible
         max_extent = np.sqrt(2) * np.count_nonzero(at_edge) * lattice.cell_size
         if max_extent <= MIN_OUTDOOR_EDGE:
             under_sky[:] = False
@@ -215,26 +216,27 @@ def _find_scene_ends(scene: Scene, lattice: Lattice) -> Bool:
 
 
 def mark_edge(is_empty: Bool, sides: Bool) -> Bool:
-    """Mark the occupied cells at the outer boundary of a scene.
+    """Mark the cells that are not empty at the outer boundary of a scene.
 
     Args:
-        is_empty: cells with nothing, shape (height, width).
-        sides: of the lattice beyond which there is nothing, [[upper, lower], [left, right]].
+        is_empty: the empty cells, shape (height, width).
+        sides: the sides of the lattice beyond which there is nothing, [[upper, lower], [left,
+            right]].
 
     Returns:
-        A mask of the cells that are not empty and lie at one of these sides, or beside empty cells
-        that are connected to one, shape (height, width).
+        A mask of the cells that are not empty, and are at such a side or next to empty cells that
+        are connected to such a side, shape (height, width).
     """
     padded = np.pad(is_empty, 1)
     padded[[0, -1]] |= sides[0][:, None]
     padded[:, [0, -1]] |= sides[1]
     component, _ = label_components_2d(padded)
     outer = np.unique(np.concatenate([component[[0, -1]].ravel(), component[:, [0, -1]].ravel()]))
-    beyond = np.isin(component, outer[outer > 0])
-    beside_rows = beyond[:-2, 1:-1] | beyond[2:, 1:-1]
-    beside_cols = beyond[1:-1, :-2] | beyond[1:-1, 2:]
-    edge: Bool = beside_rows | beside_cols
-    return edge & ~beyond[1:-1, 1:-1]
+    is_outside = np.isin(component, outer[outer > 0])
+    is_next_in_col = is_outside[:-2, 1:-1] | is_outside[2:, 1:-1]
+    is_next_in_row = is_outside[1:-1, :-2] | is_outside[1:-1, 2:]
+    is_edge: Bool = is_next_in_col | is_next_in_row
+    return is_edge & ~is_outside[1:-1, 1:-1]
 
 
 # ---------------------------------------------------------------- rooms that are marked
@@ -247,14 +249,17 @@ def mark_rooms(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> dict[str, MarkedRooms]:
-    """Find the rooms that geoms, sites and polygons mark in a scene, by source.
+    """Find the rooms that geoms, sites and polygons mark in a scene.
 
     Args:
-        scene: whose geoms and sites mark rooms.
-        columns: of what stands.
+        scene: the scene, whose geoms and sites may mark rooms.
+        columns: the vertical columns of the structure.
         levels: the floors of all levels.
         settings: which sources there are, and their patterns and polygons.
-        agent: who stands in the volumes of sites.
+        agent: the agent that stands in the volumes of sites.
+
+    Returns:
+        Source -> the rooms that it marks.
     """
     marks = {}
     if "geoms" in settings.sources:
@@ -267,10 +272,10 @@ def mark_rooms(
 
 
 def find_markers(model: mujoco.MjModel, settings: RoomSettings) -> tuple[list[int], list[int]]:
-    """Find the geoms and the sites of fixed bodies whose names mark rooms.
+    """Find the geoms and sites whose names match the patterns of rooms.
 
     Args:
-        model: whose names are compared with the patterns.
+        model: the model.
         settings: which sources there are, and their patterns.
 
     Returns:
@@ -292,18 +297,18 @@ def _mark_by_geoms(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room of the matching geom that is its floor.
+    """Give each cell the room of the geom that is its floor.
 
-    Its surface lies highest from 5 cm below (under a rug) to 5 mm above the floor, and of several
-    the first counts. Furniture may be named like a room: so half of its upper side has to be floor,
-    or lie up to a step under one (a carpet, a podium), which then is `covered`.
+    That is the geom with a matching name whose surface is the highest between 5 cm below the cell's
+    floor (it may be under a rug) and 5 mm above it. Furniture may have such a name, too: so at
+    least half of the geom's upper side has to be floor, or up to a step below a floor (of a carpet
+    or a podium, see `MarkedRooms.covered`).
     """
     num_geoms = scene.model.ngeom
     names = all_names(scene.model).own_geoms
     matching, warnings = _match(names, tuple(settings.geoms), "geoms")
-    # what can move marks no room
-    stands = scene.is_structure_body[scene.model.geom_bodyid]
-    marking = [geom for geom in matching if stands[geom]]
+    is_on_structure = scene.is_structure_body[scene.model.geom_bodyid]  # movables mark no rooms
+    marking = [geom for geom in matching if is_on_structure[geom]]
     labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
     covered = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
     if not marking:
@@ -313,7 +318,7 @@ def _mark_by_geoms(
     surfaces = _find_upward_surfaces(scene, columns, set(marking))
     lowest = -agent.traversable_floor_height - SAME_HEIGHT
     highest = MAX_MARKER_HEIGHT + SAME_HEIGHT
-    # over the floor of each level; NaN where there is none, which compares as False
+    # The heights of surfaces above each level's floor; NaN, which compares as False, without one
     heights = [surfaces.z - level.floor.ravel()[surfaces.cell] for level in levels]
     at_floor = np.any([(height >= lowest) & (height <= highest) for height in heights], axis=0)
     num_surfaces = np.bincount(surfaces.geom, minlength=num_geoms)
@@ -346,9 +351,9 @@ def _mark_by_sites(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room of the first site in whose volume an agent on the cell stands.
+    """Give each cell the room of the first matching site in whose volume an agent would stand.
 
-    A site with less than `rooms.min_area` of floor, on all levels together, is no room.
+    A site that contains less than `rooms.min_area` of floor, on all levels together, is no room.
     """
     names = all_names(scene.model).sites
     matching, warnings = _match(names, tuple(settings.sites), "sites")
@@ -379,10 +384,11 @@ def _mark_by_sites(
 def _mark_standing_in_site(
     site: int, scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], agent: AgentSettings
 ) -> list[Bool]:
-    """Mark the cells of each level on which an agent stands in a site's volume.
+    """Mark the cells of each level on which an agent would stand in a site's volume.
 
-    The cell's line meets the volume over a length, of which at least half, or half of an agent,
-    lies between 5 cm below the floor and the agent's height.
+    The vertical line through the cell's centre is in the volume between two heights. Of this
+    stretch, the part from 5 cm below the floor to the agent's height has to be at least half of
+    the stretch, or half of the agent's height.
     """
     model = scene.model
     kind = model.site_type[[site]].astype(np.int32)  # sites have the types of geoms
@@ -414,7 +420,7 @@ def _mark_standing_in_site(
 def _mark_by_polygons(
     lattice: Lattice, levels: Sequence[LevelFloor], settings: RoomSettings
 ) -> MarkedRooms:
-    """Give each cell the room in whose polygon its centre lies; of several, the first."""
+    """Give each cell the room whose polygon contains the cell's centre; of several, the first."""
     polygons = settings.polygons
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     warnings = []
@@ -445,11 +451,11 @@ def _mark_by_polygons(
 
 
 class _Surfaces(NamedTuple):
-    """Surfaces of geoms in columns, as parallel arrays.
+    """Places where geoms' surfaces meet the vertical lines of cells, as parallel arrays, (n,).
 
     Attributes:
-        cell: the column's cell.
-        z: the height [m].
+        cell: the id of the cell.
+        z: z of the surface on the cell's line [m].
         geom: the geom's id.
     """
 
@@ -459,19 +465,19 @@ class _Surfaces(NamedTuple):
 
 
 def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) -> _Surfaces:
-    """Find the surfaces of geoms that face up; of hulls, those of the meshes that they are of."""
+    """Find the upward surfaces of geoms; for a geom that counts by its hull, those of its mesh."""
     num_geoms = len(scene.geoms)
     in_columns = {geom for geom in geoms if scene.geoms[geom].shape not in ("", "hull")}
     sources: list[tuple[ColumnSource, set[int]]] = [(columns, in_columns)]
-    only_as_meshes = geoms - in_columns
-    if only_as_meshes:
-        choices = [
-            GeomSelection(geom in only_as_meshes, "marks a room", "surface")
+    missing_geoms = geoms - in_columns
+    if missing_geoms:
+        selections = [
+            GeomSelection(geom in missing_geoms, "marks a room", "surface")
             for geom in range(num_geoms)
         ]
-        shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.exact_meshes)
+        shapes, *_ = collect_shapes(scene.model, scene.data, selections, scene.exact_meshes)
         mesh_columns = cast_columns(tile_shapes(shapes, columns.lattice, 0.0))
-        sources.append((mesh_columns, only_as_meshes))
+        sources.append((mesh_columns, missing_geoms))
     cells = list[Int]()
     heights = list[Float]()
     geom_ids = list[Int32]()
@@ -487,26 +493,38 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
     return _Surfaces(np.concatenate(cells), np.concatenate(heights), np.concatenate(geom_ids))
 
 
-def _find_highest(surfaces: _Surfaces, marks: Bool, num_cells: int, no_geom: int) -> Int32:
-    """Find the geom of the highest surface in each cell that marks a room; of several the first.
+def _find_highest(surfaces: _Surfaces, is_considered: Bool, num_cells: int, no_geom: int) -> Int32:
+    """Find the geom whose surface is the highest in each cell; of several, the first geom.
+
+    Args:
+        surfaces: n surfaces.
+        is_considered: which of the surfaces are compared, (n,).
+        num_cells: the number of cells.
+        no_geom: the id that cells without a surface get.
 
     Returns:
-        The geom of each cell, `no_geom` for none, shape (num_cells,).
+        The geom of each cell, shape (num_cells,).
     """
     cell = surfaces.cell
     highest = np.full(num_cells, -np.inf)
-    np.maximum.at(highest, cell[marks], surfaces.z[marks])
-    is_highest = marks & (surfaces.z >= highest[cell] - SAME_HEIGHT)
+    np.maximum.at(highest, cell[is_considered], surfaces.z[is_considered])
+    is_highest = is_considered & (surfaces.z >= highest[cell] - SAME_HEIGHT)
     first_geom = np.full(num_cells, no_geom, dtype=np.int32)
     np.minimum.at(first_geom, cell[is_highest], surfaces.geom[is_highest])
     return first_geom
 
 
-@lru_cache(maxsize=8)  # each update calls it
+@lru_cache(maxsize=8)  # every update calls it with the same arguments
 def _match(
     names: tuple[str, ...], patterns: tuple[str, ...], setting: str
 ) -> tuple[list[int], list[str]]:
-    """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
+    """Return the ids of the names that match a pattern, and warnings of unused patterns.
+
+    Args:
+        names: names, in the order of ids.
+        patterns: the patterns.
+        setting: the key of the setting in `rooms`; there is no warning of its default patterns.
+    """
     matching = set[int]()
     warnings = list[str]()
     for pattern in patterns:

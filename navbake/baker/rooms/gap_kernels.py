@@ -1,13 +1,11 @@
-"""Kernels of rooms: gaps between walls, sills between walls, and distances to walls.
+"""Kernels that find gaps and sills between walls, and measure spaces behind gaps and distances.
 
-A direction is scanned along digital lines, which shear the lattice: cell (row, col) lies on line
-``row - shift[col]``, so that the cells of a line are connected over edges and corners. Directions
-are at most 45° from the rows; steeper ones scan the lattice with its axes swapped. Lines run from
-column to column, so lengths along them are counted in columns; the rows above a line have lower
-numbers.
+A scan in a direction follows lines of cells: cell (row, col) is on line ``row - shift[col]``, and
+the cells of a line are connected by edges or corners. A direction is at most 45° from the rows; for
+a steeper one, rows and columns of the lattice are swapped. A line has one cell in each column, so
+lengths along it are counted in columns. "Above" means lower row numbers.
 
-`mark_gaps` finds gaps, `measure_gaps` measures the spaces behind them, `mark_sills` finds sills,
-`sweep_distances` distances; `gaps.py` and `walls.py` call them.
+`gaps.py` calls `mark_gaps` and `measure_gaps`; `walls.py` calls `mark_sills` and `sweep_distances`.
 """
 
 from typing import NamedTuple
@@ -19,16 +17,16 @@ from navbake.baker.rooms.gap_limits import (
     DECIDING_CELLS,
     DECIDING_SHARES,
     JAMB_JITTER,
-    LINE_REACH,
+    MAX_LINE_EXTENSION,
     MAX_WALL_DISTANCE,
 )
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
 Marks = NDArray[np.uint8]
-"""What `mark_gaps` makes of each cell: 0, `ONE_SIDED` or `DOORWAY`."""
+"""The mark of each cell: 0 for none, `ONE_SIDED` or `DOORWAY`."""
 
-# A line beside which the space widens on one side, and one in a doorway: it widens on both sides
+# Marks: the space widens on one side of the line; or the line is in a doorway, which widens on both
 ONE_SIDED = 1
 DOORWAY = 2
 
@@ -39,22 +37,23 @@ LAST_END = 1
 ABOVE = 0
 BELOW = 1
 
-# Bits of a cell on a line: the cell above it, the cell itself, and the one below (0 to 2) end a
-# chain of low cells within a cell of the line; this bit: the cell ends one that is exactly on it
+# Bits of a cell on a line. Bits 0, 1 and 2: a chain of low cells that stays within one cell of the
+# line ends in the cell above it, in it, or below it. This bit: a chain exactly on the line ends
+# here
 EXACT_CHAIN = 8
-# For the cell above, on and below the line: the bits of the next column's cells that touch it
+# For the cell above, on and below the line: the bits of the cells in the next column that touch it
 TOUCHING_BITS = 0b011, 0b111, 0b110
 
 
 class GapLimits(NamedTuple):
-    """Which lines `mark_gaps` marks, with lengths in columns and rows of a scan.
+    """The limits for lines that `mark_gaps` marks.
 
     Attributes:
         max_width: the longest run that can be a gap [columns].
-        widening_factor: by which the space beside a gap is wider than the gap, > 1.
-        min_widening: by how much it is wider at least [columns].
-        max_thickness: how many rows a doorway has at most [rows].
-        only_doorways: whether only gaps beside which the space widens on both sides are marked.
+        widening_factor: the least factor by which the space beside a gap is wider, > 1.
+        min_widening: the least length by which it is wider [columns].
+        max_thickness: the most rows of a doorway [rows].
+        only_doorways: whether gaps are only marked if the space widens on both sides.
     """
 
     max_width: int
@@ -67,16 +66,16 @@ class GapLimits(NamedTuple):
 class Gaps(NamedTuple):
     """The gaps of one scan direction, as parallel arrays of n gaps.
 
-    A gap is a strip of marked cells that goes on from column to column, between two spaces.
+    A gap is a strip of marked cells between two spaces, from column to column.
 
     Attributes:
-        first_col: the column that it begins in, shape (n,), int64.
-        last_col: the column that it ends in.
-        top_row: its first marked row in these two columns, shape (n, 2), int64.
-        bottom_row: its last marked row in these two columns.
-        label_above: the label of the space above it, shape (n,), int64.
-        label_below: the label of the space below it.
-        is_doorway: whether it has lines of a doorway, shape (n,).
+        first_col: the gap's first column, shape (n,), int64.
+        last_col: the gap's last column.
+        top_row: the first marked row in the first and in the last column, shape (n, 2), int64.
+        bottom_row: the last marked row in these two columns.
+        label_above: the label of the space above the gap, shape (n,), int64.
+        label_below: the label of the space below the gap.
+        is_doorway: whether a cell of the gap is marked `DOORWAY`, shape (n,).
     """
 
     first_col: Int
@@ -92,12 +91,12 @@ class Scan(NamedTuple):
     """A lattice as it is scanned in a direction, shape (rows, cols).
 
     Attributes:
-        label: the space of each cell before any spaces were joined, 0 for none.
-        is_open: cells that a line can run through.
-        shift: the row of a line in each column less that in the first, shape (cols,).
-        depths: at which distances behind gaps spaces are measured, shape (depths,) [rows].
-        leans: by how many columns a line at right angles to the direction shifts over each of these
-            distances on its way up, shape (depths,).
+        label: the space of each cell before spaces are joined, 0 for none.
+        is_open: cells that a line can pass through.
+        shift: for each column, how many rows lower a line is than in the first one, shape (cols,).
+        depths: the distances behind gaps at which spaces are measured, shape (depths,) [rows].
+        leans: for each depth, how many columns to the right a perpendicular of the direction gets
+            as it goes up by that depth, shape (depths,).
     """
 
     label: Int32
@@ -108,13 +107,14 @@ class Scan(NamedTuple):
 
 
 class GapWalls(NamedTuple):
-    """How far walls are from the cells where gaps and lines end, in a scan direction [columns].
+    """Distances along a scan direction from the last cells of gaps and lines to walls [columns].
 
     Attributes:
-        beside: from the centres of gaps' first and last cells to the walls there, shape (gaps, 2).
-        max_distance: how far from an opening's last cell a wall may be, shape (gaps,).
-        coded_distance: by cell and end, what `WallRays.measure` returns: the distance to the wall
-            plus 1, inf for no wall, 0 where no ray was cast yet; shape (cells, 2).
+        beside: from the centres of each gap's first and last cell to the walls, shape (gaps, 2).
+        max_distance: the largest distance of a wall from an opening's last cell, shape (gaps,).
+        coded_distance: for each cell, backward and forward along the direction: the distance to the
+            wall plus 1; inf if there is no wall; 0 if no ray was cast yet; shape (cells, 2). See
+            `WallRays.measure`.
     """
 
     beside: Float
@@ -123,17 +123,18 @@ class GapWalls(NamedTuple):
 
 
 class GapLines(NamedTuple):
-    """Lines behind gaps, by gap, side and depth; all is -1 where a gap separates nothing.
+    """The lines that measure spaces behind gaps: one for each gap, side and depth.
+
+    All values are -1 if the gap doesn't separate two spaces.
 
     Attributes:
-        length: how long the line is, the gap's columns included, shape (gaps, 2, depths), int64
-            [columns].
-        opening_width: how much of it, before the gap (0) and after it (1), lies behind further
-            openings to the same space, shape (gaps, 2, depths, 2), int64 [columns].
-        wall_cell: the line's last cells at both ends, -1 where it ends at no wall, shape (gaps, 2,
-            depths, 2), int64.
-        opening_cell: the last cells of these openings at both ends, -1 where there are none, or
-            where the line ends at no wall; shape (gaps, 2, depths, 2), int64.
+        length: the line's length, with the gap's columns, shape (gaps, 2, depths), int64 [columns].
+        opening_width: the length of the line, before (0) and after (1) the gap, that is behind
+            further openings to the same space, shape (gaps, 2, depths, 2), int64 [columns].
+        wall_cell: the ids of the line's last cells at both ends, -1 if it ends at no wall, shape
+            (gaps, 2, depths, 2), int64.
+        opening_cell: the ids of the last cells of those openings at both ends, -1 if there are
+            none, or the line ends at no wall; shape (gaps, 2, depths, 2), int64.
     """
 
     length: Int
@@ -147,10 +148,10 @@ class LineBehindGap(NamedTuple):
 
     Attributes:
         gap: the number of the gap.
-        side: of the gap, `ABOVE` or `BELOW`.
-        depth: how far behind the gap it is [rows].
-        lean: by how many columns a line at right angles shifts over that distance on its way up.
-        space: the space on its side of the gap.
+        side: the side of the gap that the line is on, `ABOVE` or `BELOW`.
+        depth: the line's distance from the gap [rows].
+        lean: see `Scan.leans`, for this depth [columns].
+        space: the space on the line's side of the gap.
         opposite_space: the space on the gap's other side.
     """
 
@@ -166,16 +167,16 @@ class LineEnd(NamedTuple):
     """How far a line behind a gap runs beyond one end of the gap.
 
     Attributes:
-        reached: how far it runs in its space [columns].
-        openings: how many columns up to where the walk ended lie behind further openings.
-        passed_openings: how many of them lie behind the part that was reached.
-        last_cell: its last cell, -1 if it does not end at a wall.
-        opening_cell: the last cell of the openings, in the line of the gap; -1 without any.
+        length: how far the line runs in its space [columns].
+        num_openings: the number of columns behind further openings, up to where the walk ended.
+        num_passed_openings: the number of these within `length`.
+        last_cell: the id of the line's last cell, -1 if it does not end at a wall.
+        opening_cell: the id of the last cell of the openings, in the line of the gap; -1 for none.
     """
 
-    reached: int
-    openings: int
-    passed_openings: int
+    length: int
+    num_openings: int
+    num_passed_openings: int
     last_cell: np.int64
     opening_cell: np.int64
 
@@ -185,19 +186,19 @@ class LineEnd(NamedTuple):
 
 @kernel(nogil=True)
 def mark_gaps(is_open, shift, is_near_wall, limits, marks):
-    """Mark the lines of gaps: runs of few open cells beside runs of many more.
+    """Mark the lines of gaps: short runs of open cells next to much longer runs.
 
-    A doorway is a stack of such runs that widens at its top and at its bottom; all of its lines are
-    marked `DOORWAY` from end to end. Of a gap that widens on one side, only the cells beside the
-    wider run are marked `ONE_SIDED`, unless `limits` want doorways only.
+    A doorway is a stack of such runs with longer runs above and below it: all of its cells are
+    marked `DOORWAY`. If there is a longer run on one side only, the cells next to it are marked
+    `ONE_SIDED`, unless `limits.only_doorways`.
 
     Args:
-        is_open: shape (rows, cols), bool.
+        is_open: the open cells, shape (rows, cols), bool.
         shift: see `Scan`.
         is_near_wall: cells near a wall that runs along the line, bool; a run without such a cell is
-            no gap. Changed: if a cell of a run is marked, all cells of the run get marked.
+            no gap. Changed: if one cell of a run is marked, all cells of the run are marked.
         limits: a `GapLimits`.
-        marks: receives the marks, shape (rows, cols), uint8.
+        marks: receives the `Marks`, shape (rows, cols).
     """
     run = measure_runs(is_open, shift, is_near_wall)
     rows, cols = run.shape
@@ -222,13 +223,13 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
 def measure_runs(is_open, shift, marked):
     """Measure the length of the run of open cells that each cell belongs to, along the scan lines.
 
-    The first pass counts the cells of each run up to each column, the second one copies its length
-    back from its last cell to all others.
+    The first pass counts the cells of a run up to each column; the second pass copies the count of
+    the run's last cell to all its cells.
 
     Args:
-        is_open: shape (rows, cols), bool.
+        is_open: the open cells, shape (rows, cols), bool.
         shift: see `Scan`.
-        marked: bool; where one cell of a run is marked, all of the run is marked.
+        marked: any mask, bool. Changed: if one cell of a run is marked, all its cells are marked.
 
     Returns:
         The length of each cell's run, 0 for closed cells, shape (rows, cols), int32 [columns].
@@ -262,7 +263,7 @@ def measure_runs(is_open, shift, marked):
 
 @subkernel(**NO_REFCOUNT)
 def _min_longer_run(width, limits):
-    """The length from which on a run is much longer than one of a width [columns]."""
+    """Return the least length of a run that is much longer than one of length `width` [columns]."""
     return max(limits.widening_factor * width, width + limits.min_widening)
 
 
@@ -270,7 +271,7 @@ def _min_longer_run(width, limits):
 def _find_doorway_end(run, first_row, col, limits):
     """Return the row after a doorway's last row, or `first_row` if no doorway begins there.
 
-    The doorway ends where the space widens again, a wall's thickness away at most.
+    A doorway ends where the runs get much longer again, at most a wall's thickness away.
     """
     rows = run.shape[0]
     width = run[first_row, col]
@@ -278,7 +279,7 @@ def _find_doorway_end(run, first_row, col, limits):
         row_width = run[row, col]
         if row_width == 0 or row_width > limits.max_width:
             break
-        # a run that is clearly narrower than the first one ends it, too: the doorway begins there
+        # If a run is clearly shorter than the first one, the doorway begins only there.
         least = row_width + limits.min_widening + JAMB_JITTER
         if max(limits.widening_factor * row_width, least) < width:
             break
@@ -289,7 +290,7 @@ def _find_doorway_end(run, first_row, col, limits):
 
 @subkernel
 def _mark_doorway(run, shift, row, col, marks):
-    """Mark all cells of a cell's run as a doorway's."""
+    """Mark all cells of the run that a cell belongs to as `DOORWAY`."""
     marks[row, col] = DOORWAY
     for step in (-1, 1):
         last_row = row
@@ -312,31 +313,31 @@ def _mark_doorway(run, shift, row, col, marks):
 
 @kernel
 def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
-    """Measure the share that each gap has of the widths of the spaces on both sides.
+    """Measure the shares of gaps: a gap's width, divided by that of the space on either side.
 
-    On each side a space is measured along lines parallel to the gap, at each of the scan's depths.
-    A line runs as far as the space reaches, but beyond the gap's ends at most `LINE_REACH` times
-    its width. Further openings in the gap's line to the same space count as the gap's width, so
-    that a row of pillars separates nothing. A space that ends before the first depth is measured
-    where it ends.
+    A space is measured along lines parallel to the gap, at each of the scan's depths. A line ends
+    where the space ends, or `MAX_LINE_EXTENSION` gap widths from the gap's ends. Further openings
+    in line with the gap, between the same two spaces, are added to the gap's width; this way, a row
+    of pillars separates nothing. A space that ends before the first depth is measured at its end.
 
-    Gaps are measured up to the walls at their ends; lines in columns, or up to walls where at most
-    `DECIDING_CELLS` cells keep the least share from one of the `DECIDING_SHARES`.
+    The width of a gap is measured up to the walls at its ends. A line's length is counted in
+    columns; it is also measured up to the walls if an error of `DECIDING_CELLS` cells could bring
+    the least share to the other side of one of the `DECIDING_SHARES`.
 
     Args:
         scan: a `Scan`.
         gaps: all `Gaps` of the scan.
-        chosen_gaps: the numbers of those that are measured, shape (n,), int64.
-        space_of: by label, the space that it is part of by now, int32.
+        chosen_gaps: the numbers of the gaps to measure, shape (n,), int64.
+        space_of: label -> the space that it belongs to after the joins so far, int32.
         walls: a `GapWalls`.
 
     Returns:
         The lines that were measured, a `GapLines` of n gaps.
-        By gap and side, the least share that the gap has of a line's length, shape (n, 2), float64;
-        1 on both sides where both are one space.
-        By gap, whether its shares need rays to walls that were not cast yet, shape (n,), bool.
-        Pairs of a gap and a further space that its lines met; the gap has to be measured again only
-        if such a space is joined to a space of the gap.
+        For each gap, its least share on either side, shape (n, 2), float64; 1 on both sides if both
+        are one space.
+        For each gap, whether it needs rays to walls that were not cast yet, shape (n,), bool.
+        Pairs (gap, space): other spaces that a gap's lines met. The gap has to be measured again
+        only if such a space is joined to one of the gap's own.
     """
     num = len(chosen_gaps)
     num_depths = len(scan.depths)
@@ -406,10 +407,9 @@ def measure_gaps(scan, gaps, chosen_gaps, space_of, walls):
 
 @subkernel(**NO_REFCOUNT)
 def _limit_depth(scan, gaps, gap, side, number):
-    """Return the depth and the lean of one of a gap's lines, limited so that it is in the space.
+    """Return the depth and the lean of one of a gap's lines.
 
-    A space that ends before the first depth, as seen from the middle of the gap, is measured where
-    it ends.
+    The first depth is reduced if the space, seen from the middle of the gap, ends before it.
     """
     depth = scan.depths[number]
     lean = scan.leans[number]
@@ -437,7 +437,10 @@ def _limit_depth(scan, gaps, gap, side, number):
 
 @subkernel(**NO_REFCOUNT)
 def _distance_to_wall(coded_distance, cell, end, max_distance):
-    """The distance of a cell's centre from the wall; half a column without a cell or near wall."""
+    """Return the distance of a cell's centre from the wall [columns].
+
+    It is half a column if there is no cell (-1), no wall, or none within `max_distance`.
+    """
     if cell < 0 or not 1.0 <= coded_distance[cell, end] <= max_distance + 1.0:
         return 0.5
     return coded_distance[cell, end] - 1.0
@@ -445,22 +448,23 @@ def _distance_to_wall(coded_distance, cell, end, max_distance):
 
 @subkernel
 def _measure_line(scan, gaps, line, space_of, met_spaces, lines, entry, number):
-    """Measure a `LineBehindGap` into an entry of `lines`; list the further spaces that it meets.
+    """Measure a `LineBehindGap`, and write the results to an entry of `lines` and to `met_spaces`.
 
-    How far a line may run depends on how wide the opening is that this gap is a part of: so the
-    openings next to the gap are counted first.
+    A line may be longer if the gap is part of a wider opening; so the openings next to the gap are
+    counted first.
     """
     gap_width = gaps.last_col[line.gap] - gaps.first_col[line.gap] + 1
     opening_width = gap_width
     for end in range(2):
-        opening_width += _walk_line(scan, gaps, line, end, 0, True, space_of, met_spaces).openings
+        walk = _walk_line(scan, gaps, line, end, 0, True, space_of, met_spaces)
+        opening_width += walk.num_openings
     length = gap_width
     for end in range(2):
         walk = _walk_line(scan, gaps, line, end, opening_width, False, space_of, met_spaces)
-        length += walk.reached
-        lines.opening_width[entry, line.side, number, end] = walk.passed_openings
+        length += walk.length
+        lines.opening_width[entry, line.side, number, end] = walk.num_passed_openings
         lines.wall_cell[entry, line.side, number, end] = walk.last_cell
-        if walk.passed_openings > 0 and walk.last_cell >= 0:
+        if walk.num_passed_openings > 0 and walk.last_cell >= 0:
             lines.opening_cell[entry, line.side, number, end] = walk.opening_cell
         else:
             lines.opening_cell[entry, line.side, number, end] = -1
@@ -472,13 +476,14 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
     """Walk along a line from one end of its gap away from it, and return a `LineEnd`.
 
     Args:
-        scan, gaps: as for `measure_gaps`.
+        scan, gaps: see `measure_gaps`.
         line: a `LineBehindGap`.
-        end: `FIRST_END` or `LAST_END`.
-        opening_width: how wide the opening is that the gap is a part of, which limits the walk.
+        end: the end of the gap, `FIRST_END` or `LAST_END`.
+        opening_width: the width of the opening that the gap is part of, which limits the walk
+            [columns].
         only_openings: whether the walk ends where the openings next to the gap end.
-        space_of: as for `measure_gaps`.
-        met_spaces: receives the further spaces that the line meets.
+        space_of: see `measure_gaps`.
+        met_spaces: receives (gap, space) for each other space that the line meets.
     """
     rows, cols = scan.label.shape
     shift = scan.shift
@@ -497,9 +502,9 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         line_start = bottom + line.depth
         mirror_start = top - line.depth
         lean = -line.lean
-    reached = 0
-    openings = 0
-    passed_openings = 0
+    length = 0
+    num_openings = 0
+    num_passed_openings = 0
     last_cell = np.int64(-1)
     opening_cell = np.int64(-1)
     for num_steps in range(cols):
@@ -507,7 +512,7 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
         line_col = gap_col + lean
         mirror_col = gap_col - lean
         is_too_far = not only_openings and (
-            num_steps > LINE_REACH * max(opening_width, gap_width + openings)
+            num_steps > MAX_LINE_EXTENSION * max(opening_width, gap_width + num_openings)
         )
         if is_too_far or not 0 <= line_col < cols:
             last_cell = np.int64(-1)
@@ -517,8 +522,8 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
             if num_steps == 0:
                 continue  # there is wall beside the gap's end
             if last_cell >= 0:
-                reached = num_steps - 1
-                passed_openings = openings
+                length = num_steps - 1
+                num_passed_openings = num_openings
             break
         space = np.int64(space_of[scan.label[line_row, line_col]])
         last_cell = line_row * cols + line_col
@@ -538,19 +543,19 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
                 opposite = np.int64(space_of[scan.label[mirror_row, mirror_col]])
             # another gap that ends here has no label: the line goes on beyond it
             if opposite == line.opposite_space or opposite == 0:
-                openings += 1
+                num_openings += 1
                 opening_cell = ((top + bottom) // 2 + row_shift) * cols + gap_col
             elif opposite > 0:
                 _record_met_space(met_spaces, line.gap, opposite)
         if space > 0:
-            reached = num_steps
-            passed_openings = openings
-        if only_openings and openings < num_steps:
+            length = num_steps
+            num_passed_openings = num_openings
+        if only_openings and num_openings < num_steps:
             break
     return LineEnd(
-        reached=reached,
-        openings=openings,
-        passed_openings=passed_openings,
+        length=length,
+        num_openings=num_openings,
+        num_passed_openings=num_passed_openings,
         last_cell=last_cell,
         opening_cell=opening_cell,
     )
@@ -558,9 +563,9 @@ def _walk_line(scan, gaps, line, end, opening_width, only_openings, space_of, me
 
 @subkernel(**NO_REFCOUNT)
 def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
-    """Return whether a column is open over a gap's rows, and so is a mirrored cell.
+    """Return whether a column is open in all rows of a gap, and the mirrored cell is open, too.
 
-    All rows count: a single one may miss a thin wall at an angle.
+    All rows are tested, because a thin oblique wall may be in any of them.
     """
     rows = is_open.shape[0]
     if top < 0 or bottom >= rows or not 0 <= mirror_row < rows:
@@ -573,7 +578,7 @@ def _is_passage(is_open, gap_col, top, bottom, mirror_row, mirror_col):
 
 @subkernel
 def _record_met_space(met_spaces, gap, space):
-    """Record once that lines of a gap met a space."""
+    """Append (gap, space) to `met_spaces` unless it is there; the gap's pairs are the last ones."""
     for n in range(len(met_spaces) - 1, 0, -1):
         if met_spaces[n][0] != gap:
             break
@@ -587,18 +592,18 @@ def _record_met_space(met_spaces, gap, space):
 
 @kernel(nogil=True)
 def mark_sills(is_low, is_wall, shift, is_sill):
-    """Mark the sills along lines: chains of low cells that lead from a wall to a second wall.
+    """Mark sills: chains of low cells along lines, from one wall to another wall.
 
-    A chain follows its line exactly, or within a cell where no wall is beside it and the line
-    itself meets the walls at its ends. So chains follow thin sills that alternate between two lines
-    of cells, but not furniture along a wall. A scan from each end finds the chains that begin at a
-    wall there; cells of both are sills.
+    A chain is exactly on its line; or it stays within one cell of the line, if no wall is beside it
+    and the line itself meets walls at both ends. So chains follow thin sills that alternate between
+    two lines of cells, but not furniture along a wall. One scan finds chains that begin at a wall
+    on the left, another one those that begin at a wall on the right; cells of both are sills.
 
     Args:
-        is_low: cells that are blocked below heads only, shape (rows, cols), bool.
-        is_wall: cells of walls.
+        is_low: cells that are only blocked below an agent's head, shape (rows, cols), bool.
+        is_wall: cells of walls, shape (rows, cols), bool.
         shift: see `Scan`.
-        is_sill: receives the sills' cells, bool.
+        is_sill: receives the cells of sills, shape (rows, cols), bool.
     """
     rows, cols = is_low.shape
     is_low = is_low.T
@@ -638,9 +643,15 @@ def mark_sills(is_low, is_wall, shift, is_sill):
 
 @subkernel(**NO_REFCOUNT)
 def _extend_chains(is_low, is_wall, to_next, is_next_wall, next_chains, chains):
-    """Extend chains of low cells from the next column of the lines, `to_next` rows down, into one.
+    """Extend chains of low cells from a neighbouring column into a column.
 
-    `chains` receives the bits of the chains that end in each cell of the column, see `EXACT_CHAIN`.
+    Args:
+        is_low: the column's low cells.
+        is_wall: the column's cells of walls.
+        to_next: how many rows lower the lines are in the neighbouring column.
+        is_next_wall: the neighbouring column's cells of walls.
+        next_chains: its bits, see `EXACT_CHAIN`.
+        chains: receives the bits of the column.
     """
     rows = is_low.shape[0]
     for row in range(max(0, -to_next), min(rows, rows - to_next)):
@@ -664,19 +675,20 @@ def _extend_chains(is_low, is_wall, to_next, is_next_wall, next_chains, chains):
 
 @kernel(nogil=True)
 def sweep_distances(target, reach, along, squared, first, end):
-    """Compute squared distances to a target, in two calls: along columns, then along rows.
+    """Compute squared distances to target cells, in two calls: along columns, then along rows.
 
-    Squared Euclidean distances separate by axis (Saito and Toriwaki, 1994). Only those up to a
-    reach matter: the lowest of all parabolas within it is found by comparing all, which vectorizes.
+    A squared Euclidean distance is the sum of two squares, one per axis (Saito and Toriwaki, 1994).
+    In the second call, all columns within `reach` are compared, which the compiler vectorizes.
 
     Args:
-        target: mask of the target cells, bool.
-        reach: the largest distance that is measured; larger ones are written as ``reach + 1``.
-        along: receives distances within the columns ``range(first, end)``, int16.
-        squared: receives squared distances in the rows ``range(first, end)``, from those in the
-            columns, int32; empty for the first call.
-        first: the first column, or in the second call the first row.
-        end: the one past the last.
+        target: the target cells, bool.
+        reach: the largest distance that is measured; larger ones become ``reach + 1`` [cells].
+        along: distances to the target within a column, int16. The first call writes the columns
+            ``range(first, end)``; the second call reads all.
+        squared: receives the squared distances of the rows ``range(first, end)``, int32; empty in
+            the first call.
+        first: the first column; in the second call, the first row.
+        end: the last column or row, plus 1.
     """
     if squared.shape[0] == 0:
         _sweep_columns(target[:, first:end], np.int16(reach + 1), along[:, first:end])
@@ -686,7 +698,7 @@ def sweep_distances(target, reach, along, squared, first, end):
 
 @subkernel
 def _sweep_columns(target, beyond, along):
-    """Count the cells to the nearest target above or below each cell, up to `beyond`."""
+    """Write the distance to the nearest target above or below each cell, at most `beyond`."""
     rows, cols = target.shape  # of some columns: loops from 0 vectorize
     for col in range(cols):
         along[0, col] = 0 if target[0, col] else beyond
@@ -701,7 +713,7 @@ def _sweep_columns(target, beyond, along):
 
 @subkernel
 def _sweep_rows(along, reach, squared, first, end):
-    """Find the least sum of squares of a distance within a column and of that to the column."""
+    """Write the least sum of two squares: the distance within a column, and that to the column."""
     cols = along.shape[1]
     beyond = np.int32((reach + 1) ** 2)
     squares = np.empty(cols + 2 * reach, np.int32)

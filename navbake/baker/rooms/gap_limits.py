@@ -1,73 +1,72 @@
-"""The limits by which gaps are found, measured and joined, in one table with units and reasons.
+"""The limits for finding and measuring gaps and for joining spaces, with units and reasons.
 
-`gaps.py` explains the terms. The values were chosen on plans 0 to 99 of `scripts/bench_rooms.py`.
+`gaps.py` explains the terms. The values were tuned on plans 0 to 99 of `scripts/bench_rooms.py`.
 This module imports nothing.
 """
 
 # ------------------------------------------------------------ finding: which lines can be gaps
 
-# The widest gap that separates two rooms, unless the width of doors is given: wider ones lead from
-# one part of a room to another [m]
+# The widest gap that separates two rooms, unless `rooms.door_width` is set: a wider one connects
+# two parts of one room [m]
 MAX_GAP_WIDTH = 2.5
-# The widest mouth of a long passage that is a room of its own, unless doors' width is given [m]
+# A long passage is a room of its own if its mouth is at most this wide, unless `rooms.door_width`
+# is set [m]
 MAX_PASSAGE_WIDTH = 3.2
-# The widest opening of a wall that is marked. One that is wider than MAX_GAP_WIDTH separates no
-# rooms, but another wall that stops short of it is continued up to its line [m]
+# The widest opening in a wall that is marked. One that is wider than MAX_GAP_WIDTH separates no
+# rooms; but gaps at other walls end at its marked line [m]
 MAX_OPENING_WIDTH = 4.0
-# The space beside a gap is wider than the gap by this factor, and by at least this much, as walls
-# that waver in the lattice widen it by a cell or two [m]
+# The space beside a gap is wider than the gap by at least this factor, and by at least this length:
+# the cells of an oblique wall are uneven by one or two cells [m]
 WIDENING_FACTOR = 1.15
 MIN_WIDENING = 0.2
-# Walls are at most this thick at a doorway: its two ends are no further apart [m]
+# The largest thickness of a wall at a doorway [m]
 MAX_WALL_THICKNESS = 0.6
-# The lines of one doorway differ in length by up to this, as its jambs waver in the lattice
-# [columns]
+# The lines across one doorway differ in length by at most this: the cells of oblique jambs are
+# uneven [columns]
 JAMB_JITTER = 2.0
-# A gap goes on in the next column if its middle lies on a line at most this far away [lines]
+# A gap continues in the next column if its middle there is at most this far from its line [lines]
 MAX_LINE_DRIFT = 2
-# A smaller space belongs to the gaps beside it: neighbouring lines of gaps leave single cells
-# between them where walls are at an angle to the lattice [m²]
+# A smaller space becomes part of the gaps around it: parallel lines of gaps at oblique walls leave
+# single cells between them [m²]
 MIN_SPACE_AREA = 0.1
 
 # ------------------------------------------------------------ measuring: how wide the spaces are
 
-# A space is measured at these distances behind the gap, and the widest line counts: beyond the
-# casing of a doorway, and before the next wall [m]
+# The width of a space is measured at these distances behind the gap, and the largest width counts:
+# behind a doorway's frame, and before the next wall [m]
 MEASURING_DEPTHS = (0.1, 0.25, 0.45)
-# How far a line runs beyond each end of the gap: what is further away makes the gap no narrower in
-# comparison [widths of the gap]
-LINE_REACH = 2
-# Walls farther from the centres of lines' end cells are ignored: the line ends at something that is
-# no wall. Where a line ends at none, it ends half a column from there [columns]
+# The longest measured line beyond each end of the gap [widths of the gap]
+MAX_LINE_EXTENSION = 2
+# A wall that is farther from the centre of a line's last cell is ignored: the line ends at
+# something else, half a column from that centre [columns]
 MAX_WALL_DISTANCE = 4.0
-# The same of the end cells of doorways, whose jambs lean in the lattice where they are at an angle
-# to it; the greater of the two counts [m]
+# The same limit for the last cells of doorways, if it is larger: their jambs may be oblique [m]
 MAX_JAMB_DISTANCE = 0.6
 
 # ------------------------------------------------------------ joining: which spaces are one
 
-# Two spaces are one where the gap between them takes at least this share of the width of the wider
-# one, and so of both; these are joined first
+# A gap's share is its width, divided by that of a space on one side of it. First, two spaces are
+# joined if the gap's share of the wider one (and so of both) is at least this …
 JOIN_SHARE_OF_WIDER = 0.8
-# … or then this share of the width of the narrower one
+# … then, if its share of the narrower one is at least this
 JOIN_SHARE_OF_NARROWER = 0.78
-# But a passage is a space of its own if it is at least this long [widths of the gap] …
+# But a passage is not joined if it is at least this long [widths of the gap] …
 MIN_PASSAGE_LENGTH = 3.0
 # … and the space that it opens into is wider than its mouth by this factor
 PASSAGE_WIDENING = 1.5
-# The shares that decide something
+# All shares with which a gap's share is compared
 DECIDING_SHARES = (JOIN_SHARE_OF_WIDER, JOIN_SHARE_OF_NARROWER, 1 / PASSAGE_WIDENING)
-# Lines are measured up to the walls' geometry at their ends, which is slow, only where this many
-# cells more or less could change what a share decides [cells]
+# Measuring lines exactly, up to the walls' geometry, is slow. It is only done if an error of this
+# many cells could change a decision [cells]
 DECIDING_CELLS = 2.0
-# The width of a gap is compared with limits after this is subtracted, for what rounding adds [m]
+# A tolerance for rounding errors that is subtracted from a gap's width before comparisons [m]
 WIDTH_ROUNDING = 1e-9
 
 # ------------------------------------------------------------ close calls: what a warning names
 
-# A gap was a close call if its share is this near to JOIN_SHARE_OF_NARROWER, …
+# A gap is a close call if its share differs from JOIN_SHARE_OF_NARROWER by at most this, …
 CLOSE_SHARE = 0.04
-# … the gap is at least this wide [m], and both spaces have at least this area [m²]: of smaller ones
-# a user would not miss a room
+# … the gap is at least this wide [m], and both spaces have at least this area [m²]: smaller ones
+# don't matter to users
 MIN_CLOSE_WIDTH = 0.8
 MIN_CLOSE_AREA = 4.0

@@ -1,14 +1,15 @@
-"""Gaps: lines at which a space is much narrower than on both sides, and the spaces between them.
+"""Divides the floor of a level into spaces at gaps, for example at doorways.
 
-How the floor of a level is divided at gaps, by stages:
+A *gap* is a place where the open floor is much narrower than on both sides of it. The steps:
 
-1. `find_directions` (in `walls.py`) finds the directions that walls run in. For each, the lattice
-   is scanned along digital lines, see `gap_kernels.py`; steps 2 and 4 are done once per direction.
-2. `_mark_lines` marks the lines of gaps: short runs of open cells beside much longer ones.
-3. `_label_spaces` labels the *spaces*: connected open cells that no direction has marked.
-4. `_list_gaps` makes a *gap* of marked cells in neighbouring columns between the same two spaces.
-5. `SpaceMerger.measure` measures the *share* that a gap has of the width of both spaces.
-6. `SpaceMerger.join_all` joins spaces whose gap has too large a share, or is too wide for a door.
+1. `find_directions` (in `walls.py`) finds the directions in which walls run. For each, the lattice
+   is scanned along lines of cells, see `gap_kernels.py`; steps 2 and 4 are done per direction.
+2. `_mark_lines` marks the lines of gaps: short runs of open cells next to much longer ones.
+3. `_label_spaces` labels the *spaces*: connected open cells that are not marked.
+4. `_list_gaps` combines marked cells in neighbouring columns between the same two spaces to a gap.
+5. `SpaceMerger.measure` measures a gap's *shares*: its width divided by that of either space.
+6. `SpaceMerger.join_spaces` joins the two spaces of a gap whose share is too large, or which is too
+   wide for a door.
 
 The limits of all steps are in `gap_limits.py`.
 """
@@ -64,8 +65,8 @@ class CloseCall(NamedTuple):
     """A gap whose share is close to the limit between separating two spaces and joining them.
 
     Attributes:
-        cell: row and column of its middle, in fractions of cells.
-        width: how wide it is [m].
+        cell: row and column of the gap's middle, may be fractions.
+        width: the gap's width [m].
         separates: whether the gap separates the two spaces.
     """
 
@@ -93,8 +94,8 @@ class SeparatedSpaces(NamedTuple):
 
     Attributes:
         directions: the gaps of each direction.
-        label: the number of each cell's space, from 1, 0 for none; shape (height, width), int32.
-        num_cells: how many cells each space has, by label, int64; 0 for label 0.
+        label: the number of each cell's space, from 1, or 0 for none; shape (height, width), int32.
+        num_cells: the number of cells with each label, int64; 0 for label 0.
     """
 
     directions: list[DirectionGaps]
@@ -117,13 +118,13 @@ def find_gaps(
 
     Args:
         open_cells: cells with a floor and without a wall, shape (height, width).
-        holes: cells without a floor or a wall. Gaps and lines go over them, but they are in no
-            space.
+        holes: cells with neither floor nor wall. Gaps may go across them, but they are in no space.
         cell_size: the side of a cell, > 0 [m].
         door_width: the widest gap that separates two spaces [m]; None for the limits of
             `gap_limits.py`.
-        rays: to the geometry of walls; without, their directions follow from the cells.
-        closed: cells of closed leaves, which are in no space and no gap; lines end at them.
+        rays: rays to the geometry of walls; None to find the walls' directions from cells.
+        closed: cells of closed door leaves, which are in no space and no gap; lines end at them.
+            None for none.
 
     Returns:
         The gaps and the spaces.
@@ -160,9 +161,9 @@ def _mark_lines(
 ) -> tuple[list[Marks], Bool]:
     """Mark the lines of gaps in each direction.
 
-    Lines of doorways, at which the space widens on both sides, are marked first, and are closed for
-    all others. So a line across a corridor does not go through a door, and a wall that ends at a
-    wide opening is continued up to the opening's line.
+    Lines of doorways, where the space widens on both sides, are marked first. Then they count as
+    closed, so that other lines end at them: a line across a corridor does not go through a door,
+    and a line that continues a wall ends at the line of a wide opening.
 
     Returns:
         The marks of each direction, in its scan order.
@@ -208,9 +209,9 @@ def _mark_lines(
 
 
 def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
-    """Label the connected open cells without a mark, and count their cells.
+    """Label the connected open cells that are not marked, and count the cells of each label.
 
-    Cells of what is smaller than `MIN_SPACE_AREA` are marked instead.
+    Areas smaller than `MIN_SPACE_AREA` get no label; their cells are added to `is_marked`.
     """
     label, count = label_components_2d(open_cells & ~is_marked)
     num_cells = count_cells_by_label(label, count + 1)
@@ -219,13 +220,13 @@ def _label_spaces(open_cells: Bool, is_marked: Bool, cell_size: float) -> tuple[
     if is_space.all():
         return label, num_cells
     is_marked |= open_cells & ~is_space[label]
-    # the spaces that remain keep their order
+    # The remaining spaces keep their order.
     new_label = np.where(is_space, np.cumsum(is_space) - 1, 0).astype(np.int32)
     return new_label[label], np.bincount(new_label, num_cells).astype(np.int64)
 
 
 class _Crossings(NamedTuple):
-    """Where columns of a scan cross marked cells from one space to another, as parallel arrays.
+    """Runs of marked cells in columns of a scan between two different spaces, as parallel arrays.
 
     Attributes:
         col: the column.
@@ -247,13 +248,16 @@ class _Crossings(NamedTuple):
 def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
     """List the gaps of a scan: marked cells in neighbouring columns between the same two spaces.
 
-    `is_marked` are the marked cells of all directions, `marks` those of this one.
+    Args:
+        scan: the lattice as it is scanned in one direction.
+        is_marked: the cells that are marked in any direction, in this scan's order.
+        marks: the marks of this direction.
     """
     crossings = _list_crossings(scan, is_marked, marks)
     previous = _find_previous(crossings, scan)
     goes_on = np.flatnonzero(previous >= 0)
     gap_of = label_components(np.stack([previous[goes_on], goes_on]), len(previous))
-    # by gap, and by column within a gap
+    # Sort by gap, and within a gap by column.
     order = np.argsort(gap_of, kind="stable")
     start = np.flatnonzero(np.diff(gap_of[order], prepend=-1))
     first = order[start]
@@ -270,9 +274,9 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
 
 
 def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
-    """List where columns of the scan lead from a space over marked cells to a second space.
+    """List where a column of a scan has marked cells between two different spaces.
 
-    One of the cells at least is marked in this direction, and a line can run through all of them.
+    At least one of the cells is marked in this direction, and none is closed.
     """
     label = scan.label
     col, top, end, _ = find_row_runs(is_marked.T)
@@ -282,7 +286,7 @@ def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
     is_open = np.logical_and.reduceat(scan.is_open.T[is_marked.T], starts)
     label_above = label[np.maximum(top - 1, 0), col]
     label_below = label[np.minimum(bottom + 1, len(label) - 1), col]
-    # at the lattice's edge that is a marked cell, which has no label
+    # At the lattice's edge, the cell above or below is the marked cell itself, without a label.
     crosses = (label_above > 0) & (label_below > 0) & (label_above != label_below)
     crosses &= (mark > 0) & is_open
     return _Crossings(
@@ -296,13 +300,13 @@ def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
 
 
 def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
-    """Find the crossing of the previous column that each one continues, -1 for none.
+    """Find for each crossing the one in the previous column that it continues; -1 if there is none.
 
-    It lies between the same spaces, and on a near line; of several the first counts.
+    That one is between the same spaces, and on a near line; of several, the first counts.
     """
     num_labels = scan.label.max(initial=0) + 1
     num_cols = scan.label.shape[1]
-    # a key of the two spaces and the column: the next lower key is that of the previous column
+    # A key of the two spaces and the column; the previous column has the key minus 1.
     pair = crossings.label_above * num_labels + crossings.label_below
     key = pair * (num_cols + 1) + crossings.col
     order = np.argsort(key, kind="stable")
@@ -322,14 +326,14 @@ def _find_previous(crossings: _Crossings, scan: Scan) -> Int:
 
 
 class SpaceMerger:
-    """Joins the spaces between gaps, pair by pair.
+    """Joins the spaces on both sides of gaps, pair by pair.
 
-    A gap's shares are measured again only where one of its spaces is joined to one that the gap's
-    lines met.
+    A gap is only measured again if one of its two spaces is joined to a third one that the lines
+    that measured the gap had met.
 
     Attributes:
-        space_of: by label, the space that it is part of by now, int32: the least label of all that
-            were joined.
+        space_of: label -> the space that it belongs to after the joins so far: the least label of
+            all that were joined to it, int32.
     """
 
     def __init__(
@@ -345,19 +349,19 @@ class SpaceMerger:
             separated: the gaps, and the spaces that they separate.
             cell_size: the side of a cell, > 0 [m].
             door_width: the widest gap that separates two spaces [m], see `find_gaps`.
-            rays: to the geometry of walls; without, walls begin half a column beyond the last open
-                cells.
+            rays: rays to the geometry of walls; None if walls begin half a column from the centres
+                of the last open cells.
         """
         self._directions = separated.directions
         self._cell_size = cell_size
         self._door_width = door_width
         self._rays = rays
-        self._num_cells = separated.num_cells.astype(np.int64)  # of each space by now
-        self._first_num_cells = separated.num_cells  # before any were joined
+        self._num_cells = separated.num_cells.astype(np.int64)  # of each space, after joins so far
+        self._first_num_cells = separated.num_cells  # of each space, before any were joined
         self.space_of = np.arange(len(separated.num_cells), dtype=np.int32)
-        # gaps are numbered through all directions
+        # Gaps of all directions are numbered one after another.
         counts = [len(direction.gaps.first_col) for direction in separated.directions]
-        self._first_gap = np.cumsum([0, *counts])  # of each direction
+        self._first_gap = np.cumsum([0, *counts])  # the number of each direction's first gap
         self._direction_of = np.repeat(np.arange(len(counts)), counts)
         self._walls = [
             _find_gap_walls(direction_gaps, cell_size, rays)
@@ -366,7 +370,7 @@ class SpaceMerger:
         num_gaps = len(self._direction_of)
         self._width = np.ones(num_gaps)  # [cells]
         self._is_doorway = np.zeros(num_gaps, dtype=np.bool_)
-        self._labels = np.empty((num_gaps, 2), dtype=np.int64)  # above and below
+        self._labels = np.empty((num_gaps, 2), dtype=np.int64)  # of the spaces above and below
         for number, (direction, _, gaps) in enumerate(separated.directions):
             numbers = slice(self._first_gap[number], self._first_gap[number + 1])
             between_ends = gaps.last_col - gaps.first_col
@@ -375,11 +379,11 @@ class SpaceMerger:
             self._is_doorway[numbers] = gaps.is_doorway
             self._labels[numbers, 0] = gaps.label_above
             self._labels[numbers, 1] = gaps.label_below
-        # the share of the width of the spaces above and below
+        # Each gap's width, divided by that of the space above and below
         self._shares = np.ones((num_gaps, 2))
-        # the share that decided about each gap, NaN for none
+        # The share that decided about each gap, NaN if none has
         self._deciding_share = np.full(num_gaps, np.nan)
-        # by space, the gaps at it, and those whose lines met it although they are not
+        # For each space, the gaps beside it, and other gaps whose lines met it
         self._gaps_at: list[set[int]] = [set() for _ in separated.num_cells]
         self._gaps_meeting: list[set[int]] = [set() for _ in separated.num_cells]
         for gap, labels in enumerate(self._labels.tolist()):
@@ -387,10 +391,11 @@ class SpaceMerger:
                 self._gaps_at[label].add(gap)
         self.measure(np.arange(num_gaps))
 
-    def join_all(self) -> None:
-        """Join spaces at gaps as wide as both spaces, then at gaps as wide as the narrower one.
+    def join_spaces(self) -> None:
+        """Join spaces until all gaps left separate two spaces.
 
-        So a gap across a room at a doorway's edge is decided before the doorway is.
+        First come gaps with a large share of both spaces, then gaps with a large share of the
+        narrower one. This way, a gap across a room next to a doorway is decided before the doorway.
         """
         for by_wider in (True, False):
             queue = list[tuple[tuple[bool, float], int]]()
@@ -401,7 +406,8 @@ class SpaceMerger:
             heapq.heapify(queue)
             while queue:
                 priority, gap = heapq.heappop(queue)
-                # gaps measured again are in the queue again; a passage may have grown long
+                # A gap that was measured again is in the queue a second time. Also, a passage may
+                # have become long enough to be a room.
                 if not self.separates(gap) or priority != self._find_priority(gap, by_wider):
                     continue
                 for measured_gap in self.join(gap):
@@ -410,10 +416,13 @@ class SpaceMerger:
                         heapq.heappush(queue, (new_priority, measured_gap))
 
     def _find_priority(self, gap: int, by_wider: bool) -> tuple[bool, float] | None:
-        """Return the priority of joining the spaces at a gap, lowest first; None for no joining.
+        """Return the priority of joining the spaces of a gap, lowest first; None not to join them.
 
-        By the share of the wider space, which the gap then has of both, the greatest share comes
-        first, doorways last; by that of the narrower space, the widest gap comes first.
+        Args:
+            gap: the gap's number.
+            by_wider: whether the share of the wider space decides. Then larger shares come first,
+                and doorways last. Otherwise the share of the narrower space decides, and wider gaps
+                come first.
         """
         if by_wider:
             share = min(self._shares[gap].tolist())
@@ -425,17 +434,18 @@ class SpaceMerger:
         return False, -float(self._width[gap])
 
     def _find_deciding_share(self, gap: int) -> float:
-        """Find the share that decides whether spaces are joined at a gap: that of the narrower one.
+        """Return the share that decides whether the spaces of a gap are joined.
 
-        It is 0 at the mouth of a long passage into a wider space, which joins nothing, and 1 for a
-        gap that is too wide for a door. Any other share is recorded for `close_calls`.
+        It is 0, which joins nothing, at the mouth of a long passage into a wider space; 1, which
+        joins, for a gap that is too wide for a door; else the gap's share of the narrower space,
+        which is recorded for `list_close_calls`.
         """
         above, below = self._shares[gap].tolist()
         passage = self.space_of[self._labels[gap, 0 if above >= below else 1]]
         is_long = self._num_cells[passage] >= MIN_PASSAGE_LENGTH * self._width[gap] ** 2
         width = float(self._width[gap]) * self._cell_size - WIDTH_ROUNDING
-        may_part = self._door_width is None or width <= self._door_width
-        if is_long and min(above, below) <= 1 / PASSAGE_WIDENING and may_part:
+        may_separate = self._door_width is None or width <= self._door_width
+        if is_long and min(above, below) <= 1 / PASSAGE_WIDENING and may_separate:
             return 0.0
         if width > (self._door_width or MAX_GAP_WIDTH):
             return 1.0
@@ -443,8 +453,8 @@ class SpaceMerger:
         self._deciding_share[gap] = share
         return share
 
-    def close_calls(self) -> list[CloseCall]:
-        """List the gaps between two spaces of some size whose share was close to the limit."""
+    def list_close_calls(self) -> list[CloseCall]:
+        """List the gaps between two large spaces whose share was close to the limit."""
         is_close = np.abs(self._deciding_share - JOIN_SHARE_OF_NARROWER) <= CLOSE_SHARE
         is_close &= self._width * self._cell_size >= MIN_CLOSE_WIDTH
         calls = []
@@ -462,7 +472,7 @@ class SpaceMerger:
         return calls
 
     def _middle_of(self, gap: int) -> tuple[float, float]:
-        """Row and column of a gap's middle, in fractions of cells."""
+        """Return row and column of a gap's middle, may be fractions."""
         number = int(self._direction_of[gap])
         direction, _, gaps = self._directions[number]
         k = gap - int(self._first_gap[number])
@@ -471,12 +481,20 @@ class SpaceMerger:
         return (col, row) if direction.swapped else (row, col)
 
     def separates(self, gap: int) -> bool:
-        """Return whether a gap, given by its number, still separates two spaces."""
+        """Return whether the spaces on both sides of a gap are not joined yet.
+
+        Args:
+            gap: the gap's number.
+        """
         above, below = self._labels[gap]
         return bool(self.space_of[above] != self.space_of[below])
 
     def measure(self, gaps: Int) -> None:
-        """Measure the shares of the given gaps (numbers) in the spaces on both sides."""
+        """Measure the shares of gaps.
+
+        Args:
+            gaps: the numbers of the gaps, (n,).
+        """
         directions = self._direction_of[gaps]
         for number in sorted(set(directions.tolist())):
             direction, scan, direction_gaps = self._directions[number]
@@ -489,7 +507,7 @@ class SpaceMerger:
             for gap, space in met_spaces:
                 self._gaps_meeting[space].add(first_gap + gap)
             if self._rays is not None and needs_rays.any():
-                # of all gaps at first: the rays of most later lines, at once
+                # The first call measures all gaps, and casts most rays that later calls need.
                 if len(chosen_gaps) == len(direction_gaps.first_col):
                     casts_rays = np.ones_like(needs_rays)
                 else:
@@ -503,11 +521,14 @@ class SpaceMerger:
             self._shares[first_gap + chosen_gaps] = shares
 
     def join(self, gap: int) -> list[int]:
-        """Join the spaces on both sides of a gap, given by its number.
+        """Join the spaces on both sides of a gap.
+
+        Args:
+            gap: the gap's number.
 
         Returns:
-            The numbers of the gaps that were measured again: gaps of one of the two spaces whose
-            lines met the other space.
+            The numbers of the gaps that were measured again: they are beside one of the two spaces,
+            and their lines had met the other one.
         """
         above, below = self.space_of[self._labels[gap]].tolist()
         changed = self._gaps_at[above] & self._gaps_meeting[below]
@@ -516,11 +537,11 @@ class SpaceMerger:
         removed = max(above, below)
         self.space_of[self.space_of == removed] = joined
         self._num_cells[joined] += self._num_cells[removed]
-        for gaps_of in (self._gaps_at, self._gaps_meeting):
-            small, large = sorted((gaps_of[joined], gaps_of[removed]), key=len)
+        for gaps_of_space in (self._gaps_at, self._gaps_meeting):
+            small, large = sorted((gaps_of_space[joined], gaps_of_space[removed]), key=len)
             large |= small
-            gaps_of[joined] = large
-            gaps_of[removed] = set()
+            gaps_of_space[joined] = large
+            gaps_of_space[removed] = set()
         still_separating = [number for number in sorted(changed) if self.separates(number)]
         self.measure(np.array(still_separating, dtype=np.int64))
         return still_separating
@@ -531,8 +552,8 @@ def _find_gap_walls(
 ) -> GapWalls:
     """Find how far walls are from the first and last cells of a direction's gaps.
 
-    A gap that ends where the opening goes on between two further spaces ends at no wall. Without
-    rays, or with a wall too far away, a gap ends half a column beyond its last cells.
+    A gap has no wall at an end where the opening continues between two other spaces. Without a wall
+    or rays, or if the wall is too far away, a gap ends half a column from its last cell's centre.
     """
     direction, scan, gaps = direction_gaps
     shift = scan.shift
@@ -540,7 +561,7 @@ def _find_gap_walls(
     rows = (gaps.top_row + gaps.bottom_row) // 2
     jamb_distance = max(MAX_WALL_DISTANCE, MAX_JAMB_DISTANCE / (direction.stretch * cell_size))
     max_distance = np.where(gaps.is_doorway, jamb_distance, MAX_WALL_DISTANCE)
-    # the cells in the next column beyond each end
+    # The cells in the next column after each end
     next_cols = np.clip(cols + np.array([-1, 1]), 0, len(shift) - 1)
     to_next = shift[next_cols] - shift[cols]
     last_row = len(scan.label) - 1

@@ -1,4 +1,4 @@
-"""Closed door leaves on a level: find those that separate the spaces on their two sides."""
+"""Finds the closed door leaves that separate the spaces on their two sides."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from navbake.baker.core.components import count_cells_by_label, label_components
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.types import Bool, Float, Int, Int32
 
-# A space behind a leaf counts if so much of it is free of structure: a niche that a fridge fills is
-# none; smaller ones between two leaves belong to the leaves [m²]
+# A space beside a leaf counts if at least this area of it is free of structure; so a niche that a
+# fridge fills does not. Smaller spaces between two leaves become part of the leaves [m²]
 MIN_FREE_AREA = 0.1
-# A leaf separates nothing where open cells lead around it within this distance [m]
+# A leaf separates nothing if open cells lead around it within this distance [m]
 DETOUR_REACH = 1.0
 
 
 class LeafLines(NamedTuple):
-    """The ids of the cells along lines from a closed leaf, -1 beside the lattice.
+    """The ids of the cells along lines that start at a closed leaf, -1 outside the lattice.
 
     Attributes:
-        sight: away from its two sides, shape (2, lines, steps).
-        ends: on from its two ends, shape (2, steps).
+        sight: the cells along lines away from the leaf's two sides, shape (2, lines, steps).
+        ends: the cells along the lines that continue the leaf at its two ends, shape (2, steps).
     """
 
     sight: Int
@@ -37,8 +37,8 @@ class ClosedLeaf:
     """The cells that a closed door leaf blocks, and the cells beside it.
 
     Attributes:
-        cells: by level, the ids of the cells that it blocks, ascending.
-        lines: the lines that start at its sides and ends; None if its geometry gives no sides.
+        cells: for each level, the ids of the cells that the leaf blocks, ascending.
+        lines: the cells along lines from its sides and ends; None if it has no finite geometry.
     """
 
     cells: Sequence[Int]
@@ -46,13 +46,13 @@ class ClosedLeaf:
 
 
 class LeafMarks(NamedTuple):
-    """The closed leaves of a level.
+    """The cells of a level's closed leaves.
 
     Attributes:
-        separating: the open cells of leaves that separate two spaces, shape (height, width), with
-            their frames and the small pockets between two of them.
-        not_separating: the open cells of all other leaves.
-        cells_beyond: the ids of cells in the spaces that separating leaves lead into.
+        separating: a mask of the open cells of leaves that separate two spaces, and of these
+            leaves' frames and of small pockets between leaves, shape (height, width).
+        not_separating: a mask of the open cells of all other leaves.
+        cells_beyond: the ids of cells in the spaces on both sides of separating leaves.
     """
 
     separating: Bool
@@ -65,13 +65,13 @@ def mark_leaves(
 ) -> LeafMarks | None:
     """Find which closed leaves separate two spaces of a level.
 
-    All leaves that may separate something close together, as the two of a double door separate only
-    together. Those that separate nothing are taken out, so that they hinder none of the others,
-    until all that remain do.
+    At first, all leaves are closed: the two leaves of a double door only separate spaces together.
+    Leaves that separate nothing are removed, and the rest is tested again, until all remaining
+    leaves separate two spaces.
 
     Args:
         level: the flags of the level's cells.
-        number: of the level.
+        number: the level's number.
         closed_leaves: all leaves of the scene.
         cell_size: the side of a cell, > 0 [m].
 
@@ -111,14 +111,14 @@ def _mark_cells(level: LevelFlags, number: int, leaves: Sequence[ClosedLeaf]) ->
 
 
 def _mark_frames(level: LevelFlags, leaf_cells: Bool, ends: Int) -> Bool:
-    """Mark what stands in the line of leaves from their ends on: frames, stubs, sidelights.
+    """Mark occupied open cells in line with leaves, from their ends on: frames and sidelights.
 
-    What is too short for a wall is an open cell, though a leaf ends at it.
+    Cells of such structure are open if it is too short to be a wall.
 
     Args:
         level: the flags of the level's cells.
-        leaf_cells: the open cells of leaves.
-        ends: those of `LeafLines`, shape (leaves, 2, steps).
+        leaf_cells: a mask of the open cells of leaves.
+        ends: `LeafLines.ends` of each leaf, shape (leaves, 2, steps).
     """
     cell = np.maximum(ends, 0)
     is_occupied = leaf_cells | level.is_open & level.occupied
@@ -129,7 +129,7 @@ def _mark_frames(level: LevelFlags, leaf_cells: Bool, ends: Int) -> Bool:
 
 
 def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[slice, slice]:
-    """The rows and columns within `DETOUR_REACH` of a leaf's cells."""
+    """Return the rows and columns within `DETOUR_REACH` of a leaf's cells."""
     margin = math.ceil(DETOUR_REACH / cell_size)
     rows, cols = np.divmod(cells, shape[1])
     return (
@@ -147,7 +147,13 @@ class _SpacesBetweenLeaves:
     """
 
     def __init__(self, level: LevelFlags, barrier: Bool, cell_size: float) -> None:
-        """Label the spaces, and find out which of them count."""
+        """Label the spaces, and find which of them are large enough to count.
+
+        Args:
+            level: the flags of the level's cells.
+            barrier: a mask of the open cells of leaves and their frames; it is changed.
+            cell_size: the side of a cell, > 0 [m].
+        """
         self.barrier = barrier
         self._level = level
         self._label, num_components = label_components_2d(level.is_open & ~barrier)
@@ -164,15 +170,15 @@ class _SpacesBetweenLeaves:
         self._is_pocket[0] = False
 
     def find_cells_beyond(self, sight: Int) -> Int:
-        """Find the first cells beyond leaves along their lines of sight.
+        """Find the first cell outside the barrier on each line of sight.
 
-        What is too small for a space becomes a part of the barrier, and lines go on behind it.
+        Pockets, areas too small for a space, are added to the barrier; lines continue behind them.
 
         Args:
-            sight: those of `LeafLines`, shape (leaves, 2, lines, steps).
+            sight: `LeafLines.sight` of each leaf, shape (leaves, 2, lines, steps).
 
         Returns:
-            Ids of cells, -1 for none, shape (leaves, 2, lines).
+            The ids of the cells, -1 if a line has none, shape (leaves, 2, lines).
         """
         cell = np.maximum(sight, 0)
         is_visible = mark_visible(sight, self._level.is_open, self._level.floor)
@@ -191,7 +197,7 @@ class _SpacesBetweenLeaves:
             self._label[in_pocket] = 0
 
     def find_separating(self, beyond: Int, windows: Sequence[tuple[slice, slice]]) -> Bool:
-        """Find the leaves that separate the spaces on their sides, at least within a window.
+        """Mark the leaves that separate the spaces on their sides, at least near the leaf.
 
         Args:
             beyond: see `find_cells_beyond`, shape (leaves, 2, lines).
@@ -222,14 +228,14 @@ class _SpacesBetweenLeaves:
 
 
 def mark_visible(sight: Int, is_open: Bool, floor: Float) -> Bool:
-    """Mark the cells on lines of sight that lie before the first wall on their line.
+    """Mark the cells on lines of sight that are before the first wall on their line.
 
-    A wall is a cell of a level that has a floor, and is not open.
+    A wall is a cell that has a floor and is not open.
 
     Args:
-        sight: ids of cells along lines, -1 beside the lattice, shape (…, steps), see `LeafLines`.
+        sight: ids of cells along lines, -1 outside the lattice, shape (…, steps), see `LeafLines`.
         is_open: the level's open cells, see `LevelFlags`, shape (height, width).
-        floor: heights of its floors, NaN for none [m].
+        floor: z of the level's floors, NaN for none, shape (height, width) [m].
 
     Returns:
         A mask of the cells before the first wall, of the shape of `sight`.

@@ -42,15 +42,15 @@ from navbake.types import Bool, Float, Int, Int32
 RoomIndex = NDArray[np.uint16]
 """The room of each cell of a level, shape (height, width) of the whole lattice, 0 for none."""
 RoomKey = tuple[int, int]
-"""A room's level and index."""
+"""The number of a room's level, and the room's index on that level."""
 RoomIds = tuple[str | None, str | None]
-"""The rooms on the two sides of a door, None for the outside."""
+"""The ids of the rooms on the two sides of a door, None for the outside."""
 
-# Close calls that a warning lists
+# The most close calls that a warning lists
 NUM_LISTED_CALLS = 5
-# Of a level: what a RoomIndex can hold
+# The most rooms of a level: the largest number in a RoomIndex
 MAX_ROOMS = np.iinfo(np.uint16).max
-# The ids of rooms without a unique name look like this, so that no name may
+# Rooms without a unique name have ids like this; so a name like this is not used as an id
 ID_LIKE = re.compile(r"\d+:\d+")
 # Heights are summed in whole micrometres, so that the order of cells makes no difference
 MICROMETRES = 1e6  # in a metre
@@ -60,12 +60,12 @@ PAIR_BASE = 1 << 16
 
 @dataclass(frozen=True)
 class Opening:
-    """Where a step leads from one room to another on a level.
+    """A place where an agent can walk from one room to another on the same level.
 
     Attributes:
         level: the number of the level.
         rooms: the indices of both rooms, the lower one first.
-        cells: ids of the cells on both sides of it, on the whole lattice, ascending.
+        cells: ids of the cells on both sides of the opening, on the whole lattice, ascending.
     """
 
     level: int
@@ -78,13 +78,13 @@ class Rooms:
     """The rooms of a scene.
 
     Attributes:
-        index: by level, the index of each cell's room, shape (height, width).
-        table: the rooms by level and index; `with_neighbours` adds what they open to.
-        openings: where rooms of a level meet.
-        links: pairs of rooms between which a step leads to another level.
+        index: for each level, the index of each cell's room, shape (height, width).
+        table: the rooms, ordered by level and index; `with_neighbours` adds their neighbours.
+        openings: the openings between rooms of a level.
+        links: pairs of rooms on different levels that a step joins.
         lattice: the whole lattice.
-        open_cells: by level, a mask of the cells that may be in a room, see `LevelFlags`.
-        warnings: what the user should know, one line each.
+        open_cells: for each level, a mask of the cells that may be in a room, see `LevelFlags`.
+        warnings: warnings for the user, one line each.
     """
 
     index: list[RoomIndex]
@@ -112,17 +112,14 @@ class Rooms:
         return {(room.level, room.index): room.id for room in self.table}
 
     def with_neighbours(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
-        """Add to each room of the table its neighbours: by an opening, by a link, or by a door.
+        """Return these rooms with neighbours in their table: by openings, links and doors.
 
         Args:
-            doors: by id the rooms that a door joins, and by level the cells that it blocks when it
-                is closed; see `match_doors`.
-
-        Returns:
-            The same rooms with another table.
+            doors: id of a door -> the ids of the rooms that it joins; and, for each level, the
+                cells that it blocks when it is closed.
         """
         doors_of = match_doors(self.openings, doors, self._ids, self.lattice)
-        # kinds and doors are as in `Neighbour`, but for "" in place of no door, which sorts
+        # Sets of (room, kind, door), see `Neighbour`; "" for no door, because None doesn't sort
         neighbours: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {
             room: set() for room in self._ids
         }
@@ -225,7 +222,7 @@ def find_rooms(
 
 
 def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
-    """Find the pairs of rooms between which a link leads to another level."""
+    """Find the pairs of rooms on different levels that a step joins."""
     pairs = set[tuple[RoomKey, RoomKey]]()
     to_another_level = links[links[:, 0] != links[:, 2]]
     for first_level, first_cell, second_level, second_cell in to_another_level.tolist():
@@ -237,12 +234,12 @@ def _find_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, R
 
 
 class _RoomAssignment:
-    """The room of each cell as the sources add rooms; the first source that has one decides.
+    """Assigns cells to rooms, source by source; the first source with a room for a cell decides.
 
     Attributes:
-        owner: by level, the number of each cell's room in `rooms`, from 1, 0 for none.
-        rooms: of all levels.
-        warnings: what the user should know, one line each.
+        owner: for each level, the number of each cell's room in `rooms`, from 1; 0 for none.
+        rooms: the rooms of all levels so far.
+        warnings: warnings for the user, one line each.
     """
 
     def __init__(
@@ -253,13 +250,13 @@ class _RoomAssignment:
         self._closed_leaves = closed_leaves
         shape = flags.lattice.shape
         self.owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
-        # the room whose floor lies under the cell's own, for cells without an owner
+        # For cells without an owner: the room whose floor is under the cell's own floor
         self._under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         self.rooms: list[NamedRoom] = []
         self.warnings: list[str] = []
 
     def add_source(self, marked: MarkedRooms, source: str) -> None:
-        """Give the cells that have no room yet to the rooms of a source."""
+        """Add the rooms of a source: they get those of their cells that have no room yet."""
         self.warnings += marked.warnings
         if not marked.names:
             return
@@ -278,7 +275,7 @@ class _RoomAssignment:
                 np.copyto(under, new_owner[covered[level]], where=under == 0)
 
     def add_segments(self) -> None:
-        """Divide the remaining cells into rooms, see `segment_by_gaps` and what it names."""
+        """Divide the remaining cells into rooms: the source ``auto``, see `segment_by_gaps`."""
         labels = list[Int32]()
         outdoors = set[int]()
         separating_cells: list[Bool | None] = []
@@ -298,7 +295,12 @@ class _RoomAssignment:
     def _segment_level(
         self, number: int, level: LevelFlags, leaves: LeafMarks | None
     ) -> tuple[Int32, set[int]]:
-        """Find the new rooms of a level: of each cell, from 1; and which of them are outdoors."""
+        """Find the new rooms of a level.
+
+        Returns:
+            The number of each cell's new room, from 1, 0 for none; and the numbers of those that
+            are outdoors.
+        """
         lattice = self._flags.lattice
         door_width = self._settings.door_width
         segment, close_calls = segment_by_gaps(
@@ -321,7 +323,11 @@ class _RoomAssignment:
         return find_outdoors(segment, self._flags, number)
 
     def _share_segments(self, number: int, segment: Int32, leaves: LeafMarks | None) -> Int32:
-        """Share a level's segments between marked rooms and new ones; returns the new ones."""
+        """Divide a level's segments between marked rooms and new rooms.
+
+        Returns:
+            The number of each cell's new room, from 1, 0 for none. `owner` is changed.
+        """
         level = self._flags.levels[number]
         marked = self.owner[number]
         owner = marked if leaves is None else np.where(leaves.separating, np.int32(0), marked)
@@ -338,7 +344,7 @@ class _RoomAssignment:
 
 
 def _describe_close_calls(calls: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
-    """The warning of gaps that were a close call."""
+    """Make the warning that names gaps that were close calls."""
     listed = []
     for cell, width, separates in calls[:NUM_LISTED_CALLS]:
         x, y = lattice.positions(*cell).tolist()
@@ -357,12 +363,14 @@ def describe_rooms(
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
-    """Describe each room, without its neighbours; its id is its name, or ``<level>:<index>``.
+    """Make the table of rooms, without neighbours.
+
+    A room's id is its name if no other room has that name, else ``<level>:<index>``.
 
     Args:
-        index: the room of each cell, by level.
-        rooms: by level, the rooms by index.
-        floors: heights by level, shape (height, width) [m].
+        index: for each level, the index of each cell's room.
+        rooms: for each level, its rooms, in the order of indices.
+        floors: for each level, z of the floors, shape (height, width) [m].
         lattice: the whole lattice.
     """
     name_counts = Counter(room.name for level in rooms for room in level)
@@ -372,7 +380,8 @@ def describe_rooms(
         num_cells = end - first
         micrometres = np.rint(floor[label > 0] * MICROMETRES)
         height_sums = np.add.reduceat(micrometres, np.cumsum(num_cells) - num_cells)
-        # sums of whole numbers don't depend on the order; twice that of a run's columns is one
+        # Sums of whole numbers don't depend on their order. The sum of a run's columns may end in
+        # .5, so twice the sum is used.
         count = np.bincount(room, num_cells, minlength=1)
         row_sum = np.bincount(room, row * num_cells, minlength=1)
         twice_col_sum = np.bincount(room, (first + end - 1) * num_cells, minlength=1)
@@ -405,21 +414,23 @@ def find_openings(
     links: Int,
     max_step: float,
 ) -> list[Opening]:
-    """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
+    """Find the openings between rooms: places where an agent can walk from one room to the next.
 
-    A slope is a link between cells of a level; 8-connected cells form one opening. An opening
-    without two neighbouring cells that are both unoccupied is closed (by a curtain or a stub of a
-    wall), and is left out.
+    Two neighbouring cells of different rooms are part of an opening if their floors differ by at
+    most a step, or if a slope links them. Such cells of the same two rooms that touch, also at
+    corners, form one opening. An opening in which no two neighbouring cells are both unoccupied is
+    left out: a curtain or a piece of wall closes it.
 
     Args:
-        index: the room of each cell, by level.
-        floors: heights by level, NaN for none, shape (height, width) [m].
-        occupied: by level, see `LevelFlags`.
-        links: steps and slopes, see `Floors`, shape (n, 4).
+        index: for each level, the index of each cell's room.
+        floors: for each level, z of the floors, NaN for none, shape (height, width) [m].
+        occupied: for each level, see `LevelFlags`.
+        links: links between cells, see `Floors`, shape (n, 4); those within a level are slopes,
+            all others are ignored.
         max_step: the highest step [m].
 
     Returns:
-        The openings, by level and rooms.
+        The openings, ordered by level and rooms.
     """
     openings = []
     for number, (rooms, floor, level_occupied) in enumerate(
@@ -436,7 +447,7 @@ def find_openings(
             continue
         cells = cells[meet]
         pairs, pair = np.unique(rooms_of_cells[meet] @ (PAIR_BASE, 1), return_inverse=True)
-        # every two rooms on a lattice of their own, below that of the two before
+        # Cells get a separate range of keys for each pair of rooms, so that pairs don't touch.
         lattice_size = (rooms.shape[0] + 1) * rooms.shape[1]
         keys, key_of_cell = np.unique(pair[:, None] * lattice_size + cells, return_inverse=True)
         opening_of = label_components(adjacent_pairs(keys, rooms.shape[1]), len(keys))

@@ -42,10 +42,10 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
-# Areas and widths are compared with limits to this, for what rounding adds [cells, half cells]
+# A tolerance for rounding errors when areas and widths are compared with limits [cells, half cells]
 CELL_ROUNDING = 1e-6
 
-# What marked rooms leave of a segment is no room if it is nowhere as wide as this [m]
+# The part of a segment that no marked room has is no room if it is nowhere as wide as this [m]
 MIN_REMAINDER_WIDTH = 0.5
 
 # A cell is steep, like a stair, where the floor rises by this share of the distance …
@@ -54,15 +54,15 @@ MIN_STEEPNESS = 0.3
 STEEPNESS_REACH = 0.3
 # A space is a stair where this share of its cells is steep
 MIN_STAIR_SHARE = 0.5
-# By how much the distance from a corridor's middle to its walls varies at most, over all angles and
-# offsets to the lattice: an opening narrower by this is as wide as the stair [half cells]
+# In cells, the distance from a corridor's middle to its walls varies by at most this, depending on
+# its angle. An opening that is narrower than a stair by this counts as equally wide [half cells]
 WIDTH_ROUGHNESS = 1.0
 
-# A space that nothing leads into is a room from this area [m²] and this greatest width [m] on
+# A space that nothing leads into is a room if it has at least this area [m²] and greatest width [m]
 MIN_CLOSED_ROOM_AREA = 2.0
 MIN_CLOSED_ROOM_WIDTH = 1.0
 
-# What is no further from the edge lies under eaves, if it is not under the sky [m]
+# A cell that is not under the sky is under eaves if it is at most this far from the edge [m]
 MAX_EAVES_DEPTH = 1.2
 # Outdoors, at least this share of the floor is under the sky or under eaves
 MIN_OPEN_SHARE = 0.5
@@ -166,15 +166,27 @@ def _label_at_gaps(
     rays: WallRays | None,
     closed: Bool,
 ) -> tuple[Int32, list[CloseCall]]:
-    """Label spaces between gaps, after those that are one were joined; also list close calls."""
+    """Find the spaces between gaps, join them where a gap doesn't separate, and list close calls.
+
+    See `segment_by_gaps` for the arguments.
+
+    Returns:
+        The label of each cell's space, 0 for none; and the close calls.
+    """
     separated = find_gaps(open_cells, holes, cell_size, door_width, rays, closed)
     merger = SpaceMerger(separated, cell_size, door_width, rays)
-    merger.join_all()
-    return merger.space_of[separated.label], merger.close_calls()
+    merger.join_spaces()
+    return merger.space_of[separated.label], merger.list_close_calls()
 
 
 def _label_spaces_behind(beyond: Int, label: Int32, open_cells: Bool) -> None:
-    """Label the spaces behind leaves that are all gap; `beyond` are rows and columns in them."""
+    """Label the spaces behind leaves that consist only of cells of gaps.
+
+    Args:
+        beyond: rows and columns of cells in the spaces that leaves lead into, shape (2, n).
+        label: the space of each cell, 0 for none, shape (height, width); is changed.
+        open_cells: cells of spaces and of gaps between them.
+    """
     row, col = beyond[:, label[tuple(beyond)] == 0]
     if not len(row):
         return
@@ -309,11 +321,11 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
 
 
 class SpaceContact(NamedTuple):
-    """Where two spaces touch.
+    """The boundary along which two spaces touch.
 
     Attributes:
-        distance: to walls at the widest place [half cells].
-        length: how many edges of cells they share.
+        distance: the largest distance to walls of a place on the boundary [half cells].
+        length: the number of edges between cells of the two spaces.
     """
 
     distance: float
@@ -491,9 +503,10 @@ def find_widest_distances(label: Int32, distance: Int32, count: int) -> Int32:
 
 
 def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
-    """Give cells (as of a podium) to the room below their floor, if it is in the same segment.
+    """Give cells (of a podium, for example) to the room below their floor.
 
-    So a house is no part of the ground that it stands on.
+    This is only done if that room has cells in the same segment: so a house does not become part of
+    the ground that it stands on.
 
     Args:
         owner: the marked room of each cell, 0 for none, shape (height, width).
@@ -515,12 +528,12 @@ def assign_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
 def assign_unmarked(
     owner: Int32, segment: Int32, cell_size: float, min_area: float, beyond: Int | None = None
 ) -> tuple[Int32, Int32]:
-    """Divide the cells of segments that no marked room has between marked rooms and new rooms.
+    """Divide the cells that no marked room has between marked rooms and new rooms.
 
-    A segment without a mark is a room. In others each connected component without a mark is one,
-    unless it is smaller than `min_area`, or nowhere half a metre wide though its segment is (a
-    doorway's depth): then it goes to the marked room that it touches most. What touches none, and
-    has one of the cells `beyond` closed leaves, is a room, too.
+    A segment without a marked room becomes a new room. In other segments, each connected area
+    without a marked room becomes a new room. But if it is smaller than `min_area`, or nowhere half
+    a metre wide though its segment is, it goes to the marked room that it touches most. If it
+    touches none, it becomes a room only if a closed leaf leads into it.
 
     Args:
         owner: the marked room of each cell, 0 for none, shape (height, width).
@@ -584,7 +597,11 @@ def assign_leaf_cells(owner: Int32, leaf_cells: Bool) -> None:
 
 
 def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
-    """Count the cells of each label, none for 0, and find whether it is half a metre wide."""
+    """Count the cells of each label, and find whether its area is half a metre wide anywhere.
+
+    Returns:
+        The number of cells of each label, 0 for label 0; and whether the label is wide enough.
+    """
     reach = int(MIN_REMAINDER_WIDTH / cell_size) + 2
     at_boundary = mark_wall_nodes(label > 0)
     height, width = label.shape
@@ -598,7 +615,10 @@ def _measure_components(label: Int32, cell_size: float) -> tuple[Int, Bool]:
 
 
 def _find_most_touched(component: Int32, owner: Int32, count: int) -> Int32:
-    """Find the owner that each component shares most edges with, of several the first; or 0."""
+    """Find for each component the owner with which it shares most edges of cells; 0 if none.
+
+    Of several owners, the first one counts.
+    """
     node = np.where(owner > 0, owner + np.int32(count), component)  # components have no owner
     low, high = np.sort(node.ravel()[differing_pairs(node)], axis=0)
     base = int(node.max(initial=0)) + 1
@@ -637,9 +657,9 @@ def mark_cavities(
 ) -> Bool:
     """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
 
-    A cavity meets no other space or level, nor the edge of the grid; no leaf leads into it; and it
+    A cavity touches no other space, no link and not the grid's edge; no leaf leads into it; and it
     is smaller than `MIN_CLOSED_ROOM_AREA` or narrower than `MIN_CLOSED_ROOM_WIDTH`. The largest
-    segment is none.
+    segment is never a cavity.
 
     Args:
         segment: the segment of each cell, 0 for none, shape (height, width).
@@ -649,7 +669,7 @@ def mark_cavities(
         beyond: ids of cells in the spaces that closed leaves lead into, None for none.
 
     Returns:
-        A mask of the cavities by segment number, from 0.
+        For each segment number, from 0: whether it is a cavity.
     """
     level_flags = flags.levels[level]
     cell_size = flags.lattice.cell_size
@@ -721,10 +741,10 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
 
 def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
-    """Unite the segments outdoors that touch, maybe over banks.
+    """Unite outdoor segments that touch each other, or the same bank.
 
     Returns:
-        By segment, the lowest number of the segments that it is united with, or its own.
+        For each segment, the lowest number of those that it is united with; its own if none.
     """
     bank, num_banks = label_components_2d(is_bank)
     # nodes are the segments, and behind them the banks
@@ -738,7 +758,13 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
 
 
 def _measure_edge_extents(segment: Int32, at_edge: Bool, count: int) -> Float:
-    """Measure the extent of each segment's longest connected piece at the edge [cells]."""
+    """Measure, for each segment, the extent of the longest connected piece of its edge [cells].
+
+    Args:
+        segment: the segment of each cell.
+        at_edge: the cells at the edge.
+        count: the number of segments, plus 1.
+    """
     cell = np.flatnonzero(at_edge)
     rows, cols = np.divmod(cell, segment.shape[1])
     segment_of = segment[rows, cols]

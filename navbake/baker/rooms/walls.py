@@ -21,8 +21,8 @@ from navbake.types import Bool, Float, Int, Int32
 
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
-MIN_CHUNK_COLUMNS = 64  # columns that are worth a call on another thread
-NO_ROWS = np.empty((0, 0), dtype=np.int32)  # of `sweep_distances` within columns
+MIN_CHUNK_COLUMNS = 64  # the fewest columns that one thread sweeps
+NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sweep_distances`
 
 # ------------------------------------------------------------ directions of walls
 
@@ -170,11 +170,12 @@ class WallDirection(NamedTuple):
     """A direction that walls run in, as a lattice is scanned along it.
 
     Attributes:
-        swapped: whether rows and columns are swapped to scan it: it is steeper than 45°.
-        shift: the row of a line in each column of the scan less that in the first, (cols,), int64.
-        slope: how many rows it goes down with each column of the scan, -1 to 1.
-        stretch: the length of a step along it from column to column, 1 to √2 [cells].
-        near: cells near to walls that run in it, shape (height, width), not swapped.
+        swapped: whether rows and columns are swapped for the scan, because it is steeper than 45°.
+        shift: for each column of the scan, how many rows lower a line is than in the first column,
+            (cols,), int64.
+        slope: how many rows the direction goes down per column of the scan, -1 to 1.
+        stretch: the length of a line from one column to the next, 1 to √2 [cells].
+        near: mask of the cells near walls in this direction, shape (height, width), not swapped.
     """
 
     swapped: bool
@@ -207,16 +208,16 @@ def find_directions(
 ) -> list[WallDirection]:
     """Find the directions that walls run in.
 
-    They follow from the walls' geometry; or where there is none, or where it is as rough as that of
-    a scan, from the slope of the distance to closed cells.
+    They are found from the walls' geometry. If there is none, or if it is rough, like a scan's,
+    they are found from the gradient of the distance to closed cells.
 
     Args:
-        open_cells: shape (height, width).
+        open_cells: the open cells, shape (height, width).
         cell_size: the side of a cell, > 0 [m].
-        rays: to the walls' geometry, None for none.
+        rays: rays to the walls' geometry; None without geometry.
 
     Returns:
-        The directions, in descending order of their numbers of points.
+        The directions, starting with the one of most walls.
     """
     shape = open_cells.shape
     if rays is not None:
@@ -231,10 +232,10 @@ def find_directions(
 def _list_directions(
     points: WallPoints, shape: tuple[int, ...], cell_size: float
 ) -> tuple[list[WallDirection], int]:
-    """List the directions that points on walls have, and count the points that have one.
+    """List the directions of walls, and count the points that lie on walls with such a direction.
 
-    The angle that most points have is refined; those of them that lie on common lines are walls of
-    that direction. Then the same is done with the remaining points.
+    The most common angle of all points is refined. Points with this angle that lie on common lines
+    are walls of that direction. Then this is repeated with the remaining points.
     """
     position, angle, spacing, angle_bin, line_width = points
     num_bins = round(180 / angle_bin)

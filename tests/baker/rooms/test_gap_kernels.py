@@ -12,7 +12,7 @@ from navbake.baker.rooms.gap_limits import (
     DECIDING_CELLS,
     DECIDING_SHARES,
     JAMB_JITTER,
-    LINE_REACH,
+    MAX_LINE_EXTENSION,
     MAX_WALL_DISTANCE,
     WIDENING_FACTOR,
 )
@@ -227,7 +227,7 @@ def share_of(scan, gaps, k, side, depth, whole):
                 down = sign * int(scan.depths[depth])
                 near = cell((top if side == 0 else bottom) - down, col + lean)
                 most = max(whole_width, width + opened) if is_last else cols
-                if step > LINE_REACH * most or not 0 <= col + lean < cols:
+                if step > MAX_LINE_EXTENSION * most or not 0 <= col + lean < cols:
                     break
                 if near is None or not scan.is_open[near]:
                     before = cell((top if side == 0 else bottom) - down, col + lean - way)
@@ -319,9 +319,9 @@ def test_spaces_are_joined_as_if_all_gaps_were_measured_after_each(angle):
         fast = SpaceMerger(spaces, CELL, None)
         slow = Remeasured(spaces, CELL, None)
         for merger in (fast, slow):
-            merger.join_all()
+            merger.join_spaces()
         np.testing.assert_array_equal(fast.space_of, slow.space_of)
-        assert fast.close_calls() == slow.close_calls()
+        assert fast.list_close_calls() == slow.list_close_calls()
         joined += len(spaces.num_cells) - len(np.unique(fast.space_of))
     assert joined > 25
 
@@ -343,7 +343,7 @@ def test_what_is_far_from_a_change_is_not_measured_again():
                 super().measure(gaps)
 
         merger = Counted(parted(is_open), CELL, None)
-        merger.join_all()
+        merger.join_spaces()
         assert len(np.unique(merger.space_of)) == 2  # the hall, and 0 for none
         counts.append(measured)
     assert counts[1] <= 5 * counts[0]

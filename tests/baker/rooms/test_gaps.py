@@ -228,7 +228,7 @@ def test_walls_at_an_angle(angle):
     assert len(find_directions(is_open, CELL)) == 2
     spaces = find_gaps(is_open, np.zeros_like(is_open), CELL, None)
     merger = SpaceMerger(spaces, CELL, None)
-    merger.join_all()
+    merger.join_spaces()
     # 0 is for gaps; no cells between their lines are a space
     assert len(np.unique(merger.space_of[spaces.label])) == 3
     rooms = segment_by_gaps(is_open)[0]
