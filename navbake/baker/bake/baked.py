@@ -99,14 +99,13 @@ class BakedPose:
 
     Attributes:
         scene: the scene in its pose.
-        doors: all door leaves of the scene, also those classified as no doors (see `door_leaves`
-            for the doors alone), each with the cells that it blocks in each state.
-        in_the_way: mask by geom id: the geoms of movables, and of leaves that are no doors. They
-            block cells, and make no floors, rooms or doors; see `mark_in_the_way`.
-        occupants: the geoms of `in_the_way` in each cell; and all cells that anything except doors
-            occupies.
-        lost_floors: by body id of a movable, the area of floor [m²] that its top would be if it
-            could not move.
+        leaves: all classified leaves, doors or not, each with the cells that it blocks in each
+            state; `door_leaves` are the doors among them.
+        is_obstacle_geom: for each geom, whether it belongs to a movable or to a leaf that is no
+            door, (ngeom,). Such geoms only block cells; see `mark_obstacle_geoms`.
+        occupants: these geoms in each cell; and the cells that they or structure block.
+        lost_floors: id of a movable body -> the area [m²] of its top that would be floor if the
+            body could not move.
         grid_doors: the doors of the grid, with their entries in its file.
         room_table: the table of rooms as written to a file, with the doors between them.
         areas: the areas of the settings, painted on the levels.
@@ -114,8 +113,8 @@ class BakedPose:
     """
 
     scene: Scene
-    doors: list[ClassifiedLeaf]
-    in_the_way: Bool
+    leaves: list[ClassifiedLeaf]
+    is_obstacle_geom: Bool
     occupants: MovableOccupants
     lost_floors: dict[int, float]
     grid_doors: list[GridDoor]
@@ -126,4 +125,4 @@ class BakedPose:
     @property
     def door_leaves(self) -> list[ClassifiedLeaf]:
         """The leaves that are doors."""
-        return select_doors(self.doors)
+        return select_doors(self.leaves)

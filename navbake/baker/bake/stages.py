@@ -161,7 +161,7 @@ class Stages:
 
     @cached_property
     def footprint(self) -> Footprint:
-        """The volume over a cell's floor that has to be free for an agent."""
+        """The volume above a cell's floor that has to be free for an agent."""
         return Footprint.of(self.config.agent, self.lattice.cell_size)
 
     @cached_property
@@ -182,9 +182,10 @@ class Stages:
 
     @cached_property
     def floor_columns(self) -> ColumnSource:
-        """The vertical columns of the extended lattice.
+        """The vertical columns of the extended lattice, on which floors are found.
 
-        Those of a large lattice are not kept; they are cast again each time they are read.
+        They are read in chunks of rows. In a large lattice, the chunks are not kept: each reading
+        casts them again. See `column_blocks` and `columns` for the columns of the baked lattice.
         """
         return ColumnCaster(
             self.floor_tile_index, self.config.agent, self.config.floors.crack, self.clock
@@ -192,15 +193,19 @@ class Stages:
 
     @cached_property
     def columns(self) -> Columns:
-        """All hits of the structure on the vertical line through each cell's centre.
+        """The vertical columns of the baked lattice, all in memory; made for users to inspect.
 
-        Where the line falls into a crack of a floor, the floor beside the crack is also a hit.
+        They contain all hits of the structure on the vertical line through each cell's centre. If
+        the line goes through a crack in a floor, the floor beside the crack is also a hit.
         """
         return join_columns(self.floor_columns, self.extended_lattice.window, self.lattice)
 
     @property
     def column_blocks(self) -> ColumnSource:
-        """The vertical columns of the lattice that is baked, see `floor_columns`."""
+        """The vertical columns of the baked lattice, read in chunks of rows from `floor_columns`.
+
+        All stages after the floors read these; they have the same hits as `columns`.
+        """
         columns = self.floor_columns
         if columns.lattice == self.lattice:
             return columns
@@ -238,7 +243,7 @@ class Stages:
         return self._floors_and_extents[1]
 
     @cached_property
-    def holes(self) -> Float:
+    def hole_areas(self) -> Float:
         """The area of each hole in the lowest floor of an open mesh [m²], shape (n,).
 
         Holes that the bake closes are included.
@@ -366,9 +371,9 @@ class Stages:
     # ------------------------------------------------------------ occupants that can move
 
     @cached_property
-    def in_the_way(self) -> Bool:
-        """Mask by geom id: geoms that only block cells; see `mark_in_the_way`."""
-        return mark_in_the_way(self.scene, self.doors, self.config)
+    def is_obstacle_geom(self) -> Bool:
+        """For each geom, whether it only blocks cells, (ngeom,); see `mark_obstacle_geoms`."""
+        return mark_obstacle_geoms(self.scene, self.doors, self.config)
 
     @cached_property
     def occupants(self) -> MovableOccupants:
@@ -377,10 +382,10 @@ class Stages:
         The cells that only doors block are not among the occupied cells: the grid adds them,
         depending on each door's state.
         """
-        in_the_way = self.in_the_way
+        is_obstacle_geom = self.is_obstacle_geom
         movable_context = self.movable_context
         with self.clock.stage("occupants"):
-            return find_movable_occupants(movable_context, self.scene.shapes, in_the_way)
+            return find_movable_occupants(movable_context, self.scene.shapes, is_obstacle_geom)
 
     @property
     def movable_context(self) -> MovableContext:
@@ -411,15 +416,15 @@ class Stages:
         if not self.config.links:
             return BakedLinks([], [])
         baked_structure = self.baked_structure
-        doors = self.doors
-        in_the_way = self.in_the_way
+        leaves = self.doors
+        is_obstacle_geom = self.is_obstacle_geom
         occupants = self.occupants
         with self.clock.stage("links"):
             return make_links(
                 self.scene,
                 baked_structure,
-                doors=doors,
-                in_the_way=in_the_way,
+                leaves=leaves,
+                is_obstacle_geom=is_obstacle_geom,
                 occupied=occupants.blocked,
                 config=self.config,
             )
@@ -463,7 +468,7 @@ class Stages:
                 standing_occupants=self.standing_occupants,
                 rooms=self.rooms,
                 boxes=boxes,
-                holes=self.holes,
+                holes=self.hole_areas,
             ),
         )
 
@@ -475,12 +480,12 @@ class Stages:
         doors = select_doors(self.doors)
         return BakedPose(
             scene=self.scene,
-            doors=self.doors,
-            in_the_way=self.in_the_way,
+            leaves=self.doors,
+            is_obstacle_geom=self.is_obstacle_geom,
             occupants=occupants,
             lost_floors=find_lost_floors(
                 self.scene.shapes,
-                self.in_the_way,
+                self.is_obstacle_geom,
                 mover_of=self.scene.mover_of,
                 levels=self.floors.levels,
                 lattice=self.lattice,
@@ -514,7 +519,7 @@ def find_floor_lattice(lattice: Lattice, scene: Scene, config: BakeConfig) -> Fl
     return FloorLattice(extended, window)
 
 
-def mark_in_the_way(scene: Scene, doors: Sequence[ClassifiedLeaf], config: BakeConfig) -> Bool:
+def mark_obstacle_geoms(scene: Scene, leaves: Sequence[ClassifiedLeaf], config: BakeConfig) -> Bool:
     """Mark the geoms of movables, and of leaves that are no doors.
 
     Such geoms block cells; they make no floors, rooms or doors. With `scene.exclude.movable`, a
@@ -522,25 +527,25 @@ def mark_in_the_way(scene: Scene, doors: Sequence[ClassifiedLeaf], config: BakeC
 
     Args:
         scene: the posed scene.
-        doors: all classified leaves, doors or not.
+        leaves: all classified leaves, doors or not.
         config: all settings.
 
     Returns:
-        A mask by geom id, shape (ngeom,), bool.
+        For each geom, whether it is marked, shape (ngeom,), bool.
     """
-    rejected_leaves = [leaf.candidate for leaf in doors if not leaf.is_door]
-    in_the_way = mark_candidate_geoms(len(scene.roles), rejected_leaves)
+    rejected_leaves = [leaf.candidate for leaf in leaves if not leaf.is_door]
+    is_obstacle_geom = mark_candidate_geoms(len(scene.roles), rejected_leaves)
     if config.scene.exclude.movable:
-        in_the_way &= scene.is_structure_body[scene.model.geom_bodyid]
-    in_the_way |= scene.roles == MOVABLE
-    return in_the_way
+        is_obstacle_geom &= scene.is_structure_body[scene.model.geom_bodyid]
+    is_obstacle_geom |= scene.roles == MOVABLE
+    return is_obstacle_geom
 
 
 def make_links(
     scene: Scene,
     baked_structure: BakedStructure,
-    doors: Sequence[ClassifiedLeaf],
-    in_the_way: Bool,
+    leaves: Sequence[ClassifiedLeaf],
+    is_obstacle_geom: Bool,
     occupied: Sequence[Bool],
     config: BakeConfig,
 ) -> BakedLinks:
@@ -549,8 +554,8 @@ def make_links(
     Args:
         scene: the posed scene.
         baked_structure: the levels, and the geometry that agents on links may collide with.
-        doors: all classified leaves, doors or not.
-        in_the_way: mask by geom id, see `mark_in_the_way`.
+        leaves: all classified leaves, doors or not.
+        is_obstacle_geom: for each geom, see `mark_obstacle_geoms`, (ngeom,).
         occupied: for each level, a mask of the cells that anything except doors occupies, shape
             (height, width).
         config: all settings.
@@ -563,18 +568,18 @@ def make_links(
     floors = np.stack([level.floor for level in baked_structure.floors.levels])
     free = ~(np.stack(occupied) | np.isnan(floors))
     # A link ends on cells that are free whether doors are open or closed.
-    for door in select_doors(doors):
+    for door in select_doors(leaves):
         for cells_of_levels in door.blocked.values():
             for level_free, cells in zip(free, cells_of_levels, strict=True):
                 level_free.ravel()[cells] = False
     search = LinkSearch(
         scene=scene,
-        shapes=scene.shapes.only(scene.is_structure | in_the_way),
+        shapes=scene.shapes.only(scene.is_structure | is_obstacle_geom),
         lattice=baked_structure.lattice,
         floors=floors,
         free=free,
         geometry=baked_structure.link_geometry.with_shapes(
-            scene.shapes.only(in_the_way), baked_structure.lattice
+            scene.shapes.only(is_obstacle_geom), baked_structure.lattice
         ),
         agent=config.agent,
     )

@@ -1,9 +1,9 @@
 """Finds which leaves are doors, which rooms each connects, and which cells each blocks.
 
 Floors and levels are found without the leaves; closed leaves separate rooms. Whether a leaf is a
-door depends on floors and rooms alone, not on movables. A door's cells are kept apart from what
-everything else blocks. So switching a door's state in a grid gives the grid that a bake of that
-state gives.
+door depends on floors and rooms alone, not on movables. The cells that only a door blocks
+are stored separately. So a door's state can be switched in a grid, with the same result as a bake
+in that state.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ from navbake.navgrid.rooms import Door, Runs, to_runs
 from navbake.threads import limit_threads
 from navbake.types import Bool, Int, Int32
 
-# A door opens nothing if its open state blocks this share of the closed door's cells
+# A door is stuck if, when open, it blocks at least this share of the cells that it closes
 STUCK_SHARE = 0.75
+# State of a door -> its description in warnings
 STATE_TEXTS = {
     "modelled": "as it is modelled",
     "open": "when it is open",
@@ -41,18 +42,18 @@ STATE_TEXTS = {
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedLeaf:
-    """A leaf that is classified: a door, or a plain obstacle in its modelled pose.
+    """A leaf that is classified as a door, or as an obstacle that stays in its modelled pose.
 
     It depends on floors and rooms, and not on movables.
 
     Attributes:
         leaf: the geometry of the leaf in each state.
         is_door: whether the leaf is a door. A leaf that is no door has no rooms.
-        rooms: the ids of the rooms on both sides.
-        blocked: by state and level, ids of the cells that the leaf blocks, see `LeafCells`.
-        blocked_squares: by state and level, ids of the cells whose square alone the leaf meets,
+        rooms: the ids of the rooms on both sides; None for the outside.
+        blocked: state -> for each level, ids of the cells that the leaf blocks, see `LeafCells`.
+        blocked_squares: state -> for each level, ids of the cells whose square overlaps the leaf,
             see `LeafCells`.
-        carried_floor: a warning that an agent could walk on the door's top; empty for none.
+        carried_floor: a warning that an agent could walk on the door's top; empty if it can't.
     """
 
     leaf: Leaf
@@ -115,7 +116,7 @@ def classify_leaves(leaves: Sequence[LeafCells], context: DoorContext) -> list[C
     Returns:
         A classified leaf for each leaf, in the same order.
     """
-    # by level and cell, how many closed leaves block it
+    # For each level and cell, how many closed leaves block it
     leaf_counts = [np.zeros(level.floor.size, dtype=np.int32) for level in context.floors]
     for leaf in leaves:
         for count, closed in zip(leaf_counts, leaf.blocked["closed"], strict=True):
@@ -127,7 +128,13 @@ def classify_leaves(leaves: Sequence[LeafCells], context: DoorContext) -> list[C
 def _classify_leaf(
     leaf_cells: LeafCells, leaf_counts: Sequence[Int32], context: DoorContext
 ) -> ClassifiedLeaf:
-    """Decide whether a leaf is a door; `leaf_counts`: how many closed leaves block each cell."""
+    """Decide whether a leaf is a door.
+
+    Args:
+        leaf_cells: the leaf, with the cells that it blocks.
+        leaf_counts: for each level and cell, how many closed leaves block it.
+        context: floors and rooms.
+    """
     leaf = leaf_cells.leaf
     rooms = _rooms_beside(leaf, leaf_cells.blocked["closed"], leaf_counts, context)
     is_door = rooms is not None or leaf.candidate.is_named
@@ -188,14 +195,22 @@ def move_leaf(
 def _rooms_beside(
     leaf: Leaf, closed: Sequence[Int], leaf_counts: Sequence[Int32], context: DoorContext
 ) -> RoomIds | None:
-    """For each side, return the last room along lines away from the closed leaf; None for one room.
+    """Find the rooms on both sides of a closed leaf, along lines away from it.
 
-    Lines end at walls and at other closed leaves; if both sides then see the same room, they go on
-    behind these leaves. If they still do, as where the doorway belongs to the room, the outside,
-    None, begins where the floor ends. A side that sees nothing but a wall has no room.
+    A line's room is the last one that it meets before a wall or another closed leaf. If this gives
+    the same room on both sides, lines continue behind other leaves. If it is still the same (if the
+    doorway belongs to the room, for example), lines also continue where there is no room: there, a
+    side is the outside.
 
-    `closed` are the cells of the closed leaf by level, `leaf_counts` the number of closed leaves
-    that block each cell.
+    Args:
+        leaf: the leaf.
+        closed: for each level, ids of the cells that the closed leaf blocks.
+        leaf_counts: for each level and cell, how many closed leaves block it.
+        context: floors and rooms.
+
+    Returns:
+        The ids of the two rooms, None for the outside; None instead of a pair if a side meets only
+        a wall, or both sides have the same room.
     """
     num_closed = [len(cells) for cells in closed]
     if not any(num_closed) or leaf.lines is None:
@@ -220,7 +235,7 @@ def _rooms_beside(
 
 
 def _room_in_sight(room: Int, seen: Bool, level: int, rooms: Rooms) -> str | None:
-    """Return the room that most lines of a side end in; None for none.
+    """Return the id of the room in which most lines of a side end; None if it is no room.
 
     Args:
         room: index of the room at each step, shape (lines, steps).
@@ -240,12 +255,13 @@ def _room_in_sight(room: Int, seen: Bool, level: int, rooms: Rooms) -> str | Non
 
 @dataclass(frozen=True, eq=False)
 class DoorCells:
-    """The cells that a door blocks and nothing else blocks.
+    """The cells that only a door blocks, in each of its states.
 
     Attributes:
-        blocked: by state and level, ids of the cells whose footprint only the door meets.
-        blocked_squares: by state and level, ids of the cells whose square only the door meets;
-            empty where the footprint is the square.
+        blocked: state -> for each level, ids of the cells where the door, and nothing else except
+            other doors, overlaps the footprint of an agent at the cell's centre.
+        blocked_squares: the same for the cell's own square, without the agent's disc; empty if the
+            disc doesn't reach beyond the square.
     """
 
     blocked: CellsByState
@@ -255,14 +271,14 @@ class DoorCells:
 def find_door_cells(
     door: ClassifiedLeaf, blocked: Sequence[Bool], blocked_squares: Sequence[Bool] | None
 ) -> DoorCells:
-    """Return the cells that a door blocks and nothing else blocks, in each of its states.
+    """Return the cells that only a door blocks, in each of its states.
 
     Args:
         door: the door.
-        blocked: for each level, a mask of the cells that anything except doors blocks, (height,
-            width), bool.
-        blocked_squares: for each level, a mask of the cells whose square alone, without the
-            agent's disc, anything except doors meets; None where it equals `blocked`.
+        blocked: for each level, shape (height, width), bool: the cells that something other than a
+            door blocks.
+        blocked_squares: the same for the cell's square alone, without the agent's disc: the cells
+            whose square overlaps something other than a door. None if it would equal `blocked`.
     """
     squares: CellsByState = {}
     if blocked_squares is not None:
@@ -271,7 +287,12 @@ def find_door_cells(
 
 
 def _drop_blocked(cells_by_state: CellsByState, blocked: Sequence[Bool]) -> dict[str, list[Int]]:
-    """Return cells without those that are blocked on their level."""
+    """Remove the cells that are blocked on their level.
+
+    Args:
+        cells_by_state: state -> for each level, ids of cells.
+        blocked: for each level, a mask of the blocked cells, (height, width).
+    """
     free_cells = dict[str, list[Int]]()
     for state, cells_by_level in cells_by_state.items():
         free_cells[state] = [
@@ -300,9 +321,9 @@ def make_door(
     Args:
         leaf: a leaf that is a door.
         cells: the cells that only the door blocks, ids on the whole lattice.
-        windows: the window of each level; the cell ids of the grid's door count from it.
+        windows: the window of each level; ids of cells in the grid are counted in it.
         width: number of columns of the whole lattice.
-        wanted: the state to put the door in; ``modelled`` is used if the door lacks that state.
+        wanted: the door's state; ``modelled`` is used if the door doesn't have that state.
     """
     return Door(
         id=leaf.candidate.id,
@@ -317,7 +338,16 @@ def make_door(
 def _to_windows(
     cells_by_state: CellsByState, windows: Sequence[Window], width: int
 ) -> dict[str, dict[int, Runs]]:
-    """Return cells as runs on each level's window, by state and by number of the level."""
+    """Convert cells to runs in the windows of levels.
+
+    Args:
+        cells_by_state: state -> for each level, ids of cells on the whole lattice.
+        windows: the window of each level.
+        width: number of columns of the whole lattice.
+
+    Returns:
+        State -> number of a level -> runs of cell ids in the level's window.
+    """
     runs_by_state: dict[str, dict[int, Runs]] = {}
     for state, cells_by_level in cells_by_state.items():
         runs: dict[int, Runs] = {}
@@ -335,14 +365,14 @@ def _to_windows(
 def warn_doors(
     doors: Sequence[ClassifiedLeaf], stuck_ids: Collection[str], wanted: str
 ) -> list[str]:
-    """Return the warnings of doors.
+    """Return warnings of doors.
 
-    They name doors that free no cells when open, doors that should be open and have no joint, and
+    They name doors that stay closed when open, doors that should be open but have no joint, and
     doors with a top that an agent could walk on.
 
     Args:
         doors: the doors.
-        stuck_ids: ids of the doors that free no cells when open, see `is_stuck`.
+        stuck_ids: ids of the doors that still block most of their cells when open, see `is_stuck`.
         wanted: the state that the settings ask for.
     """
     stuck = [
@@ -365,7 +395,7 @@ def warn_doors(
 
 
 def _warn_carried_floor(leaf: Leaf, context: DoorContext) -> str:
-    """Return the warning of the floor that a door carries, empty for none."""
+    """Return the warning that a door carries floor; empty if it doesn't."""
     for state, shapes in leaf.tops.items():
         area = _walkable_area(shapes, context)
         if area >= MIN_CARRIED_AREA - LIMIT_SLACK:
@@ -378,9 +408,9 @@ def _warn_carried_floor(leaf: Leaf, context: DoorContext) -> str:
 
 
 def _walkable_area(shapes: Shapes, context: DoorContext) -> float:
-    """Return the area of a door's top on which an agent can stand, if a step leads there [m²].
+    """Return the area of a door's top that agents can walk on [m²]; 0 if no step leads there.
 
-    What lies on a floor, like a mat, does not count.
+    A top that is at most a step above the floor, like a mat's, does not count.
     """
     lattice = context.rooms.lattice
     agent = context.agent

@@ -1,7 +1,7 @@
 """Poses the leaves of doors in each of their states, and finds the cells that they block.
 
-A leaf is posed in each state, also if it is later classified as no door. Its blocked cells are
-found over the floors, which do not depend on leaves, and without regard to other geometry.
+All leaves are posed, also those that are later classified as no doors. The cells that a leaf
+blocks are found above the floors of structure, and regardless of other geometry.
 """
 
 from __future__ import annotations
@@ -87,10 +87,10 @@ class LeafCells:
 
     Attributes:
         leaf: the leaf.
-        blocked: by state and level, ids of the cells over whose floor the leaf meets the footprint
-            (the cell's square joined with the agent's disc).
-        blocked_squares: by state and level, ids of the cells whose square alone, without the disc,
-            the leaf meets; empty where the footprint is the square.
+        blocked: state -> for each level, ids of the cells where the leaf overlaps the footprint of
+            an agent at the cell's centre (the cell's square joined with the agent's disc).
+        blocked_squares: the same for the cell's own square, without the disc; empty if the disc
+            doesn't reach beyond the square.
     """
 
     leaf: Leaf

@@ -23,7 +23,7 @@ from navbake.baker.bake.baked import BakedPose, BakedStructure
 from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.level_crops import make_grid_door
 from navbake.baker.bake.pipeline import build_grid
-from navbake.baker.bake.stages import make_links, mark_in_the_way, open_stages
+from navbake.baker.bake.stages import make_links, mark_obstacle_geoms, open_stages
 from navbake.baker.core.clock import StageClock
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
@@ -258,29 +258,29 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
         raise FullBakeRequired(change.full_bake_reason)
     if fit_lattice(scene, config) != structure.lattice:
         raise FullBakeRequired("the grid is another one: the box round the scene has changed")
-    doors = _update_doors(baked, scene)
-    in_the_way = mark_in_the_way(scene, doors, config)
-    is_changed = change.changed_geoms & (old_pose.in_the_way | in_the_way)
-    is_changed |= old_pose.in_the_way ^ in_the_way
+    leaves = _update_leaves(baked, scene)
+    is_obstacle_geom = mark_obstacle_geoms(scene, leaves, config)
+    is_changed = change.changed_geoms & (old_pose.is_obstacle_geom | is_obstacle_geom)
+    is_changed |= old_pose.is_obstacle_geom ^ is_obstacle_geom
     boxes = np.concatenate(
         [
-            _boxes_of_geoms(old_pose.scene, is_changed & old_pose.in_the_way),
-            _boxes_of_geoms(scene, is_changed & in_the_way),
+            _boxes_of_geoms(old_pose.scene, is_changed & old_pose.is_obstacle_geom),
+            _boxes_of_geoms(scene, is_changed & is_obstacle_geom),
         ]
     )
-    pose = replace(old_pose, scene=scene, doors=doors, in_the_way=in_the_way)
+    pose = replace(old_pose, scene=scene, leaves=leaves, is_obstacle_geom=is_obstacle_geom)
     with limit_threads(1 if len(boxes) < MIN_BOXES_FOR_THREADS else None):
         if is_changed.any():
             occupants = update_movable_occupants(
                 old_pose.occupants,
                 baked.movable_context,
                 shapes=scene.shapes,
-                in_the_way=in_the_way,
+                is_obstacle_geom=is_obstacle_geom,
                 boxes=boxes,
             )
             lost_floors = _update_lost_floors(pose, structure, is_changed, config)
             pose = replace(pose, occupants=occupants, lost_floors=lost_floors)
-        if doors is not old_pose.doors or pose.occupants is not old_pose.occupants:
+        if leaves is not old_pose.leaves or pose.occupants is not old_pose.occupants:
             pose = _update_grid_doors(pose, baked, config)
     if config.areas:
         areas = paint_areas(
@@ -291,8 +291,8 @@ def update_baked_scene(baked: BakedScene, change: SceneChange, config: BakeConfi
         links = make_links(
             scene,
             structure,
-            doors=doors,
-            in_the_way=in_the_way,
+            leaves=leaves,
+            is_obstacle_geom=is_obstacle_geom,
             occupied=pose.occupants.blocked,
             config=config,
         )
@@ -311,25 +311,28 @@ def _boxes_of_geoms(scene: Scene, mask: Bool) -> Float:
     return boxes
 
 
-def _update_doors(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
-    """Classify the leaves of a scene that changed; the same list where none did.
+def _update_leaves(baked: BakedScene, scene: Scene) -> list[ClassifiedLeaf]:
+    """Classify the leaves of a scene again that changed.
+
+    Returns:
+        All leaves; the same list as before if none has changed.
 
     Raises:
-        FullBakeRequired: a leaf closes other cells than before, so that rooms may change.
+        FullBakeRequired: a closed leaf blocks different cells than before, so rooms may change.
     """
-    old_doors = baked.pose.doors
-    leaf_of_candidate = {leaf.candidate: leaf for leaf in old_doors}
+    old_leaves = baked.pose.leaves
+    leaf_of_candidate = {leaf.candidate: leaf for leaf in old_leaves}
     # Unchanged candidates are the same objects as before.
     changed_candidates = [
         candidate for candidate in scene.leaves if candidate not in leaf_of_candidate
     ]
     if not changed_candidates:
-        return old_doors
+        return old_leaves
     lattice = baked.structure.lattice
     footprint = baked.movable_context.footprint
     posed_leaves = pose_leaves(scene, changed_candidates, lattice, footprint.half_width)
     levels = baked.structure.floors.levels
-    old_leaf_of_id = {leaf.candidate.id: leaf for leaf in old_doors}
+    old_leaf_of_id = {leaf.candidate.id: leaf for leaf in old_leaves}
     for leaf_cells in find_blocked_cells(posed_leaves, levels, footprint, lattice):
         candidate = leaf_cells.leaf.candidate
         old_leaf = old_leaf_of_id.get(candidate.id)
@@ -349,7 +352,7 @@ def _update_lost_floors(
     is_changed_body[mover_of[is_changed]] = True
     changed_areas = find_lost_floors(
         scene.shapes,
-        pose.in_the_way & is_changed_body[mover_of],
+        pose.is_obstacle_geom & is_changed_body[mover_of],
         mover_of=mover_of,
         levels=structure.floors.levels,
         lattice=structure.lattice,

@@ -1,15 +1,15 @@
-"""Flags of the cells' columns: nothing there, a hole, a bank, the sky, something tall."""
+"""Kernel that flags the vertical columns of cells: empty, a hole, steep, under the sky, or tall."""
 
 import numpy as np
 
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.compiled import kernel
 
-EMPTY = 1  # nothing is in the column
-HOLE = 2  # no floor, and nothing at the heights of an agent's body
-STEEP_GROUND = 4  # no floor, and ground too steep to stand on under the sky
-SKY = 8  # a floor under the sky
-TALL = 16  # a floor on which something stands that reaches above heads
+EMPTY = 1  # the column has no hits
+HOLE = 2  # the cell has no floor, and nothing is at the heights of an agent's body
+STEEP_GROUND = 4  # no floor; the highest surface is ground that is too steep to stand on
+SKY = 8  # the cell has a floor, and nothing is above an agent's head
+TALL = 16  # the lowest surface above the cell's floor faces up and is higher than `above_heads`
 COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 
@@ -17,15 +17,17 @@ COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 def flag_columns(hits, floor, ground, limits, above_heads, flags, begin, end):
     """Write the `COLUMN_FLAGS` of the cells ``[begin, end)`` of a level.
 
-    A cell without a floor is a HOLE if the lowest surface that is more than a step above the ground
-    is higher than the agent. It is no HOLE if that surface faces up, as something solid is below.
+    A cell without a floor is a HOLE if nothing is in the way of the agent's body there: of the
+    surfaces more than a step above the ground, there is none, or the lowest is above the agent's
+    height and faces down. (If it faces up, the solid below it is in the way.)
 
     Args:
-        hits: the hits of the vertical columns, numbered as the cells are.
-        floor: height of each cell's floor, float64, NaN for none [m].
-        ground: height of the level's ground [m].
+        hits: the hits of the vertical columns; column i belongs to cell i.
+        floor: z of each cell's floor, float64, NaN for none [m].
+        ground: z of the level's ground [m].
         limits: the agent's limits.
-        above_heads: the height over a floor [m] from which on something that stands there is TALL.
+        above_heads: height above the floor [m]; something whose lowest surface faces up and is
+            higher is TALL.
         flags: receives the flags of each cell, uint8.
         begin: id of the first cell.
         end: id after the last cell.

@@ -1,4 +1,4 @@
-"""Flags of the cells' columns, on which rooms depend: nothing there, a hole, a bank, the sky."""
+"""Flags the vertical columns of cells: empty, a hole, steep, under the sky, or tall."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def flag_columns(
         hits: the hits of the vertical columns of these cells only, in the cells' order.
         level: the floor of each cell, and the height of the ground.
         cells: the range of cell ids.
-        agent: its height and highest step.
-        flags: receives the `COLUMN_FLAGS` of the cells; by cell id on the whole lattice, uint8.
+        agent: the agent; its height, highest step and largest slope are read.
+        flags: receives the `COLUMN_FLAGS`, indexed by cell id on the whole lattice, uint8.
     """
     floor = level.floor.ravel()[cells]
     run_in_chunks(

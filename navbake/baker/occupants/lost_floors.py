@@ -31,15 +31,15 @@ def find_lost_floors(
 
     Args:
         shapes: all geometry that the bake uses.
-        is_checked: mask by geom id of the movable geoms to check, shape (ngeom,), bool.
-        mover_of: by geom id, the id of the body that the geom moves with.
+        is_checked: for each geom, whether it is checked, shape (ngeom,), bool.
+        mover_of: for each geom, the id of the body that it moves with, shape (ngeom,).
         levels: the levels with the floors that structure makes.
         lattice: the lattice of the floors.
         agent: the agent that would stand on the tops.
 
     Returns:
-        By body id, the area of the body's top [m²] where no floor lies below it. Bodies with less
-        than `MIN_LOST_AREA` are left out.
+        Body id -> the area of the body's top without a floor below it [m²]. Bodies with less than
+        `MIN_LOST_AREA` are left out.
     """
     min_area = MIN_LOST_AREA - LIMIT_SLACK
     cell_area = lattice.cell_size**2

@@ -132,14 +132,14 @@ NO_ENTRIES = OccupantEntries(
 
 
 def find_movable_occupants(
-    context: MovableContext, shapes: Shapes, in_the_way: Bool
+    context: MovableContext, shapes: Shapes, is_obstacle_geom: Bool
 ) -> MovableOccupants:
     """Find the movables, and leaves that are no doors, over the floors of all cells.
 
     Args:
         context: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses.
-        in_the_way: mask by geom id of the geoms to search for, shape (ngeom,), bool.
+        is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
     """
     num_chunks = -(-context.lattice.height // CHUNK_ROWS)
     nothing = MovableOccupants(
@@ -148,15 +148,15 @@ def find_movable_occupants(
         blocked_squares=context.standing.blocked_squares,
         num_blocked_alone=np.zeros(int(context.mover_of.max(initial=0)) + 1, dtype=np.int64),
     )
-    boxes = shapes.boxes[in_the_way[shapes.boxed_geoms]]
-    return update_movable_occupants(nothing, context, shapes, in_the_way, boxes)
+    boxes = shapes.boxes[is_obstacle_geom[shapes.boxed_geoms]]
+    return update_movable_occupants(nothing, context, shapes, is_obstacle_geom, boxes)
 
 
 def update_movable_occupants(
     occupants: MovableOccupants,
     context: MovableContext,
     shapes: Shapes,
-    in_the_way: Bool,
+    is_obstacle_geom: Bool,
     boxes: Float,
 ) -> MovableOccupants:
     """Return the occupants after things moved; only cells near the given boxes are searched.
@@ -165,7 +165,7 @@ def update_movable_occupants(
         occupants: the occupants before the move; they are not changed.
         context: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses, in the new pose.
-        in_the_way: mask by geom id of the geoms to search for, shape (ngeom,), bool.
+        is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
         boxes: bounding boxes of the geoms that moved, in the old and in the new pose, (n, 6) [m].
     """
     lattice = context.lattice
@@ -185,7 +185,7 @@ def update_movable_occupants(
         row_cells = cells[first:end]
         if not len(row_cells):
             continue
-        is_near = in_the_way & _mark_geoms_near(shapes, row_cells, lattice, footprint.half_width)
+        is_near = is_obstacle_geom & _mark_geoms_near(shapes, row_cells, lattice, footprint.half_width)
         by_level = _find_over_cells(context, shapes.only(is_near), rows, row_cells)
         for k, movables in enumerate(by_level):
             standing = context.standing.levels[k]

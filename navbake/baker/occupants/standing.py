@@ -44,11 +44,11 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Int, Int32
 
-# Arrays that are too small get so many times the room that all cells are expected to need
+# An array that is too small is replaced by one of the expected final size, times this
 SPARE_FACTOR = 1.1
-# How far above its floors the last level ends, whatever moves at the scene's top [m]
+# The last level ends this far above its floors [m]
 OPEN_ABOVE = 100.0
-# Rows of `measure_blocks` for no block
+# Empty rows of `measure_blocks`
 NO_ROWS = (np.empty((0, 7), dtype=np.int64), np.empty((0, 2)))
 
 
@@ -71,8 +71,8 @@ class StandingCells(NamedTuple):
 
     Attributes:
         occupancy: the cells that structure occupies.
-        occupants: the geoms in each cell, by level; empty if they were not requested.
-        column_flags: flags of each cell's column, by level, see `flag_columns`.
+        occupants: for each level, the geoms in its cells; empty if they were not requested.
+        column_flags: for each level, the flags of each cell's vertical column, see `flag_columns`.
     """
 
     occupancy: Occupancy
@@ -85,11 +85,11 @@ class StandingOccupants:
     """The structure in all cells with a floor.
 
     Attributes:
-        levels: the geoms in each cell, by level, lowest first.
-        kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
-        room_kinds: like `kinds`, for the segmentation of rooms: panes, and geoms with the shape of
-            a wall, are WALL whatever their names.
-        names: by geom id, see `name_geoms`.
+        levels: for each level, lowest first, the geoms in its cells.
+        kinds: for each geom, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
+        room_kinds: like `kinds`, but for finding rooms: panes, and geoms with the shape of a wall,
+            are WALL regardless of their names.
+        names: for each geom, see `name_geoms`.
         warnings: warnings about wall patterns, one line each.
     """
 
@@ -333,7 +333,7 @@ def classify_occupants(
 def _measure_levels(
     levels: Sequence[LevelOccupants], floors: Floors, extents: Extents
 ) -> tuple[OccupantSizes, FloorCounts]:
-    """Measure how geoms stand over the floors of all levels, and how often they are floors."""
+    """Measure the heights of geoms above floors, and count the cells where they are the floor."""
     lattice = levels[0].lattice
     num_geoms = len(extents.bottom)
     heights = GeomHeights(

@@ -11,7 +11,7 @@ import pytest
 
 import navbake
 from box_worlds import FLOOR, body, box, stages_of_xml, world
-from navbake.baker.bake.stages import Stages, bake_stages, mark_in_the_way
+from navbake.baker.bake.stages import Stages, bake_stages, mark_obstacle_geoms
 from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import CHUNK_ROWS, find_movable_occupants
 from random_scenes import make_scene
@@ -47,7 +47,7 @@ def listed(stages: Stages, level: int) -> list[tuple[int, int, int]]:
 @pytest.mark.parametrize("seed", range(12))
 def test_entries_are_sorted_and_of_what_is_in_the_way(seed):
     stages = random_stages(seed)
-    in_the_way = mark_in_the_way(stages.scene, stages.doors, stages.config)
+    is_obstacle_geom = mark_obstacle_geoms(stages.scene, stages.doors, stages.config)
     width = stages.lattice.width
     for number, level in enumerate(stages.floors.levels):
         rows = listed(stages, number)
@@ -55,7 +55,7 @@ def test_entries_are_sorted_and_of_what_is_in_the_way(seed):
         assert pairs == sorted(set(pairs))
         for cell, geom, flags in rows:
             assert not np.isnan(level.floor.flat[cell])
-            assert in_the_way[geom]
+            assert is_obstacle_geom[geom]
             assert flags
         for number_of_band, band in enumerate(stages.occupants.entries[number]):
             assert (band.cell // (CHUNK_ROWS * width) == number_of_band).all()
@@ -127,12 +127,14 @@ def test_nothing_is_looked_for_where_nothing_moves(tmp_path: Path):
 def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
     for seed in range(4):
         stages = random_stages(seed)
-        in_the_way = mark_in_the_way(stages.scene, stages.doors, stages.config)
+        is_obstacle_geom = mark_obstacle_geoms(stages.scene, stages.doors, stages.config)
         found = []
         for most in (0.0, 2.0):
             monkeypatch.setattr("navbake.baker.occupants.movable.MAX_POINT_SHARE", most)
             found.append(
-                find_movable_occupants(stages.movable_context, stages.scene.shapes, in_the_way)
+                find_movable_occupants(
+                    stages.movable_context, stages.scene.shapes, is_obstacle_geom
+                )
             )
         one, other = found
         for number in range(len(stages.floors.levels)):
