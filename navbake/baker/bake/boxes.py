@@ -1,9 +1,9 @@
-"""The box of each level (`bbox`), so that the original client finds each cell's own level.
+"""Finds the box of each level (`bbox`), from which the original client finds a position's level.
 
-The client takes the first level whose box contains a position, edges included, or fails. So a box
-begins below the lowest floor of its level, and ends below the next box above its cells. Where
-levels interleave (a stair of one level rises past the lowest tread of the next), a box ends where
-the client misplaces the fewest free cells.
+The client takes the first level whose box contains a position, edges included; without one, it
+fails. So a box begins below the lowest floor of its level, and ends below the next box above its
+cells. If levels interleave (a stair of one level rises past the lowest tread of the next), a box
+ends where the client finds the wrong level for the fewest free cells.
 
 Source: sstk's `NavScene.js`, `positionToCell`. The client's grid of a level has
 one more column and one more row, after the last ones.

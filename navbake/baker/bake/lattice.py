@@ -1,4 +1,4 @@
-"""The lattice that a scene is baked on."""
+"""Fits the lattice of cells on which a scene is baked."""
 
 import math
 from bisect import bisect_left

@@ -1,4 +1,4 @@
-"""Layers, steps, doors and rooms as a grid file has them: cropped to each level's own rectangle."""
+"""Converts layers, steps, doors and rooms for a grid: crops them to each level's own rectangle."""
 
 from __future__ import annotations
 

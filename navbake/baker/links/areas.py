@@ -180,7 +180,10 @@ def _mark_polygon(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFl
 def _cover(
     area: AreaSettings, rings: Sequence[Sequence[Sequence[float]]], lattice: Lattice
 ) -> Bool:
-    """Mark the cells that a polygon touches, of a keep-out area; else those with centres in it."""
+    """Mark the cells of a polygon.
+
+    Of a keep-out area, these are the cells that it overlaps; of others, those with centres in it.
+    """
     cover = touch_cells if area.keeps_out else cover_cells
     return cover(rings, lattice)
 
@@ -192,7 +195,10 @@ def _mark_geoms(
     levels: Sequence[LevelFloor],
     agent_height: float,
 ) -> MarkedArea:
-    """Mark the cells over whose floors geoms, left out or not, stand or hang below heads."""
+    """Mark the cells where geoms of the area are between the floor and the agent's height.
+
+    Geoms count also if the bake leaves them out.
+    """
     names = [geom.geom for geom in all_names(scene.model).geoms]
     masks = [np.zeros(lattice.shape, np.bool_) for _ in levels]
     warnings = list[str]()

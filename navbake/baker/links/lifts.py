@@ -121,7 +121,7 @@ class Car(NamedTuple):
         name: name of the car's body.
         joint: id of the car's slide joint.
         geoms: mask by geom id of the car's geoms, shape (ngeom,), bool.
-        window: window of the lattice round the car and its landings.
+        window: window of the lattice that contains the car and the cells where agents get off.
         floor: mask of the lattice's cells that the car's floor covers, (height, width), bool.
         outline: mask of the cells that any part of the car covers, (height, width), bool.
         height: height of the car's floor in the scene's pose [m].
@@ -201,7 +201,7 @@ def find_lifts(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
 
 def _landing_test(car: Car, level: int, search: LinkSearch) -> LandingTest:
-    """Return a test whether lines from the car land on a level, beside the car."""
+    """Return a function that tests whether lines from the car end on a level, beside the car."""
 
     def check_landing(rows: Int, cols: Int, _from_height: Float, _num_between: int) -> Landings:
         floor = search.floors[level, rows, cols]

@@ -22,7 +22,7 @@ from navbake.known_names import unique_name
 from navbake.navgrid.links import Stop
 from navbake.types import Float, Int
 
-# How far a stop of the settings is from its cell at most, seen from above, and in height [m]
+# The largest distance of a stop of the settings from its cell, seen from above, and in height [m]
 STOP_REACH = 0.5
 # Height of drops, and widest gap, where the settings state none [m]
 DROP_HEIGHT = 1.0
@@ -46,8 +46,8 @@ class BakedLinks(NamedTuple):
 def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
     """Place the stops of the settings' links on cells, and find the links of the settings' rules.
 
-    A stop without a free cell nearby is left out, and so is a stop on the same cell as an earlier
-    stop. A link with fewer than two stops is left out.
+    A stop is left out if no free cell is nearby, or if it is on the same cell as an earlier stop. A
+    link with fewer than two stops is left out.
 
     Args:
         search: floors, free cells and geometry.
@@ -88,7 +88,7 @@ def find_links(search: LinkSearch, settings: list[LinkSettings]) -> BakedLinks:
 
 
 def _set_fields(settings: LinkSettings) -> dict[str, object]:
-    """Return the fields of a link beside its stops that the settings set."""
+    """Return the fields of a link, except its stops, that the settings state."""
     fields = settings.model_dump(include={"width", "cost", "seconds", "agents", "state"})
     return {key: value for key, value in fields.items() if value is not None}
 
@@ -196,13 +196,19 @@ def find_edges(search: LinkSearch, rule: LinkSettings) -> list[LatticeLink]:
 
 
 def _rises(search: LinkSearch, rows: Int, cols: Int, from_height: Float) -> Float:
-    """Return how far the floor of each level lies over the starts, -inf for none, (levels, n)."""
+    """Return the height of each level's floor above the starts [m], (levels, n).
+
+    It is -inf where a level has no floor.
+    """
     rise: Float = np.nan_to_num(search.floors[:, rows, cols] - from_height, nan=-np.inf)
     return rise
 
 
 def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
-    """Return a test whether lines land on the highest floor that is lower by more than a step."""
+    """Return a function that tests whether lines end on a floor lower by more than a step.
+
+    Of several such floors, it takes the highest.
+    """
     max_drop = LIMIT_SLACK + (rule.height or DROP_HEIGHT)
 
     def check_landing(rows: Int, cols: Int, from_height: Float, _num_between: int) -> Landings:
@@ -218,7 +224,7 @@ def _drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
 
 
 def _jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
-    """Return a test whether lines land on the floor nearest in height, beyond a gap."""
+    """Return a function that tests whether lines end beyond a gap, on the floor nearest in z."""
     max_rise = LIMIT_SLACK + (rule.height or search.max_step)
 
     def check_landing(rows: Int, cols: Int, from_height: Float, num_between: int) -> Landings:

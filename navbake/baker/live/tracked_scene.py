@@ -81,10 +81,10 @@ class SceneChange(NamedTuple):
 
     Attributes:
         scene: the scene in the next pose.
-        changed_geoms: mask by geom id: the geoms that the bake uses in either pose, and whose
-            geometry or role differs between the two.
-        full_bake_reason: why the whole scene has to be baked: structure, or a marker of a room, has
-            changed; empty where an update is enough.
+        changed_geoms: for each geom, whether the bake uses it in one of the two poses, and its
+            geometry or role differs between them.
+        full_bake_reason: why the whole scene has to be baked (structure, or a marker of a room, has
+            changed); empty if an update is enough.
         wait_for_digest: a function that waits until the digest of the scene is computed, and
             returns it. `scene` does not have the digest yet.
         snapshot: the values of the next pose, for comparison with the pose after it.
@@ -98,7 +98,7 @@ class SceneChange(NamedTuple):
 
 
 class TrackedScene:
-    """Keeps the scene of a model in its current pose, and finds what a next pose changes.
+    """Keeps a model's scene in its current pose, and finds the differences of the next pose.
 
     Two mujoco.MjData of the model are kept: one in the current pose, one for the next pose.
 
@@ -251,7 +251,7 @@ class TrackedScene:
     def _find_full_bake_reason(
         self, scene: Scene, changed_geoms: Bool, moved: Bool, snapshot: PoseSnapshot
     ) -> str:
-        """Why structure, or what marks rooms, has changed; empty where it hasn't."""
+        """Return why structure or a marker of rooms has changed; empty if none has."""
         old_scene = self.scene
         is_changed = changed_geoms & (old_scene.is_structure | scene.is_structure)
         is_changed |= old_scene.is_structure != scene.is_structure
@@ -273,11 +273,11 @@ class TrackedScene:
         return "what marks rooms has changed" if is_marker_changed else ""
 
     def _are_joints_changed(self, snapshot: PoseSnapshot) -> bool:
-        """Whether joints move bodies in another way than before, as a user wrote to the model."""
+        """Return whether a user has changed the model so that joints move bodies differently."""
         return snapshot.joint_attributes != self._snapshot.joint_attributes
 
     def _update_leaves(self, scene: Scene, moved: Bool, snapshot: PoseSnapshot) -> Scene:
-        """Find the door candidates of the next pose, where any may have changed."""
+        """Find the door candidates of the next pose, if any of them may have changed."""
         may_be_leaf = self._is_jointed_geom | mark_candidate_geoms(len(moved), scene.leaves)
         may_change = (
             not np.array_equal(snapshot.joint_positions, self._snapshot.joint_positions)
@@ -304,7 +304,7 @@ class TrackedScene:
     def _reuse_leaves(
         self, leaves: list[DoorCandidate], changed_geoms: Bool, snapshot: PoseSnapshot
     ) -> list[DoorCandidate]:
-        """Replace the candidates that haven't changed by the same objects as before."""
+        """Replace the candidates that haven't changed by the objects of the current scene."""
         are_joints_changed = self._are_joints_changed(snapshot)
         old_leaves = {leaf.id: leaf for leaf in self.scene.leaves}
 
@@ -322,11 +322,10 @@ class TrackedScene:
         return [old_leaves[leaf.id] if is_unchanged(leaf) else leaf for leaf in leaves]
 
     def _needs_new_roles(self, data: mujoco.MjData, moved: Bool, snapshot: PoseSnapshot) -> bool:
-        """Whether geoms may count in another way, so that the scene has to be loaded again.
+        """Return whether different geoms may count, so that the scene has to be loaded again.
 
-        That is so where a user wrote to the model; or where something moved that may be the car of
-        a lift, a leaf that is not left out as movable, or a mesh so large that its hull may hide
-        room.
+        This is so if a user has changed the model; or if something moved that may be a lift's car,
+        a leaf that `scene.exclude.movable` keeps, or a mesh so large that its hull may hide room.
         """
         if snapshot.geom_attributes != self._snapshot.geom_attributes:
             return True
@@ -409,7 +408,7 @@ def _copy_pose(data: mujoco.MjData) -> PoseArrays:
 
 
 def _mark_geoms_moved_by(model: mujoco.MjModel, joint_types: Sequence[int]) -> Bool:
-    """Mark the geoms of bodies with a joint of some types, and of all that hangs on them."""
+    """Mark the geoms of bodies with a joint of some types, and of these bodies' descendants."""
     subtree_ends = find_subtree_ends(model)
     marked = np.zeros(model.ngeom, dtype=np.bool_)
     for body in model.jnt_bodyid[np.isin(model.jnt_type, joint_types)].tolist():
@@ -443,7 +442,7 @@ def find_changed_geoms(old: Shapes, new: Shapes) -> Bool:
 
 
 def _mark_changed_primitives(old: Primitives, new: Primitives, is_changed: Bool) -> None:
-    """Mark the geoms of which solids or planes appeared, vanished or differ."""
+    """Mark the geoms whose solids or planes appeared, vanished or changed."""
     num_geoms = len(is_changed)
     old_counts = np.bincount(old.geom, minlength=num_geoms)
     new_counts = np.bincount(new.geom, minlength=num_geoms)

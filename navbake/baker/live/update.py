@@ -1,8 +1,8 @@
 """Keeps the grid of a scene up to date while things in it move, with the functions of a bake.
 
 A pose → the geoms that moved → the cells near them → the occupants of these cells → the doors near
-them → the grid. Floors, walls and rooms stay the same objects. Where structure has changed, the
-whole scene is baked.
+them → the grid. Floors, walls and rooms stay the same objects. If structure has changed, the whole
+scene is baked.
 """
 
 from __future__ import annotations
@@ -364,7 +364,7 @@ def _update_lost_floors(
 
 
 def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -> BakedPose:
-    """Make those doors of the grid again that moved, or over whose cells the occupancy changed."""
+    """Make doors of the grid again if they moved, or the occupancy of their cells changed."""
     door_leaves = pose.door_leaves
     if not door_leaves:
         return replace(pose, grid_doors=[])
@@ -388,16 +388,16 @@ def _update_grid_doors(pose: BakedPose, baked: BakedScene, config: BakeConfig) -
 
 
 def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) -> list[Bool]:
-    """Mark the cells of each level in which two layers differ, flat."""
+    """Return for each level a flat mask of the cells in which two layers differ."""
     return [(new != old).ravel() for new, old in zip(new_layers, old_layers, strict=True)]
 
 
 def _blocks_any(blocked: Mapping[str, Sequence[Int]], marked: Sequence[Bool]) -> bool:
-    """Whether a leaf blocks any marked cell, in any of its states.
+    """Return whether a leaf blocks any marked cell, in any of its states.
 
     Args:
-        blocked: the cells that the leaf blocks, by state and level.
-        marked: a flat mask of cells for each level; or none at all.
+        blocked: state -> for each level, the cells that the leaf blocks.
+        marked: for each level, a flat mask of cells; or an empty list, which marks none.
     """
     for cells_of_levels in blocked.values():
         for mask, cells in zip(marked, cells_of_levels, strict=False):

@@ -25,7 +25,7 @@ NUM_BITS_VALUES = 8  # bits are below this
 
 
 def name_geoms(scene: Scene) -> list[str]:
-    """Return by geom id the name of its topmost body, or the geom's own name if it is on the world.
+    """Return for each geom the name of its topmost body; on the world body, the geom's own name.
 
     A body or geom without a name is called ``body 3`` or ``geom 12``, after its id.
     """
@@ -100,9 +100,14 @@ def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, I
 
 
 def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[CellNames]:
-    """Return the user data of cells, each of which has the tokens from a begin to its end.
+    """Return the user data of each cell.
 
-    A token is the number of a name and its bits.
+    Args:
+        token: tokens of all cells, one cell after the other; a token is a name's number and its
+            bits.
+        begin: for each cell, the index of its first token.
+        end: for each cell, the index after its last token.
+        names: the names.
     """
     size = end - begin
     num_entries = len(size)

@@ -50,10 +50,11 @@ class WallLimits(NamedTuple):
 
 WALL_NAME = re.compile("wall|partition")  # in the names of walls, whatever the case
 
-# A wall begins at most this far over a floor (a window over its sill), and is this high [m]
+# The largest height of a wall's bottom above a floor (of a window, above its sill), and the least
+# height of a wall [m]
 MAX_WALL_BOTTOM = 0.6
 MIN_WALL_HEIGHT = 1.5
-# A thin wall, and one that is thicker but long
+# The limits of a thin wall, and of a thicker wall that has to be long
 THIN_WALLS = (WallLimits(0.25, 0.5, 3.0), WallLimits(0.5, 3.0, 6.0))
 # A wall that is thicker still has to meet another one at a corner, with tops this near [m]
 THICK_WALL = WallLimits(1.2, 3.0, 3.0)
@@ -69,7 +70,7 @@ FURNITURE_OVER_PANEL = 0.1
 FURNITURE_DEPTH = 1.2
 FURNITURE_LENGTH = 3.0
 FURNITURE_GEOMS = 200
-# A geom that continues a wall is at most this much thicker on a side, and so far from its end [m]
+# A geom that continues a wall may be this much thicker on each side, and this far from its end [m]
 LINE_SLACK = 0.03
 END_GAP = 0.05
 MAX_PAIRS = 1_000_000  # of geoms that are compared at once, for the memory they take
@@ -89,9 +90,9 @@ MIN_UPRIGHT_SHARE = 0.5
 THING_AREA = 4.0
 MIN_ON_FLOOR_SHARE = 0.9
 THING_HEIGHT = 1.0
-# A lower rise is no step on the way up [m]
+# A lower rise does not count as a step up [m]
 COVERING = 0.03
-# A ceiling is at least this wide both ways [m]
+# The least width of a ceiling along both axes [m]
 CEILING_WIDTH = 1.5
 
 
@@ -340,7 +341,7 @@ def mark_panes(extents: Extents, sizes: OccupantSizes, is_wall: Bool) -> Bool:
 
 
 def _is_slender(extents: Extents, *limits: WallLimits) -> Bool:
-    """Mark what is thin and long by any of several limits."""
+    """Mark the geoms that are thin and long by at least one of several limits."""
     is_slender = np.zeros(len(extents.short_side), dtype=np.bool_)
     for limit in limits:
         min_length = np.maximum(limit.min_length, limit.min_ratio * extents.short_side)
@@ -351,7 +352,7 @@ def _is_slender(extents: Extents, *limits: WallLimits) -> Bool:
 
 
 def _meets_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
-    """Mark thick geoms that meet a wall, or another thick one, at a corner, as high as it."""
+    """Mark thick geoms that meet a wall, or another thick geom, of the same height at a corner."""
     meets = np.zeros(len(is_thick), dtype=np.bool_)
     if not is_thick.any():
         return meets
@@ -367,7 +368,13 @@ def _meets_at_corner(is_thick: Bool, is_wall: Bool, extents: Extents) -> Bool:
 
 
 def _end_of(geoms: Int, half: float, extents: Extents) -> Float:
-    """Return the middle of one end of each geom, seen from above, (n, 2) [m]; `half`: +-0.5."""
+    """Return the middle of one end of each geom, seen from above, (n, 2) [m].
+
+    Args:
+        geoms: ids of the geoms, (n,).
+        half: 0.5 for one end, -0.5 for the other.
+        extents: bounding boxes of all geoms.
+    """
     end: Float = (
         extents.center[geoms] + half * extents.long_side[geoms, None] * extents.long_axis[geoms]
     )
@@ -529,11 +536,16 @@ def classify_floor_geoms(
 
 
 def mark_ceilings(extents: Extents, base: Float, is_static: Bool, agent: AgentSettings) -> Bool:
-    """Mark, by geom id, ceilings and roofs.
+    """Mark the geoms that are ceilings or roofs, (ngeom,).
 
-    They are static, at least `CEILING_WIDTH` wide along both axes, no taller than wide, and above
-    the agent's head. `base` is the least height of each geom over a floor below it [m], inf where
-    there is none.
+    They are static, at least `CEILING_WIDTH` wide along both axes, not taller than wide, and above
+    the agent's head.
+
+    Args:
+        extents: bounding boxes of all geoms.
+        base: the least height of each geom above a floor below it [m]; inf if there is none.
+        is_static: for each geom, whether it is static.
+        agent: the agent; its height is read.
     """
     is_flat = extents.top - extents.bottom <= extents.short_side
     is_above_heads = base >= agent.height - LIMIT_SLACK

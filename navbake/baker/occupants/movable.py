@@ -1,8 +1,7 @@
-"""Finds the cells that movables, and leaves that are no doors, are in, and those that they block.
+"""Finds the cells that contain, or are blocked by, movables and leaves that are no doors.
 
-They are checked over the floors that structure makes: in a bake over all cells, in an update over
-the cells near things that moved. A cell of the grid is occupied if a movable, structure or a door
-blocks it.
+A bake checks all cells with a floor; an update checks the cells near things that moved. A cell of
+the grid is occupied if a movable, structure or a door blocks it.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from navbake.types import Bool, Float, Int, Int32
 CHUNK_ROWS = 16
 # If more than this share of the cells of some rows are checked, all columns of these rows are cast
 # together, which is faster by the column
-MAX_POINT_SHARE = 1 / 8
+MAX_SHARE_OF_SINGLE_CELLS = 1 / 8
 
 
 class OccupantEntries(NamedTuple):
@@ -69,8 +68,8 @@ class LevelMovables(NamedTuple):
 
     Attributes:
         entries: the geoms in the cells.
-        blocked: ids of the cells whose footprint these geoms meet.
-        blocked_squares: ids of the cells whose square alone, without the agent's disc, they meet.
+        blocked: ids of the cells where these geoms overlap an agent at the cell's centre.
+        blocked_squares: the same for the cell's own square, without the agent's disc.
     """
 
     entries: OccupantEntries
@@ -82,13 +81,12 @@ class MovableOccupants(NamedTuple):
     """Movables, and leaves that are no doors, over the floors of all levels.
 
     Attributes:
-        entries: the geoms in cells, by level and row chunk.
+        entries: for each level and row chunk, the geoms in its cells.
         blocked: for each level, a mask of the cells that these geoms or structure block, (height,
             width), bool.
-        blocked_squares: for each level, a mask of the cells whose square alone, without the
-            agent's disc, these geoms or structure meet; None where it equals `blocked`.
-        num_blocked_alone: by body id, the number of cells that the body blocks and structure
-            doesn't.
+        blocked_squares: the same for the cell's own square, without the agent's disc; None if it
+            would equal `blocked`.
+        num_blocked_alone: for each body, the number of cells that it blocks and structure doesn't.
     """
 
     entries: list[list[OccupantEntries]]
@@ -105,7 +103,7 @@ class MovableOccupants(NamedTuple):
 
 
 class MovableContext(NamedTuple):
-    """The values, fixed while things move, that the search for movables reads.
+    """The values that the search for movables reads; they don't change while things move.
 
     Attributes:
         lattice: the whole lattice.
@@ -113,7 +111,7 @@ class MovableContext(NamedTuple):
         standing: the cells that structure occupies.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height and largest slope are read.
-        mover_of: by geom id, the id of the body that the geom moves with.
+        mover_of: for each geom, the id of the body that it moves with.
     """
 
     lattice: Lattice
@@ -185,7 +183,9 @@ def update_movable_occupants(
         row_cells = cells[first:end]
         if not len(row_cells):
             continue
-        is_near = is_obstacle_geom & _mark_geoms_near(shapes, row_cells, lattice, footprint.half_width)
+        is_near = is_obstacle_geom & _mark_geoms_near(
+            shapes, row_cells, lattice, footprint.half_width
+        )
         by_level = _find_over_cells(context, shapes.only(is_near), rows, row_cells)
         for k, movables in enumerate(by_level):
             standing = context.standing.levels[k]
@@ -208,7 +208,7 @@ def update_movable_occupants(
 
 
 def _write_blocked(layer: Bool, standing: Bool, cells: Int, blocked: Int) -> None:
-    """Write some cells of a layer: what stands blocks them as in `standing`, and more `blocked`."""
+    """Write some cells of a layer: True if `standing` marks them or they are in `blocked`."""
     flat = layer.ravel()
     flat[cells] = standing.ravel()[cells]
     flat[blocked] = True
@@ -261,7 +261,7 @@ def join_entries(row_chunks: Sequence[OccupantEntries]) -> OccupantEntries:
 def _count_blocked_alone(
     entries: OccupantEntries, standing: Bool, mover_of: Int, num_bodies: int
 ) -> Int:
-    """Count the cells that each body blocks and nothing which stands does."""
+    """Count for each body the cells that it blocks and structure doesn't."""
     blocks_alone = (entries.flags & BLOCKING) > 0
     blocks_alone &= ~standing.ravel()[entries.cell]
     # a cell's entries lie together, and so do those of a body in it
@@ -274,11 +274,18 @@ def _count_blocked_alone(
 def _find_over_cells(
     context: MovableContext, shapes: Shapes, rows: RowChunk, cells: Int
 ) -> list[LevelMovables]:
-    """Find what can move over some cells, ascending, of a range of rows, by level."""
+    """Find the movables over some cells, for each level.
+
+    Args:
+        context: the floors, and the structure that stands on them.
+        shapes: the geometry of the movables.
+        rows: the rows that contain the cells.
+        cells: ids of the cells, ascending.
+    """
     lattice = context.lattice
     tiled = tile_shapes(shapes, lattice, context.footprint.half_width)
     first, end = rows.cell_range(lattice)
-    if len(cells) > MAX_POINT_SHARE * (end - first):
+    if len(cells) > MAX_SHARE_OF_SINGLE_CELLS * (end - first):
         columns = cast_columns(tiled, rows)
     else:
         centers = lattice.positions(*np.divmod(cells, lattice.width))

@@ -130,7 +130,7 @@ def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
         is_obstacle_geom = mark_obstacle_geoms(stages.scene, stages.doors, stages.config)
         found = []
         for most in (0.0, 2.0):
-            monkeypatch.setattr("navbake.baker.occupants.movable.MAX_POINT_SHARE", most)
+            monkeypatch.setattr("navbake.baker.occupants.movable.MAX_SHARE_OF_SINGLE_CELLS", most)
             found.append(
                 find_movable_occupants(
                     stages.movable_context, stages.scene.shapes, is_obstacle_geom
